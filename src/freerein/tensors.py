@@ -1,0 +1,97 @@
+"""Arrays on a wire: one table of datatypes, and sizes checked before anything is allocated.
+
+A tensor is `{datatype, shape, raw}`: an Open Inference Protocol name, the length of each axis, and the elements in
+C order, little-endian. Nothing is broadcast and no length is inferred: `raw` holds exactly what `shape` says.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+
+DTYPES: dict[str, np.dtype[Any]] = {
+    "BOOL": np.dtype(np.bool_),
+    "UINT8": np.dtype(np.uint8),
+    "UINT16": np.dtype("<u2"),
+    "UINT32": np.dtype("<u4"),
+    "INT32": np.dtype("<i4"),
+    "INT64": np.dtype("<i8"),
+    "FP32": np.dtype("<f4"),
+    "FP64": np.dtype("<f8"),
+}
+_NAMES = {dtype: name for name, dtype in DTYPES.items()}
+
+MAX_AXES = 8
+MAX_ELEMENTS = 2**31 - 1
+
+
+def datatype(array: npt.NDArray[Any]) -> str:
+    """Returns the wire's name of an array's dtype.
+
+    Raises:
+        InvalidInput: The dtype has none.
+    """
+    try:
+        return _NAMES[array.dtype.newbyteorder("<")]
+    except KeyError:
+        raise InvalidInput(
+            f"A tensor's dtype must be one of {', '.join(DTYPES)}; got {array.dtype}.",
+            hint="Convert it with array.astype(...) first.",
+        ) from None
+
+
+def encode(array: npt.NDArray[Any]) -> tuple[str, tuple[int, ...], bytes]:
+    """Returns the (datatype, shape, raw) of an array of any shape.
+
+    Raises:
+        InvalidInput: Its dtype has no name on the wire.
+    """
+    name = datatype(array)
+    return name, array.shape, array.astype(DTYPES[name], copy=False).tobytes()
+
+
+def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> npt.NDArray[Any]:
+    """Returns the array that (datatype, shape, raw) describe: a read-only view of `raw`, nothing is copied.
+
+    Args:
+        name: A key of `DTYPES`.
+        shape: Length of each axis.
+        raw: The elements.
+        field: Dotted name of the request's field, for errors.
+
+    Raises:
+        InvalidInput: The datatype is unknown, the shape has a negative length or too many axes, `raw` has another
+            length than they say, or a BOOL is neither 0 nor 1.
+    """
+    dtype = DTYPES.get(name)
+    if dtype is None:
+        raise InvalidInput(
+            f"`{field}` must have one of the datatypes {', '.join(DTYPES)}; got another name.",
+            field=field,
+            hint="Name the datatype as the Open Inference Protocol does, such as FP32.",
+        )
+    if len(shape) > MAX_AXES or min(shape, default=0) < 0 or math.prod(n or 1 for n in shape) > MAX_ELEMENTS:
+        raise InvalidInput(
+            f"`{field}` must have a shape of at most {MAX_AXES} lengths, none negative, of at most {MAX_ELEMENTS} "
+            f"elements; got {len(shape)} lengths that break one of these.",
+            field=field,
+            hint="There are no wildcards: write the length of every axis.",
+        )
+    expected = math.prod(shape) * dtype.itemsize  # Python integers: no overflow
+    if len(raw) != expected:
+        raise InvalidInput(
+            f"`{field}` must hold {expected} bytes, as its shape and datatype say; got {len(raw)}.",
+            field=field,
+            hint="Send the elements in C order, little-endian, without padding.",
+        )
+    if dtype == np.bool_ and raw and max(raw) > 1:
+        raise InvalidInput(
+            f"`{field}` must hold bytes 0 and 1 only, being BOOL; got another value.",
+            field=field,
+            hint="Send numpy's array.astype(bool).tobytes().",
+        )
+    return np.frombuffer(raw, dtype).reshape(shape)

@@ -1,0 +1,81 @@
+"""Dataclasses, messages and JSON say the same thing."""
+
+import inspect
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+from freerein import wire
+from freerein.errors import InvalidInput
+from freerein.types import common, learning, segmentation, sim
+
+DATACLASSES = [
+    cls
+    for module in (common, learning, segmentation, sim)
+    for _, cls in inspect.getmembers(module, is_dataclass)
+    if cls.__module__ == module.__name__
+]
+
+STEP = sim.StepResponse(
+    step_id=7,
+    frames={"front": np.arange(2 * 4 * 5 * 3, dtype=np.uint8).reshape(2, 4, 5, 3)},
+    reward=np.zeros(2, np.float32),
+    terminated=np.array([True, False]),
+    truncated=np.array([False, False]),
+    diverged=np.array([False, False]),
+    final_frames={},
+    truth=sim.Truth(np.ones((2, 3)), np.array([0.5, 1.0], np.float32), np.array([False, True])),
+)
+FIT = learning.Fit(
+    id="0" * 32,
+    state="running",
+    dataset="demos",
+    model_name="default",
+    config={"steps": 5, "learning_rate": 0.5, "objective": "lse"},
+    metrics={"train_loss": 0.25},
+    model=common.ModelRef("default", "abc"),
+)
+
+
+@pytest.mark.parametrize("cls", DATACLASSES, ids=lambda cls: cls.__name__)
+def test_a_dataclass_and_its_message_have_the_same_fields(cls: type) -> None:
+    assert {f.name for f in fields(cls)} == set(wire.message_type(cls).DESCRIPTOR.fields_by_name)
+
+
+def test_arrays_maps_and_nested_messages_come_back_as_they_went() -> None:
+    back = wire.unpack(wire.pack(STEP), sim.StepResponse)
+    np.testing.assert_array_equal(back.frames["front"], STEP.frames["front"])
+    assert back.terminated.tolist() == [True, False]
+    assert back.truth is not None
+    assert back.truth.state.dtype == np.float64
+
+
+def test_structs_enums_and_number_maps_come_back_as_they_went() -> None:
+    assert wire.unpack(wire.pack(FIT), learning.Fit) == FIT
+
+
+def test_json_holds_lower_case_enums_and_base64_tensors() -> None:
+    assert wire.to_json(FIT)["state"] == "running"
+    assert wire.to_json(STEP)["reward"] == {"datatype": "FP32", "shape": [2], "raw": "AAAAAAAAAAA="}
+
+
+def test_an_unset_optional_stays_none_and_an_unset_default_stays_the_default() -> None:
+    request = wire.unpack(wire.message_type(segmentation.SegmentRequest)(), segmentation.SegmentRequest)
+    assert request.frames is None
+    assert request.model == common.ModelRef()
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_number_that_is_not_finite_is_refused_and_its_field_named(value: float) -> None:
+    message = wire.message_type(segmentation.SegmentRequest)(smoothing=value)
+    with pytest.raises(InvalidInput) as error:
+        wire.unpack(message, segmentation.SegmentRequest)
+    assert error.value.field == "smoothing"
+
+
+def test_an_unspecified_enum_is_refused() -> None:
+    message = wire.message_type(common.Image)(data=b"x")
+    with pytest.raises(InvalidInput) as error:
+        wire.unpack(message, common.Image, path="images.0")
+    assert error.value.field == "images.0.encoding"
