@@ -9,6 +9,7 @@ and a list of numbers where it says `repeated`; an enum is a lower-case string; 
 """
 
 import base64
+import importlib
 import math
 import types
 import typing
@@ -42,6 +43,17 @@ _MESSAGES = {
 def message_type(cls: type) -> type[Message]:
     """Returns the protobuf class of the same name as a dataclass of `freerein.types`."""
     return cast(type[Message], getattr(_MESSAGES[cls.__module__], cls.__name__))
+
+
+def descriptor_of(cls: type) -> Descriptor:
+    """Returns the descriptor of the message of the same name as a dataclass of `freerein.types`."""
+    return cast(Descriptor, message_type(cls).DESCRIPTOR)
+
+
+def dataclass_of(message: Descriptor) -> type[Any]:
+    """Returns the dataclass of `freerein.types` of the same name as a message."""
+    module = next(name for name, pb in _MESSAGES.items() if pb.DESCRIPTOR.name == message.file.name)
+    return cast(type[Any], getattr(importlib.import_module(module), message.name))
 
 
 def enum_name(enum: EnumDescriptor, number: int) -> str:
@@ -93,11 +105,10 @@ def to_json(value: Any) -> dict[str, Any]:
     }
 
 
-@cache
-def _layout(cls: type[Any]) -> tuple[tuple[str, Any, FieldDescriptor, bool], ...]:
+def _make_layout(cls: Any) -> tuple[tuple[str, Any, FieldDescriptor, bool], ...]:
     """Returns (name, type, field of the message, required) of each field of a dataclass."""
     hints = typing.get_type_hints(cls)
-    by_name = cast(Descriptor, message_type(cls).DESCRIPTOR).fields_by_name
+    by_name = descriptor_of(cls).fields_by_name
     return tuple(
         (
             field.name,
@@ -107,6 +118,9 @@ def _layout(cls: type[Any]) -> tuple[tuple[str, Any, FieldDescriptor, bool], ...
         )
         for field in fields(cls)
     )
+
+
+_layout: Callable[[Any], tuple[tuple[str, Any, FieldDescriptor, bool], ...]] = cache(_make_layout)
 
 
 def _is_optional(hint: Any) -> bool:

@@ -1,0 +1,132 @@
+"""The state of a vector of environments as bytes that a client keeps, and that are distrusted when they come back.
+
+    sha256 of the rest (32) | length of the header (4) | header, JSON | for each environment: its numbers, its world
+
+The hash finds damage, not malice: whoever sends bytes can hash them. So every number is checked as well, and a world
+checks its own part.
+"""
+
+import hashlib
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from freerein.errors import FailedPrecondition, InvalidInput
+
+FORMAT = 1
+
+_SHA256_BYTES = 32
+_LENGTH = struct.Struct("<I")
+_ENV = struct.Struct("<II16s16sBI")  # steps, length of the world's part; PCG64: state, inc, has_uint32, uinteger
+
+
+@dataclass(frozen=True, eq=False)
+class EnvState:
+    """One environment.
+
+    Attributes:
+        steps: Steps made in its episode.
+        rng: Its generator.
+        world: Its world's own snapshot.
+    """
+
+    steps: int
+    rng: np.random.Generator
+    world: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A vector of environments.
+
+    Attributes:
+        task: The task's name.
+        fingerprint: Of the worlds that can restore it.
+        step_id: Steps made in all.
+        envs: Each environment.
+    """
+
+    task: str
+    fingerprint: str
+    step_id: int
+    envs: tuple[EnvState, ...]
+
+
+def generator(seed: np.random.SeedSequence) -> np.random.Generator:
+    """Returns a generator of the kind that snapshots hold."""
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def encode(snapshot: Snapshot) -> bytes:
+    """Returns a snapshot as bytes; the generators are only read."""
+    about = {
+        "format": FORMAT,
+        "task": snapshot.task,
+        "fingerprint": snapshot.fingerprint,
+        "step_id": snapshot.step_id,
+        "num_envs": len(snapshot.envs),
+    }
+    header = json.dumps(about).encode()
+    body = b"".join((_LENGTH.pack(len(header)), header, *map(_encode_env, snapshot.envs)))
+    return hashlib.sha256(body).digest() + body
+
+
+def decode(data: bytes) -> Snapshot:
+    """Returns the snapshot that bytes describe.
+
+    Raises:
+        InvalidInput: They are damaged, or no snapshot.
+        FailedPrecondition: They are of another format than this build's.
+    """
+    if hashlib.sha256(data[_SHA256_BYTES:]).digest() != data[:_SHA256_BYTES]:
+        raise _not_a_snapshot("bytes that do not match their hash")
+    try:
+        (length,) = _LENGTH.unpack_from(data, _SHA256_BYTES)
+        end = _SHA256_BYTES + _LENGTH.size + length
+        about = json.loads(data[_SHA256_BYTES + _LENGTH.size : end])
+        if about["format"] != FORMAT:
+            raise FailedPrecondition(
+                f"`snapshot` must be of format {FORMAT}; got another.",
+                field="snapshot",
+                hint="Restore it with the build of the service that made it.",
+            )
+        envs = tuple(_decode_envs(data[end:]))
+        snapshot = Snapshot(about["task"], about["fingerprint"], about["step_id"], envs)
+        complete = about["num_envs"] == len(envs) and 0 <= snapshot.step_id < 2**63
+    except (struct.error, ValueError, KeyError, TypeError) as error:
+        raise _not_a_snapshot("bytes that cannot be read") from error
+    if not complete or not isinstance(snapshot.step_id, int):
+        raise _not_a_snapshot("numbers that no snapshot has")
+    return snapshot
+
+
+def _encode_env(env: EnvState) -> bytes:
+    rng = env.rng.bit_generator.state
+    state, inc = (rng["state"][key].to_bytes(16, "little") for key in ("state", "inc"))
+    return _ENV.pack(env.steps, len(env.world), state, inc, rng["has_uint32"], rng["uinteger"]) + env.world
+
+
+def _decode_envs(data: bytes) -> Iterator[EnvState]:
+    at = 0
+    while at < len(data):
+        steps, length, state, inc, has_uint32, uinteger = _ENV.unpack_from(data, at)
+        at += _ENV.size + length
+        if at > len(data) or has_uint32 > 1:
+            raise ValueError("a length or flag out of bounds")
+        bits = np.random.PCG64(0)
+        bits.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": int.from_bytes(state, "little"), "inc": int.from_bytes(inc, "little")},
+            "has_uint32": has_uint32,
+            "uinteger": uinteger,
+        }
+        yield EnvState(steps, np.random.Generator(bits), data[at - length : at])
+
+
+def _not_a_snapshot(got: str) -> InvalidInput:
+    return InvalidInput(
+        f"`snapshot` must be what Snapshot returned; got {got}.", field="snapshot", hint="Send it back unchanged."
+    )

@@ -1,0 +1,200 @@
+"""The scripted expert of the blocks world: picks blocks up and puts them down, never twice in quite the same way."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein_sim.worlds.blocks.relations import BLOCK_M, Position, Relation, is_on, is_on_table
+from freerein_sim.worlds.world import Decision
+
+if TYPE_CHECKING:
+    from freerein_sim.worlds.blocks.simulation import Blocks
+
+_GRASP_ABOVE_M = 0.018
+"""How far above a block's centre the fingers close."""
+
+_OVER_M = 0.075
+"""How far above the highest obstacle the gripper travels."""
+
+_OPEN_M, _RELEASE_M, _CLOSED_M = 0.034, 0.031, 0.0
+_FREE_M = 0.077
+"""Least distance between blocks on the table that leaves room for the gripper."""
+
+_LINE_M = np.linspace(-0.21, 0.21, 421)
+_NEARBY_M = 0.05
+_BESIDE_M = 0.071
+_PLACED_M = 0.025
+_STACK_PROBABILITY = 0.35
+_FINE_M = 0.004
+_ALIGNED, _ROUGHLY = (_FINE_M, 0.02), (0.02, 0.02)
+_RETREAT_M = 0.06
+_MAX_REACH_STEPS = 25
+_MAX_TRIES = 3
+_SPEED = (0.7, 1.0)
+_NOISE = 0.06
+_PAUSE_PROBABILITY = 0.02
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a goal wants the block.
+
+    Attributes:
+        relation: How it is to lie.
+        to: Colour of the block that it is to lie so to.
+    """
+
+    relation: Relation
+    to: str
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """One movement: go there, with the fingers so, for at least so many steps."""
+
+    y: float
+    z: float
+    opening: float
+    within_m: tuple[float, float] = (_FINE_M, _FINE_M)
+    steps: int = 1
+
+
+class BlocksExpert:
+    """Moves one block after the other, looking at the true state.
+
+    A block without a destination goes to a free place on the table, or onto a block that need not be moved any more.
+
+    Args:
+        world: Whom it acts in.
+        skills: Skills of the world, in order.
+        destination: Where the goal wants the block; None for anywhere else.
+        rng: Draws places, speed, noise and pauses.
+    """
+
+    def __init__(
+        self, world: "Blocks", skills: tuple[str, ...], destination: Destination | None, rng: np.random.Generator
+    ) -> None:
+        self._world = world
+        self._waiting = deque(skills)
+        self._destination = destination
+        self._rng = rng
+        self._speed = rng.uniform(*_SPEED)
+        self._reaches: deque[_Reach] = deque()
+        self._steps = 0
+        self._colour = ""
+        self._place: Position = np.zeros(3)
+        self._tries = 0
+        self._failed = False
+
+    def decide(self) -> Decision | None:
+        """Returns the next movement towards the end of the current skill."""
+        while not self._reaches or self._is_reached():
+            self._steps = 0
+            if self._reaches:
+                self._reaches.popleft()
+            if not self._reaches and not self._plan():
+                return None
+        self._steps += 1
+        skill = self._world.spec.skills.index(f"move-{self._colour}")
+        return Decision(self._towards(self._reaches[0]), skill)
+
+    def succeeded(self) -> bool:
+        """Returns whether every named block was put down where it was to go."""
+        return not self._failed and not self._waiting and not self._reaches and self._is_placed()
+
+    def _is_reached(self) -> bool:
+        reach = self._reaches[0]
+        offset = np.abs(self._world.gripper - (reach.y, reach.z))
+        return self._steps >= reach.steps and (bool((offset < reach.within_m).all()) or self._steps > _MAX_REACH_STEPS)
+
+    def _is_placed(self) -> bool:
+        offset = np.abs(self._world.position(self._colour) - self._place)
+        return bool((offset < _PLACED_M).all() and offset[2] < _PLACED_M / 2)
+
+    def _plan(self) -> bool:
+        """Plans the next skill, or the same once more where it failed; False when all is done."""
+        if self._colour and not self._is_placed():
+            self._tries += 1
+            if self._tries >= _MAX_TRIES:
+                self._failed = True
+                return False
+        elif not self._waiting:
+            return False
+        else:
+            self._colour = self._waiting.popleft().removeprefix("move-")
+            self._tries = 0
+            self._place = self._choose_place()
+        self._reaches.extend(self._movements())
+        return True
+
+    def _movements(self) -> Iterable[_Reach]:
+        block = self._world.position(self._colour)
+        others = [self._world.position(colour) for colour in self._others()]
+        over = max([block[2], *(other[2] for other in others)]) + BLOCK_M / 2 + _OVER_M
+        y, z = float(block[1]), float(block[2]) + _GRASP_ABOVE_M
+        to_y, to_z = float(self._place[1]), float(self._place[2]) + _GRASP_ABOVE_M + 0.002
+        closing, opening = int(self._rng.integers(2, 4)), int(self._rng.integers(2, 4))
+        start_y, start_z = (float(part) for part in self._world.gripper)
+        return (
+            _Reach(start_y, max(start_z, over), _RELEASE_M, within_m=_ROUGHLY, steps=0),
+            _Reach(y, over, _OPEN_M, within_m=_ALIGNED),
+            _Reach(y, z, _OPEN_M),
+            _Reach(y, z, _CLOSED_M, within_m=_ROUGHLY, steps=closing),
+            _Reach(y, over, _CLOSED_M, within_m=_ROUGHLY),
+            _Reach(to_y, over, _CLOSED_M, within_m=_ALIGNED),
+            _Reach(to_y, to_z, _CLOSED_M),
+            _Reach(to_y, to_z, _RELEASE_M, within_m=_ROUGHLY, steps=opening),
+            _Reach(to_y, to_z + _RETREAT_M, _RELEASE_M, within_m=_ROUGHLY),
+        )
+
+    def _others(self) -> list[str]:
+        return [colour for colour in self._world.colours if colour != self._colour]
+
+    def _choose_place(self) -> Position:
+        if self._destination is not None:
+            return self._goal_place(self._destination)
+        stacks, frees = self._tops(), self._free_places()
+        if stacks and (not frees or self._rng.random() < _STACK_PROBABILITY):
+            return stacks[int(self._rng.integers(len(stacks)))]
+        return frees[int(self._rng.integers(len(frees)))]
+
+    def _goal_place(self, destination: Destination) -> Position:
+        other = self._world.position(destination.to)
+        if destination.relation is Relation.ON_TOP_OF:
+            return other + (0, 0, BLOCK_M)
+        side = -1 if destination.relation is Relation.LEFT_OF else 1
+        return other + (0, side * _BESIDE_M, 0)
+
+    def _tops(self) -> list[Position]:
+        """Returns the places on top of blocks that lie on the table, are bare, and are to be moved no more."""
+        here = self._world.position(self._colour)
+        later = {skill.removeprefix("move-") for skill in self._waiting}
+        positions = {colour: self._world.position(colour) for colour in self._others()}
+        return [
+            at + (0, 0, BLOCK_M)
+            for colour, at in positions.items()
+            if colour not in later
+            and is_on_table(at)
+            and not any(is_on(other, at) for other in (*positions.values(), here))
+        ]
+
+    def _free_places(self) -> list[Position]:
+        """Returns the places on the table, on a fine grid, that are free and not where the block is now."""
+        here = self._world.position(self._colour)[1]
+        taken = np.array([self._world.position(colour)[1] for colour in self._others()])
+        free = (np.abs(_LINE_M[:, None] - taken) > _FREE_M).all(axis=1) & (np.abs(_LINE_M - here) > _NEARBY_M)
+        return [np.array([0, y, BLOCK_M / 2]) for y in _LINE_M[free]]
+
+    def _towards(self, reach: _Reach) -> npt.NDArray[np.float32]:
+        if self._rng.random() < _PAUSE_PROBABILITY:
+            return np.zeros(3, np.float32)
+        scale = np.array(self._world.spec.action.scale)
+        way = (np.array([reach.y, reach.z, reach.opening]) - self._world.set_point) / scale
+        furthest = float(np.abs(way[:2]).max())
+        way[:2] *= min(1.0, self._speed / max(furthest, 1e-9))
+        way[:2] += _NOISE * min(1.0, furthest) * self._rng.standard_normal(2)
+        return np.clip(way, -1, 1).astype(np.float32)

@@ -1,0 +1,195 @@
+"""The table, the blocks and the gripper, as a MuJoCo model. The gripper's shape comes from gymnasium-robotics' wheel.
+
+The arm is left out: its place is taken by two slides, along y and z, whose position servos follow a set-point as the
+arm follows its mocap body in the Fetch environments. x points to the front camera, y to its right, z up, in metres.
+"""
+
+import hashlib
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from freerein.errors import FailedPrecondition
+from freerein_sim.worlds.blocks.relations import BLOCK_M
+
+TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
+GRIPPER_Y_M = (-0.22, 0.22)
+GRIPPER_Z_M = (0.043, 0.26)
+FINGER_M = (0.0, 0.034)
+"""How far each finger can be from the middle."""
+
+TIMESTEP_S = 0.002
+
+_RGBA = {
+    "red": (0.86, 0.09, 0.07, 1),
+    "green": (0.12, 0.66, 0.16, 1),
+    "yellow": (0.98, 0.80, 0.06, 1),
+    "blue": (0.10, 0.30, 0.92, 1),
+}
+_TABLE, _WALL, _FLOOR = (0.17, 0.18, 0.21, 1), (0.47, 0.53, 0.58, 1), (0.34, 0.36, 0.39, 1)
+_STEEL, _RUBBER = (0.82, 0.83, 0.85, 1), (0.13, 0.13, 0.15, 1)
+_LINKS_M = {"gripper_link": 0.0, "wrist_roll_link_collision": -0.1664, "wrist_flex_link_collision": -0.3049}
+"""Meshes of the gripper and the wrist above it, and how far along the gripper's own x axis each lies."""
+
+_LINK_KG, _FINGER_KG, _BLOCK_KG = 0.3, 0.1, 0.1
+_SERVO_KP, _SERVO_KV, _SERVO_N = 4000.0, 140.0, 120.0
+_FINGER_KP, _FINGER_KV, _FINGER_ARMATURE_KG = 500.0, 20.0, 0.1
+_FINGER_HALF_M = (0.0385, 0.005, 0.0135)
+_CAMERAS = {
+    "front": ((1.00, 0.0, 0.31), (0.0, 0.0, 0.12), 27.5),
+    "left": ((0.0, -1.00, 0.31), (0.0, 0.0, 0.12), 27.5),
+    "tilt": ((0.74, 0.0, 0.80), (0.0, 0.0, 0.06), 27.0),
+}
+"""By name: where it is, what it looks at, and its vertical field of view in degrees."""
+
+
+def build(colours: Sequence[str]) -> mujoco.MjModel:
+    """Returns the compiled scene with one block of each colour.
+
+    Raises:
+        FailedPrecondition: The wheel that holds the gripper's meshes is not installed.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence is reported, never reset away
+    _set_look(spec)
+    _add_room(spec.worldbody)
+    _add_cameras(spec.worldbody)
+    _add_gripper(spec)
+    for colour in colours:
+        _add_block(spec.worldbody, colour)
+    return spec.compile()
+
+
+def fingerprint(model: mujoco.MjModel) -> str:
+    """Returns a hash of the compiled model and of MuJoCo's version."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(mujoco.mj_versionString().encode() + buffer.tobytes()).hexdigest()
+
+
+def _set_look(spec: mujoco.MjSpec) -> None:
+    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = 0
+    spec.visual.headlight.ambient = [0.38] * 3
+    spec.visual.headlight.diffuse = [0.38] * 3
+    spec.visual.headlight.specular = [0.0] * 3
+    spec.visual.map.znear = 0.02
+    spec.visual.map.zfar = 10
+
+
+def _add_room(world: mujoco.MjsBody) -> None:
+    world.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        dir=[-0.5, 0.35, -0.8],
+        diffuse=[0.5] * 3,
+        specular=[0.1] * 3,
+        castshadow=False,
+    )
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    half_z = 0.05
+    world.add_geom(
+        name="table", type=box, size=[TABLE_HALF_X_M, TABLE_HALF_Y_M, half_z], pos=[0, 0, -half_z], rgba=_TABLE
+    )
+    for name, size, position, rgba in (
+        ("back", (0.01, 2, 2), (-0.8, 0, 0), _WALL),
+        ("side", (2, 0.01, 2), (0, 0.9, 0), _WALL),
+        ("floor", (2, 2, 0.01), (0, 0, -0.6), _FLOOR),
+    ):
+        world.add_geom(name=name, type=box, size=size, pos=position, rgba=rgba, contype=0, conaffinity=0)
+
+
+def _add_cameras(world: mujoco.MjsBody) -> None:
+    for name, (place, target, fovy) in _CAMERAS.items():
+        backward = np.subtract(place, target)
+        right = np.cross((0, 0, 1), backward)
+        axes = np.stack([right, np.cross(backward, right), backward], axis=1)
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, (axes / np.linalg.norm(axes, axis=0)).ravel())
+        world.add_camera(name=name, pos=place, quat=quaternion, fovy=fovy)
+
+
+def _add_gripper(spec: mujoco.MjSpec) -> None:
+    folder = _mesh_folder()
+    gripper = spec.worldbody.add_body(name="gripper", quat=[1, 0, 1, 0], gravcomp=1)  # its x axis points down
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    gripper.add_joint(name="gripper.y", type=slide, axis=[0, 1, 0])
+    gripper.add_joint(name="gripper.z", type=slide, axis=[-1, 0, 0])
+    for link, offset_m in _LINKS_M.items():
+        spec.add_mesh(name=link, file=str(folder / f"{link}.stl"))
+        gripper.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=link,
+            pos=[offset_m, 0, 0],
+            rgba=_STEEL,
+            mass=_LINK_KG,
+            contype=0,
+            conaffinity=0,
+        )
+    for side, sign in (("left", -1), ("right", 1)):
+        _add_finger(gripper, side, sign)
+    for joint, limits in (("gripper.y", GRIPPER_Y_M), ("gripper.z", GRIPPER_Z_M)):
+        _add_servo(spec, joint, limits, kp=_SERVO_KP, kv=_SERVO_KV, force_n=_SERVO_N)
+    for side in ("left", "right"):
+        _add_servo(spec, f"finger.{side}", FINGER_M, kp=_FINGER_KP, kv=_FINGER_KV, force_n=_SERVO_N)
+
+
+def _add_finger(gripper: mujoco.MjsBody, side: str, sign: int) -> None:
+    finger = gripper.add_body(name=f"finger.{side}", pos=[0, sign * 0.001, 0], gravcomp=1)
+    finger.add_joint(
+        name=f"finger.{side}",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, sign, 0],
+        limited=True,
+        range=FINGER_M,
+        armature=_FINGER_ARMATURE_KG,
+    )
+    finger.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=_FINGER_HALF_M,
+        pos=[0, sign * _FINGER_HALF_M[1], 0],
+        rgba=_RUBBER,
+        mass=_FINGER_KG,
+        condim=4,
+        friction=[1.5, 0.05, 0.01],
+    )
+
+
+def _add_servo(
+    spec: mujoco.MjSpec, joint: str, limits: tuple[float, float], *, kp: float, kv: float, force_n: float
+) -> None:
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.set_to_position(kp=kp, kv=kv)
+    servo.ctrllimited, servo.ctrlrange = True, limits
+    servo.forcelimited, servo.forcerange = True, (-force_n, force_n)
+
+
+def _add_block(world: mujoco.MjsBody, colour: str) -> None:
+    block = world.add_body(name=colour)
+    block.add_freejoint(name=colour)
+    block.add_geom(
+        name=colour,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[BLOCK_M / 2] * 3,
+        mass=_BLOCK_KG,
+        rgba=_RGBA[colour],
+        condim=4,
+        friction=[1.0, 0.05, 0.01],
+    )
+
+
+def _mesh_folder() -> Path:
+    """Finds the wheel's folder without importing it."""
+    found = importlib.util.find_spec("gymnasium_robotics")
+    if found is None or found.origin is None:
+        raise FailedPrecondition(
+            "The world blocks needs the Fetch gripper's meshes of the wheel gymnasium-robotics, which is not installed.",
+            hint="pip install --no-deps -r assets.txt",
+        )
+    return Path(found.origin).parent / "envs" / "assets" / "stls" / "fetch"

@@ -1,0 +1,170 @@
+"""The blocks world: MuJoCo behind the `World` protocol."""
+
+import struct
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
+from freerein_sim.worlds.blocks.expert import BlocksExpert, Destination
+from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, holds
+from freerein_sim.worlds.rendering import Renderer
+from freerein_sim.worlds.world import (
+    Action,
+    Frame,
+    Outcome,
+    Truth,
+    WorldSpec,
+    check_action,
+    check_view,
+    skill_indices,
+)
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+_SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
+_HEADER = struct.Struct("<4sI")
+_MAGIC = b"fblk"
+
+PITCH_M = 0.08
+"""Distance of neighbouring places on the line: room for a block and an open gripper."""
+
+_PLACES = 6
+_LINE_JITTER_M, _PLACE_JITTER_M = 0.01, 0.0015
+_GOAL_PLACES_M = (-0.07, 0.07)
+_GOAL_SPREAD_M = BLOCK_M
+_START_Y_M, _START_Z_M = (-0.2, 0.2), (0.13, 0.22)
+_FALLEN_M = -0.01
+_LEAD_M = 0.07
+
+
+class Blocks:
+    """A gripper and blocks; blocks start on the table, in the plane in which the gripper moves.
+
+    Args:
+        spec: What the world offers.
+        colours: Colours of its blocks.
+        goal: What the oracle judges; None for a world without a goal.
+    """
+
+    def __init__(self, spec: WorldSpec, colours: tuple[str, ...], goal: Goal | None) -> None:
+        self.spec = spec
+        self.colours = colours
+        self.goal = goal
+        self._model = scene.build(colours)
+        self._data = mujoco.MjData(self._model)
+        self._renderer: Renderer | None = None
+        self.fingerprint = scene.fingerprint(self._model)
+
+    def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
+        """Draws where the blocks lie and where the gripper is; the recipe changes nothing that can be seen."""
+        skill_indices(self.spec, recipe)
+        mujoco.mj_resetData(self._model, self._data)
+        places = self._draw_line(rng) if self.goal is None else self._draw_pair(rng)
+        for colour, y in zip(self.colours, places, strict=True):
+            self._data.joint(colour).qpos = (0, y, BLOCK_M / 2, 1, 0, 0, 0)
+        opening = rng.uniform(*scene.FINGER_M)
+        targets = (rng.uniform(*_START_Y_M), rng.uniform(*_START_Z_M), opening, opening)
+        for name, target in zip(("gripper.y", "gripper.z", "finger.left", "finger.right"), targets, strict=True):
+            self._data.joint(name).qpos = target
+            self._data.actuator(name).ctrl = target
+        self._refresh()
+
+    def step(self, action: Action) -> Outcome:
+        """Moves the servos' set-points by the action and simulates one control step.
+
+        The set-point may lead the gripper by no more than a free gripper lags, so that a blocked one does not wind up.
+        """
+        check_action(self.spec.action, action)
+        here = self.gripper
+        control = self._data.ctrl
+        for i, limits in enumerate((scene.GRIPPER_Y_M, scene.GRIPPER_Z_M)):
+            target = control[i] + GRIPPER_STEP_M * float(action[i])
+            target = np.clip(target, here[i] - _LEAD_M, here[i] + _LEAD_M)
+            control[i] = np.clip(target, *limits)
+        control[2:] = np.clip(control[2] + FINGER_STEP_M * float(action[2]), *scene.FINGER_M)
+        mujoco.mj_step(self._model, self._data, nstep=_SUBSTEPS)
+        if any(self._data.warning[kind].number for kind in _DIVERGED):
+            return Outcome(terminated=True, diverged=True)
+        self._refresh()
+        return Outcome(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
+
+    def render(self, camera: str, *, height: int, width: int) -> Frame:
+        """Returns what the camera sees; the first call opens an OpenGL context on the calling thread."""
+        check_view(self.spec, camera, height=height, width=width)
+        if self._renderer is None:
+            self._renderer = Renderer(self._model)
+        return self._renderer.render(self._data, camera, height=height, width=width)
+
+    def snapshot(self) -> bytes:
+        """Returns MuJoCo's complete integration state."""
+        state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
+        mujoco.mj_getState(self._model, self._data, state, _STATE)
+        return _HEADER.pack(_MAGIC, state.size) + state.astype("<f8").tobytes()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Sets MuJoCo's integration state."""
+        size = mujoco.mj_stateSize(self._model, _STATE)
+        if len(snapshot) != _HEADER.size + 8 * size or _HEADER.unpack_from(snapshot) != (_MAGIC, size):
+            raise InvalidInput(
+                f"Expected a snapshot of this world, {_HEADER.size + 8 * size} bytes; got something else.",
+                field="snapshot",
+            )
+        state = np.frombuffer(snapshot, "<f8", offset=_HEADER.size).astype(np.float64)
+        if not np.isfinite(state).all():
+            raise InvalidInput("Expected a snapshot of finite numbers; got one that is not.", field="snapshot")
+        mujoco.mj_resetData(self._model, self._data)
+        mujoco.mj_setState(self._model, self._data, state, _STATE)
+        self._refresh()
+
+    def truth(self) -> Truth:
+        """Returns the poses of gripper and blocks, and whether the goal holds."""
+        poses = [self._data.joint(colour).qpos for colour in self.colours]
+        opening = self._data.joint("finger.left").qpos + self._data.joint("finger.right").qpos
+        success = self.goal is not None and holds(
+            self.goal.relation, self.position(self.goal.first), self.position(self.goal.second)
+        )
+        return Truth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
+
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
+        """Returns somebody who picks up each named block and puts it down elsewhere, where the goal says if any."""
+        indices = skill_indices(self.spec, skills)
+        destination = None if self.goal is None else Destination(self.goal.relation, self.goal.second)
+        return BlocksExpert(self, tuple(self.spec.skills[i] for i in indices), destination, rng)
+
+    def close(self) -> None:
+        """Frees the OpenGL context, on the thread that rendered."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    @property
+    def gripper(self) -> npt.NDArray[np.float64]:
+        """Where the middle between the fingers is: float64 (2,), y and z in metres."""
+        return np.concatenate([self._data.joint("gripper.y").qpos, self._data.joint("gripper.z").qpos])
+
+    @property
+    def set_point(self) -> npt.NDArray[np.float64]:
+        """Where the servos are told to be: float64 (3,), y, z and each finger's distance from the middle, in metres."""
+        return np.array(self._data.ctrl[:3])
+
+    def position(self, colour: str) -> Position:
+        """Returns where the centre of a block is."""
+        return np.array(self._data.joint(colour).qpos[:3])
+
+    def _draw_line(self, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+        line = (np.arange(_PLACES) - (_PLACES - 1) / 2) * PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
+        places = rng.choice(line, size=len(self.colours), replace=False)
+        return places + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=places.shape)
+
+    def _draw_pair(self, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+        """Draws two places one block's width wide each, too far from one another for any goal to hold."""
+        return rng.permutation(_GOAL_PLACES_M) + rng.uniform(-_GOAL_SPREAD_M / 2, _GOAL_SPREAD_M / 2, size=2)
+
+    def _refresh(self) -> None:
+        """Brings what is drawn up to the state; MuJoCo leaves it at the start of the last substep."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)

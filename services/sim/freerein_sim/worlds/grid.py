@@ -1,0 +1,224 @@
+"""The dissertation's two-dimensional grid: walk to coloured objects and pick them up, in an order.
+
+The field is 10 x 10 cells; below it lies one more row, whose leftmost cell, the indicator, shows the colour of the
+object that is to be picked up next. Every cell is 3 x 3 pixels: an image of 33 x 30. All five objects lie on the field
+in every episode, so the scene does not tell which skills occur.
+"""
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.types.sim import ActionSpec, Camera
+from freerein_sim.worlds.world import (
+    Action,
+    Decision,
+    Frame,
+    Outcome,
+    Task,
+    Truth,
+    WorldSpec,
+    check_action,
+    check_view,
+    skill_indices,
+)
+
+FIELD = 10
+CELL_PX = 3
+COLOURS = ("red", "green", "blue", "yellow", "purple")
+PICK_UP = 4
+
+_HEIGHT, _WIDTH = (FIELD + 1) * CELL_PX, FIELD * CELL_PX
+_MAX_STEPS = 50
+_MOVES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+_RGB = np.array([[230, 40, 40], [40, 200, 60], [50, 90, 240], [245, 210, 40], [180, 60, 220]], np.uint8)
+_GROUND, _FRAME, _AGENT = (28, 30, 36), (60, 64, 74), (245, 245, 245)
+_NOWHERE = -1
+_FORMAT_VERSION = 1
+_LAYOUT = struct.Struct("<B2b10b5b5b")
+
+SPEC = WorldSpec(
+    cameras=(Camera("top", _HEIGHT, _WIDTH, 3),),
+    action=ActionSpec(size=1, choices=5, names=("up", "down", "left", "right", "pick-up")),
+    control_dt_s=0.1,
+    skills=tuple(f"pick-{colour}" for colour in COLOURS),
+    max_episode_steps=_MAX_STEPS,
+    state_names=(
+        "agent.row",
+        "agent.column",
+        *(f"{colour}.{axis}" for colour in COLOURS for axis in ("row", "column")),
+    ),
+    max_size=_HEIGHT,
+)
+
+
+class Grid:
+    """The grid world.
+
+    An episode has a recipe: which objects are to be picked up, in which order. `pick-up` takes whatever object lies
+    under the agent, wanted or not. The indicator shows the first object of the recipe that still lies on the field;
+    the episode ends when none does, and is a success when exactly the recipe was picked up, in order.
+
+    Args:
+        indicator: Whether the indicator cell is drawn.
+    """
+
+    spec = SPEC
+
+    def __init__(self, *, indicator: bool) -> None:
+        self._indicator = indicator
+        self._agent = np.zeros(2, np.int64)  # row, column
+        self._objects = np.full((len(COLOURS), 2), _NOWHERE, np.int64)  # by colour: row, column
+        self._recipe: tuple[int, ...] = ()
+        self._picked: tuple[int, ...] = ()
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of the rules' version and of what is drawn."""
+        return hashlib.sha256(f"grid {_FORMAT_VERSION} {self._indicator} {SPEC}".encode()).hexdigest()
+
+    @property
+    def target(self) -> int | None:
+        """Index of the object to pick up next, None when the recipe is done."""
+        return next((i for i in self._recipe if i not in self._picked), None)
+
+    def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
+        """Scatters agent and objects such that an expert can finish in time; an empty recipe means all, shuffled."""
+        wanted = skill_indices(SPEC, recipe)
+        if len(set(wanted)) != len(wanted):
+            raise InvalidInput("A recipe of this world names each skill once; got one twice.", field="skills")
+        self._recipe = wanted or tuple(int(i) for i in rng.permutation(len(COLOURS)))
+        self._picked = ()
+        while True:
+            cells = rng.choice(FIELD * FIELD, size=len(COLOURS) + 1, replace=False)
+            places = np.stack(np.divmod(cells, FIELD), axis=1)
+            self._agent, self._objects = places[0], places[1:]
+            if _expert_steps(places[0], places[1:], self._recipe) <= _MAX_STEPS:
+                return
+
+    def step(self, action: Action) -> Outcome:
+        """Moves one cell, stopping at the field's edge, or picks up what lies under the agent."""
+        check_action(SPEC.action, action)
+        choice = int(action[0])
+        if choice == PICK_UP:
+            here = np.flatnonzero((self._objects == self._agent).all(axis=1))
+            self._objects[here] = _NOWHERE
+            self._picked += tuple(int(i) for i in here)
+        else:
+            self._agent = np.clip(self._agent + _MOVES[choice], 0, FIELD - 1)
+        return Outcome(terminated=self.target is None)
+
+    def render(self, camera: str, *, height: int, width: int) -> Frame:
+        """Returns the image; this world has one size only."""
+        check_view(SPEC, camera, height=height, width=width)
+        if (height, width) != (_HEIGHT, _WIDTH):
+            raise InvalidInput(
+                f"Frames of this world are {_HEIGHT} x {_WIDTH} pixels; got {height} x {width}.", field="height"
+            )
+        image = np.empty((_HEIGHT, _WIDTH, 3), np.uint8)
+        image[:], image[FIELD * CELL_PX :] = _GROUND, _FRAME
+        for (row, column), rgb in zip(self._objects, _RGB, strict=True):
+            if row != _NOWHERE:
+                _cell(image, row, column)[:] = rgb
+        agent = _cell(image, *self._agent)
+        beneath = agent[1, 1].copy()
+        agent[:], agent[1, 1] = _AGENT, beneath
+        if self._indicator:
+            _cell(image, FIELD, 0)[:] = 0 if self.target is None else _RGB[self.target]
+        return image
+
+    def snapshot(self) -> bytes:
+        """Returns the state in 24 bytes."""
+        recipe, picked = (row + (_NOWHERE,) * (len(COLOURS) - len(row)) for row in (self._recipe, self._picked))
+        return _LAYOUT.pack(_FORMAT_VERSION, *self._agent, *self._objects.ravel(), *recipe, *picked)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Reads what `snapshot` wrote, checking every number."""
+        if len(snapshot) != _LAYOUT.size or snapshot[0] != _FORMAT_VERSION:
+            raise InvalidInput(
+                f"Expected a snapshot of {_LAYOUT.size} bytes and version {_FORMAT_VERSION}; got something else.",
+                field="snapshot",
+            )
+        numbers = np.array(_LAYOUT.unpack(snapshot)[1:], np.int64)
+        agent, objects = numbers[:2], numbers[2:12].reshape(-1, 2)
+        recipe, picked = (tuple(int(i) for i in part if i != _NOWHERE) for part in (numbers[12:17], numbers[17:]))
+        _check_state(agent, objects, recipe, picked)
+        self._agent, self._objects, self._recipe, self._picked = agent, objects, recipe, picked
+
+    def truth(self) -> Truth:
+        """Returns where everything is (-1 for what was picked up), and 1.0 when the recipe was followed exactly."""
+        success = bool(self._recipe) and self._picked == self._recipe
+        return Truth(np.concatenate([self._agent, self._objects.ravel()]).astype(np.float64), float(success), success)
+
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> "GridExpert":
+        """Returns somebody who walks to each object by a shortest path and picks it up."""
+        return GridExpert(self, skill_indices(SPEC, skills), rng)
+
+    def close(self) -> None:
+        """Holds nothing that needs freeing."""
+
+
+class GridExpert:
+    """Greedy in Manhattan distance; where both axes shorten the way, it draws one."""
+
+    def __init__(self, world: Grid, skills: tuple[int, ...], rng: np.random.Generator) -> None:
+        self._world = world
+        self._skills = skills
+        self._rng = rng
+
+    def decide(self) -> Decision | None:
+        """Returns the next step towards the first object that is still to be picked up."""
+        state = self._world.truth().state.astype(np.int64)
+        objects = state[2:].reshape(-1, 2)
+        wanted = next((i for i in self._skills if objects[i, 0] != _NOWHERE), None)
+        if wanted is None:
+            return None
+        way = objects[wanted] - state[:2]  # rows down, columns right
+        distance = np.abs(way)
+        if not distance.any():
+            return Decision(np.array([PICK_UP]), wanted)
+        axis = int(self._rng.random() * distance.sum() >= distance[0])
+        return Decision(np.array([2 * axis + int(way[axis] > 0)]), wanted)
+
+    def succeeded(self) -> bool:
+        """Returns whether exactly these objects were picked up, in order."""
+        return self._world._picked == self._skills
+
+
+def _cell(image: Frame, row: int, column: int) -> Frame:
+    """Returns the view of one cell's pixels."""
+    return image[row * CELL_PX : (row + 1) * CELL_PX, column * CELL_PX : (column + 1) * CELL_PX]
+
+
+def _expert_steps(agent: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], recipe: tuple[int, ...]) -> int:
+    stops = np.stack([agent, *(objects[i] for i in recipe)])
+    return int(np.abs(np.diff(stops, axis=0)).sum()) + len(recipe)
+
+
+def _check_state(
+    agent: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], recipe: tuple[int, ...], picked: tuple[int, ...]
+) -> None:
+    everything = set(range(len(COLOURS)))
+    gone = {int(i) for i in np.flatnonzero((objects == _NOWHERE).all(axis=1))}
+    lying = objects[[i for i in everything if i not in gone]]
+    legal = (
+        all(0 <= place < FIELD for place in (*agent, *lying.ravel()))
+        and len({(int(row), int(column)) for row, column in lying}) == len(lying)
+        and all(len(set(row)) == len(row) and everything.issuperset(row) for row in (recipe, picked))
+        and gone == set(picked)
+    )
+    if not legal:
+        raise InvalidInput(
+            "Expected a snapshot of a state of the grid; got numbers that no state has.", field="snapshot"
+        )
+
+
+TASKS = (
+    Task("grid", "grid", "", SPEC, partial(Grid, indicator=True)),
+    Task("grid-no-indicator", "grid", "", SPEC, partial(Grid, indicator=False)),
+)

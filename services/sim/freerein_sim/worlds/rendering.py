@@ -1,0 +1,109 @@
+"""Draws MuJoCo models without a screen, quickly: the pixels are where the processor's time goes.
+
+Shadows, reflections, haze, the skybox and multisampling are off and the offscreen buffer has the size asked for.
+"""
+
+import ctypes
+import importlib
+import os
+import threading
+from typing import Protocol, cast
+
+import mujoco
+import numpy as np
+
+from freerein.errors import FailedPrecondition, Unimplemented
+from freerein_sim.worlds.world import Frame
+
+_MAX_GEOMS = 200
+_OFF = (
+    mujoco.mjtRndFlag.mjRND_SHADOW,
+    mujoco.mjtRndFlag.mjRND_REFLECTION,
+    mujoco.mjtRndFlag.mjRND_SKYBOX,
+    mujoco.mjtRndFlag.mjRND_HAZE,
+)
+
+
+class Renderer:
+    """The OpenGL context of one model. Everything of it happens on the thread that made it.
+
+    Args:
+        model: What to draw.
+
+    Raises:
+        Unimplemented: This machine has neither EGL nor OSMesa.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._thread = threading.get_ident()
+        self._model = model
+        self._gl = _open_gl(max(model.vis.global_.offwidth, model.vis.global_.offheight))
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(model, _MAX_GEOMS)
+        for flag in _OFF:
+            self._scene.flags[flag] = 0
+        self._option, self._perturb, self._camera = mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+
+    def render(self, data: mujoco.MjData, camera: str, *, height: int, width: int) -> Frame:
+        """Returns what the model's camera of that name sees, uint8 (height, width, 3)."""
+        self._check_thread()
+        self._gl.make_current()
+        if (self._context.offHeight, self._context.offWidth) != (height, width):
+            mujoco.mjr_resizeOffscreen(width, height, self._context)
+        self._camera.fixedcamid = self._model.camera(camera).id
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, data, self._option, self._perturb, self._camera, everything, self._scene)
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        bottom_up = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_readPixels(bottom_up, None, viewport, self._context)
+        return np.ascontiguousarray(bottom_up[::-1])
+
+    def close(self) -> None:
+        """Frees the context, on the thread that made it."""
+        self._check_thread()
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+    def _check_thread(self) -> None:
+        if threading.get_ident() != self._thread:
+            raise FailedPrecondition("A world is rendered and closed on one thread; this is another.")
+
+
+class _GL(Protocol):
+    """The part of MuJoCo's OpenGL contexts that we use."""
+
+    def make_current(self) -> None: ...
+
+    def free(self) -> None: ...
+
+
+def _open_gl(size_px: int) -> _GL:
+    asked = os.environ.get("MUJOCO_GL", "").lower()
+    backend = asked or ("egl" if _has_egl_device() else "osmesa")
+    try:
+        return cast("_GL", importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px))
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # what PyOpenGL raises without its library
+        raise Unimplemented(
+            f"Expected to render with {backend}; this machine cannot.",
+            hint="apt-get install libegl1 libgl1 for MUJOCO_GL=egl, or libosmesa6 for MUJOCO_GL=osmesa.",
+        ) from error
+
+
+def _has_egl_device() -> bool:
+    """Asks EGL itself: PyOpenGL commits to one platform at its import, so there is no second try."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return False
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    address = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    if not address:
+        return False
+    count = ctypes.c_int(0)
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(address)
+    return bool(query(0, None, ctypes.byref(count))) and count.value > 0

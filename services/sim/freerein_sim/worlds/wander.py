@@ -1,0 +1,51 @@
+"""A behaviour that explores at random, smoothly in time: for self-supervised data."""
+
+import numpy as np
+
+from freerein.types.sim import ActionSpec
+from freerein_sim.worlds.world import NO_SKILL, Decision
+
+_MEAN_HOLD_STEPS = 6.0
+_SMOOTHING = 0.5
+_EXTREME_PROBABILITY = 0.3
+
+
+class Wander:
+    """Heads for one random action for a while, then for another.
+
+    A continuous action moves half of the way to its target each step, and a target is often at a limit, so that
+    grippers open and close fully and reach the far ends of their world. A discrete action is repeated. It never ends.
+
+    Args:
+        action: What an action is.
+        rng: Draws the targets and how long each is held.
+    """
+
+    def __init__(self, action: ActionSpec, rng: np.random.Generator) -> None:
+        self._spec = action
+        self._rng = rng
+        self._target = np.zeros(action.size)
+        self._action = np.zeros(action.size)
+        self._hold_steps = np.zeros(action.size, np.int64)
+
+    def decide(self) -> Decision:
+        """Returns the next action; no skill is executed."""
+        self._hold_steps -= 1
+        for i in np.flatnonzero(self._hold_steps < 0):
+            self._hold_steps[i] = self._rng.geometric(1 / _MEAN_HOLD_STEPS)
+            self._target[i] = self._draw()
+        if self._spec.choices:
+            return Decision(self._target.astype(np.int64), NO_SKILL)
+        self._action += _SMOOTHING * (self._target - self._action)
+        return Decision(self._action.astype(np.float32), NO_SKILL)
+
+    def succeeded(self) -> bool:
+        """Returns True: nothing was asked."""
+        return True
+
+    def _draw(self) -> float:
+        if self._spec.choices:
+            return float(self._rng.integers(self._spec.choices))
+        if self._rng.random() < _EXTREME_PROBABILITY:
+            return float(self._rng.choice((-1.0, 1.0)))
+        return float(self._rng.uniform(-1, 1))

@@ -1,0 +1,36 @@
+"""Trajectory datasets on disk: LeRobotDataset v3, one parquet file per trajectory, safe against crashes.
+
+    <root>/data/      what learners see: frames, actions, and per trajectory the set of skills that occur
+    <root>/meta/      LeRobot's index, rebuilt from data/ whenever the two differ
+    <root>/cache/     decoded frames to train from, rebuilt when data/ changed
+    <root>/truth/     ground-truth labels for evaluation; only `freerein.data.truth` opens it
+
+`create` and `open_writer` write, `Dataset` reads, `inspect`, `verify` and `check` judge.
+"""
+
+from freerein.data.cache import ActionCache, FrameCache, StepCache
+from freerein.data.fitness import check
+from freerein.data.inspection import Summary, inspect
+from freerein.data.integrity import Problem, verify
+from freerein.data.layout import dataset_path
+from freerein.data.reader import Dataset
+from freerein.data.spec import DatasetSpec, integer_fps
+from freerein.data.writer import Writer, create, open_writer
+
+__all__ = [
+    "ActionCache",
+    "Dataset",
+    "DatasetSpec",
+    "FrameCache",
+    "Problem",
+    "StepCache",
+    "Summary",
+    "Writer",
+    "check",
+    "create",
+    "dataset_path",
+    "inspect",
+    "integer_fps",
+    "open_writer",
+    "verify",
+]

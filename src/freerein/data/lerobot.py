@@ -1,0 +1,133 @@
+"""Datasets that other tools wrote as LeRobotDataset v3: any with images stored as images, and an action."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from freerein.data import layout
+from freerein.data.rows import refusing_corruption
+from freerein.data.spec import DatasetSpec
+from freerein.errors import InvalidInput, NotFound
+from freerein.types.sim import ActionSpec
+
+_EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_index"]
+
+
+def read(root: Path) -> tuple[DatasetSpec, pa.Table, dict[str, str]]:
+    """Returns a dataset's spec, one row per trajectory with at least its length and place, and the key of each camera.
+
+    Raises:
+        NotFound: There is no dataset.
+        InvalidInput: It is no LeRobotDataset v3 that can be read here: video, an action of another kind, corrupt.
+    """
+    info = _read_json(root / layout.INFO_FILE)
+    if info is None:
+        raise NotFound("There must be a dataset; nothing here looks like one.", hint="List the datasets that exist.")
+    table = _episodes(root)
+    vocabulary = {skill for skills in table["skills"].to_pylist() for skill in skills}
+    try:
+        _check_layout(info)
+        keys = _camera_keys(info["features"])
+        spec = DatasetSpec(
+            fps=int(info["fps"]),
+            cameras={camera: _frame_size(info["features"][key]) for camera, key in keys.items()},
+            action=_action(info["features"]["action"], root),
+            robot_type=str(info.get("robot_type") or ""),
+            skills=tuple(sorted(vocabulary)),
+            task=_task(root),
+        )
+    except (KeyError, TypeError, ValueError):
+        raise InvalidInput(
+            "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
+            hint="Open the dataset in LeRobot to see what it lacks.",
+        ) from None
+    return spec, table, keys
+
+
+def _check_layout(info: dict[str, Any]) -> None:
+    if not str(info["codebase_version"]).startswith("v3."):
+        raise InvalidInput(
+            "The dataset must be a LeRobotDataset v3; it is of another version.",
+            hint="Convert it with LeRobot's script convert_dataset_v21_to_v30.",
+        )
+    if info["data_path"] != layout.DATA_PATH or info["fps"] != int(info["fps"]):
+        raise InvalidInput(
+            "The dataset must keep LeRobot's own data path, and an integer fps; it does not.",
+            hint="Write it again with LeRobotDataset.create.",
+        )
+
+
+def _camera_keys(features: dict[str, Any]) -> dict[str, str]:
+    if any(feature["dtype"] == "video" for feature in features.values()):
+        raise InvalidInput(
+            "Frames must be stored as images; this dataset stores video.",
+            hint="Record or convert it with LeRobotDataset.create(..., use_videos=False).",
+        )
+    images = [key for key, feature in features.items() if feature["dtype"] == "image"]
+    return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation."): key for key in images}
+
+
+def _frame_size(feature: dict[str, Any]) -> tuple[int, int, int]:
+    """Returns (H, W, C), also where the axes are declared in another order."""
+    shape, names = feature["shape"], feature["names"] or ["height", "width", "channels"]
+    by_axis = {str(name)[:1]: int(length) for name, length in zip(names, shape, strict=True)}
+    return by_axis["h"], by_axis["w"], by_axis["c"]
+
+
+def _action(feature: dict[str, Any], root: Path) -> ActionSpec:
+    shape, dtype = feature["shape"], feature["dtype"]
+    if dtype == "int64" and shape == [1]:
+        return ActionSpec(size=1, choices=_choices(root), names=())
+    if not dtype.startswith("float") or len(shape) != 1:
+        raise InvalidInput(
+            "An action must be a vector of floats, or one int64; this dataset has another kind.",
+            hint="Convert the action before recording.",
+        )
+    return ActionSpec(size=int(shape[0]), choices=0, names=_flat_names(feature.get("names"), int(shape[0])))
+
+
+def _choices(root: Path) -> int:
+    """Returns how many different discrete actions there are: one more than the largest that occurs."""
+    stats = _read_json(root / layout.STATS_FILE) or {}
+    return int(np.max(stats["action"]["max"])) + 1
+
+
+def _flat_names(names: object, size: int) -> tuple[str, ...]:
+    """LeRobot allows a list of names, or lists of names by group."""
+    groups = names.values() if isinstance(names, dict) else [names]
+    flat = tuple(str(name) for group in groups if isinstance(group, list) for name in group)
+    return flat if len(flat) == size else ()
+
+
+def _task(root: Path) -> str:
+    """Returns the task's text; empty when the trajectories are of several tasks."""
+    with refusing_corruption("`tasks.parquet`"):
+        table = pq.read_table(root / layout.TASKS_FILE)
+        texts = next(column for column in table.columns if pa.types.is_string(column.type)).to_pylist()
+    return str(texts[0]) if len(texts) == 1 else ""
+
+
+def _episodes(root: Path) -> pa.Table:
+    folder = root / "meta" / "episodes"
+    with refusing_corruption("`meta/episodes`"):
+        paths = [layout.numbered(folder, chunk=f.chunk, file=f.file) for f in layout.numbered_files(folder)]
+        tables = [_with_skills(pq.read_table(path)) for path in paths]
+        return pa.concat_tables(tables).sort_by("episode_index")
+
+
+def _with_skills(table: pa.Table) -> pa.Table:
+    """Returns the columns that are read here; without a column of skills, they are unknown."""
+    chosen = table.select(_EPISODE_COLUMNS)
+    strings = pa.list_(pa.string())
+    if "skills" in table.column_names:
+        return chosen.append_column("skills", table["skills"].cast(strings).fill_null([]))
+    return chosen.append_column("skills", pa.array([[]] * len(table), strings))
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    with refusing_corruption(f"`{path.name}`"):
+        return dict(json.loads(path.read_text())) if path.is_file() else None

@@ -1,0 +1,143 @@
+"""What learners read. Ground truth cannot be reached from here: no module imported below knows where it lies."""
+
+import hashlib
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from freerein.data import layout, lerobot, meta
+from freerein.data.cache import ActionCache, FrameCache, open_or_build
+from freerein.data.rows import Actions, decode_actions, decode_frames, read_rows
+from freerein.errors import InvalidInput
+from freerein.types.common import Trajectory
+
+
+class Dataset:
+    """A dataset as it stood when it was opened: `len(dataset)` trajectories, `dataset[i]` one of them.
+
+    Opening compares `data/` with `meta/` and rewrites `meta/` when a crash left it behind. Any LeRobotDataset v3 with
+    images stored as images, and an action, opens too.
+
+    Attributes:
+        spec: What the trajectories have in common.
+        lengths: int64 (n,), the timesteps of each trajectory.
+        skills: The set of skills of each trajectory, sorted; empty where unknown.
+
+    Raises:
+        NotFound: There is no dataset in `root`.
+        InvalidInput: A file of it is missing or corrupt, or its features cannot be read here.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        spec = meta.read_spec(root)
+        if spec is None:
+            self.spec, table, self._keys = lerobot.read(root)
+        else:
+            self.spec, table = spec, meta.load_mended(root, spec)
+            self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
+        self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
+        self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
+        self._places = [
+            (int(chunk), int(file))
+            for chunk, file in zip(
+                table["data/chunk_index"].to_numpy(), table["data/file_index"].to_numpy(), strict=True
+            )
+        ]
+        self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def __getitem__(self, index: int) -> Trajectory:
+        """Returns one trajectory, decoded; a negative index counts from the end.
+
+        Raises:
+            IndexError: There is no such trajectory.
+            InvalidInput: Its file is corrupt, or is not what the dataset's spec says.
+        """
+        index = range(len(self))[index]
+        rows = self._rows(index, [*self._keys.values(), "action"])
+        frames = {camera: self._frames(rows, camera) for camera in self._keys}
+        return Trajectory(frames=frames, actions=decode_actions(rows, self.spec), skills=self.skills[index])
+
+    def actions(self, index: int) -> Actions:
+        """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
+        return decode_actions(self._rows(range(len(self))[index], ["action"]), self.spec)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[index] for index in range(len(self)))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """The sha256, in hexadecimal, over the sha256 of every data file: the same contents, the same fingerprint.
+
+        The writer has recorded the hashes, so that this reads no data file; `verify` holds them against the files. Of a
+        dataset of another tool every data file is read once.
+        """
+        hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
+        return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+
+    def cached_frames(self, camera: str) -> FrameCache:
+        """Returns the frames of one camera of all trajectories, decoded once and mapped into memory.
+
+        Raises:
+            InvalidInput: The dataset is empty or has no such camera; or as `dataset[i]`.
+            FailedPrecondition: The disk is too small for the decoded frames.
+        """
+        if camera not in self._keys:
+            raise InvalidInput(
+                f"`camera` must be one of {', '.join(self._keys)}; got another name.",
+                field="camera",
+                hint="Choose a camera that the dataset has.",
+            )
+        parts = (self._frames(self._rows(index, [self._keys[camera]]), camera) for index in range(len(self)))
+        size = self.spec.cameras[camera]
+        return open_or_build(
+            self._cache_file(f"frames-{camera}"),
+            dtype=np.dtype(np.uint8),
+            shape=size,
+            lengths=self.lengths,
+            parts=parts,
+        )
+
+    def cached_actions(self) -> ActionCache:
+        """Returns the actions of all trajectories, read once and mapped into memory.
+
+        Raises:
+            InvalidInput: The dataset is empty; or as `dataset[i]`.
+            FailedPrecondition: The disk is full.
+        """
+        parts = (self.actions(index) for index in range(len(self)))
+        shape, dtype = (self.spec.action.size,), self.spec.action_dtype
+        cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
+        return cast(ActionCache, cache)
+
+    def _rows(self, index: int, columns: list[str]) -> pa.Table:
+        rows = read_rows(self._path(self._places[index]), index=index, columns=columns)
+        if len(rows) != self.lengths[index]:
+            raise InvalidInput(
+                f"Trajectory {index} must have the {self.lengths[index]} timesteps that `meta/` names; "
+                f"its data file holds {len(rows)}.",
+                hint="Run `freerein dataset verify`, and restore the broken file from a copy.",
+            )
+        return rows
+
+    def _frames(self, rows: pa.Table, camera: str) -> npt.NDArray[np.uint8]:
+        return decode_frames(rows, camera_key=self._keys[camera], size=self.spec.cameras[camera])
+
+    def _path(self, place: tuple[int, int]) -> Path:
+        return layout.numbered(self._root / "data", chunk=place[0], file=place[1])
+
+    def _cache_file(self, name: str) -> Path:
+        return self._root / "cache" / self.fingerprint[:16] / f"{name}.raw"
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

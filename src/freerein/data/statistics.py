@@ -1,0 +1,78 @@
+"""Per-feature statistics in the shapes of LeRobot's `stats.json`, of one trajectory and of many."""
+
+import numpy as np
+import numpy.typing as npt
+
+STATISTICS = ("min", "max", "mean", "std", "count")
+
+FeatureStatistics = dict[str, npt.NDArray[np.float64]]
+"""By name of `STATISTICS`: float64 arrays of one shape; `count` is (1,), the number of timesteps."""
+
+
+def of_values(values: npt.NDArray[np.generic]) -> FeatureStatistics:
+    """Returns the statistics of each of D numbers.
+
+    Args:
+        values: (T, D), T >= 1.
+
+    Returns:
+        Arrays of shape (D,).
+    """
+    numbers = values.astype(np.float64)
+    return {
+        "min": numbers.min(axis=0),
+        "max": numbers.max(axis=0),
+        "mean": numbers.mean(axis=0),
+        "std": numbers.std(axis=0),
+        "count": np.array([len(numbers)], np.float64),
+    }
+
+
+def of_frames(frames: npt.NDArray[np.uint8]) -> FeatureStatistics:
+    """Returns the exact statistics of each channel, pixels scaled to [0, 1].
+
+    Args:
+        frames: uint8 (T, H, W, C), T >= 1.
+
+    Returns:
+        Arrays of shape (C, 1, 1).
+    """
+    channels = [_of_histogram(_histogram(frames[..., channel])) for channel in range(frames.shape[-1])]
+    stacked = {name: np.array([one[name] for one in channels]).reshape(-1, 1, 1) for name in STATISTICS[:-1]}
+    return {**stacked, "count": np.array([len(frames)], np.float64)}
+
+
+def combined(parts: FeatureStatistics) -> FeatureStatistics:
+    """Returns the statistics of several trajectories together.
+
+    Args:
+        parts: As of one trajectory, but with a leading axis over trajectories: (n, ...), `count` (n, 1).
+    """
+    total = parts["count"].sum()
+    weights = parts["count"].reshape(-1, *(1,) * (parts["mean"].ndim - 1)) / total
+    mean = (weights * parts["mean"]).sum(axis=0)
+    variance = (weights * (parts["std"] ** 2 + (parts["mean"] - mean) ** 2)).sum(axis=0)
+    return {
+        "min": parts["min"].min(axis=0),
+        "max": parts["max"].max(axis=0),
+        "mean": mean,
+        "std": np.sqrt(variance),
+        "count": np.array([total]),
+    }
+
+
+def _histogram(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
+    """Counts the 256 values of (T, H, W) frame by frame: bincount widens its input to int64."""
+    counts = np.zeros(256, np.int64)
+    for frame in plane:
+        counts += np.bincount(frame.ravel(), minlength=256)
+    return counts
+
+
+def _of_histogram(histogram: npt.NDArray[np.int64]) -> dict[str, float]:
+    levels = np.arange(256) / 255
+    present = levels[histogram > 0]
+    weights = histogram / histogram.sum()
+    mean = float(weights @ levels)
+    std = float(np.sqrt(weights @ (levels - mean) ** 2))
+    return {"min": float(present[0]), "max": float(present[-1]), "mean": mean, "std": std}

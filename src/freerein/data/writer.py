@@ -1,0 +1,206 @@
+"""What records datasets: `append` returns once the trajectory is on disk, so a crash loses at most the open one."""
+
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from freerein.data import episodes, layout, meta, truth
+from freerein.data.durable import UNFINISHED, WriterLock, sync_folder, write_durably
+from freerein.data.episodes import Row
+from freerein.data.rows import Actions
+from freerein.data.spec import DatasetSpec
+from freerein.data.trajectory_file import encode
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
+from freerein.types.common import Trajectory
+
+
+def create(root: Path, spec: DatasetSpec) -> "Writer":
+    """Makes an empty dataset, whole or not at all, and returns its writer.
+
+    Args:
+        root: Where; must be absent or an empty folder.
+        spec: What its trajectories will have in common.
+
+    Raises:
+        AlreadyExists: There is something in `root`.
+    """
+    root.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".new-dataset-", dir=root.parent) as folder:
+        staging = Path(folder) / root.name
+        (staging / "data").mkdir(parents=True)
+        meta.save(staging, spec, episodes.schema(spec).empty_table())
+        try:
+            staging.rename(root)
+        except OSError:  # a folder in use, or a file
+            raise AlreadyExists(
+                "A new dataset needs a name that is not taken; this one is.",
+                hint="Append to it with open_writer, or choose another name.",
+            ) from None
+    sync_folder(root.parent)
+    return open_writer(root)
+
+
+def open_writer(root: Path) -> "Writer":
+    """Returns the writer of a dataset, after mending what a crash left behind.
+
+    Raises:
+        NotFound: There is no dataset in `root` that freerein wrote.
+        FailedPrecondition: Another writer is at work.
+        InvalidInput: A data file is missing or corrupt.
+    """
+    spec = meta.read_spec(root) if root.is_dir() else None
+    if spec is None:
+        raise NotFound(
+            "There must be a dataset that freerein wrote; there is none.",
+            hint="Make one with create; datasets of other tools can only be read.",
+        )
+    return Writer(root, spec)
+
+
+class Writer:
+    """The one writer of a dataset, from `create` or `open_writer`; use it as a context manager.
+
+    `meta/` is written on `close` and once per folder of data files; until then readers take the newest trajectories
+    from the data files themselves.
+
+    Attributes:
+        spec: What the trajectories have in common.
+    """
+
+    def __init__(self, root: Path, spec: DatasetSpec) -> None:
+        self.spec = spec
+        self._root = root
+        self._lock = WriterLock(root)
+        try:
+            self._table = _mended(root, spec)
+        except BaseException:
+            self._lock.release()
+            raise
+        self._rows: list[Row] = []
+        self._frames = episodes.frame_count(self._table)
+        self._is_open = True
+
+    def __len__(self) -> int:
+        """Returns the number of trajectories on disk."""
+        return len(self._table) + len(self._rows)
+
+    def append(self, trajectory: Trajectory, labels: npt.NDArray[np.int64] | None = None) -> int:
+        """Writes one trajectory durably.
+
+        Args:
+            trajectory: As the spec says: every camera, and T >= 1 timesteps.
+            labels: Ground truth for evaluation, int64 (T,) of indices into the spec's skills; written beside the data.
+
+        Returns:
+            The trajectory's number in the dataset.
+
+        Raises:
+            InvalidInput: The trajectory or the labels are not as the spec says.
+            FailedPrecondition: The writer is closed.
+        """
+        if not self._is_open:
+            raise FailedPrecondition("A writer must be open to append; this one is closed.", hint="Use open_writer.")
+        _check_trajectory(trajectory, self.spec)
+        index = len(self)
+        data = encode(trajectory, self.spec, index=index, first_frame=self._frames)
+        if labels is not None:
+            _check_labels(labels, self.spec, length=len(trajectory.actions))
+            truth.save(self._root, index, labels)  # before the data: labels without data are swept, never the reverse
+        write_durably(layout.trajectory_path(self._root / "data", index), data)
+        self._rows.append(episodes.describe(data, index=index, first_frame=self._frames))
+        self._frames += len(trajectory.actions)
+        if len(self._rows) == layout.CHUNK_SIZE:
+            self._save_meta()
+        return index
+
+    def close(self) -> None:
+        """Writes `meta/` and lets another writer in; a second call does nothing."""
+        if self._is_open:
+            self._is_open = False
+            try:
+                if self._rows:
+                    self._save_meta()
+            finally:
+                self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _save_meta(self) -> None:
+        self._table, self._rows = episodes.extended(self._table, self._rows), []
+        meta.save(self._root, self.spec, self._table)
+
+
+def _mended(root: Path, spec: DatasetSpec) -> pa.Table:
+    """Returns the episodes table, and undoes what a killed writer left.
+
+    That is unfinished files, labels whose trajectory was never finished, and a `meta/` behind `data/`.
+    """
+    for folder in ("data", "meta", "truth"):
+        for unfinished in (root / folder).rglob(f"*{UNFINISHED}"):
+            unfinished.unlink()
+    table, is_fresh = meta.load(root, spec)
+    truth.discard_from(root, len(table))
+    if not is_fresh:
+        meta.save(root, spec, table)
+    return table
+
+
+def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
+    _check_actions(trajectory.actions, spec)
+    if set(trajectory.frames) != set(spec.cameras):
+        raise InvalidInput(
+            f"A trajectory must have frames of exactly the cameras {', '.join(sorted(spec.cameras))}; "
+            f"got {len(trajectory.frames)} cameras that are not these.",
+            field="frames",
+        )
+    for camera, size in spec.cameras.items():
+        frames, expected = trajectory.frames[camera], (len(trajectory.actions), *size)
+        if frames.dtype != np.uint8 or frames.shape != expected:
+            raise InvalidInput(
+                f"Frames must be uint8 {expected}, as many as actions; got {frames.dtype} {frames.shape}.",
+                field=f"frames.{camera}",
+                hint="Give channels last, values 0..255.",
+            )
+    unknown = set(trajectory.skills) - set(spec.skills)
+    if unknown or list(trajectory.skills) != sorted(set(trajectory.skills)):
+        raise InvalidInput(
+            f"A trajectory's skills must be sorted, different, and of the dataset's {len(spec.skills)} skills; "
+            f"got {len(trajectory.skills)}, {len(unknown)} of them unknown.",
+            field="skills",
+        )
+
+
+def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
+    expected = f"{spec.action_dtype} (T, {spec.action.size}) with T >= 1"
+    if (
+        actions.dtype != spec.action_dtype
+        or actions.ndim != 2
+        or actions.shape[1] != spec.action.size
+        or not len(actions)
+    ):
+        raise InvalidInput(f"Actions must be {expected}; got {actions.dtype} {actions.shape}.", field="actions")
+    low, high = (0, spec.action.choices - 1) if spec.action.choices else (-1, 1)
+    if not np.all((actions >= low) & (actions <= high)):
+        raise InvalidInput(
+            f"Actions must be finite and in [{low}, {high}]; some are not.",
+            field="actions",
+            hint="Scale continuous actions by the world's action spec.",
+        )
+
+
+def _check_labels(labels: npt.NDArray[np.int64], spec: DatasetSpec, *, length: int) -> None:
+    if labels.dtype != np.int64 or labels.shape != (length,):
+        raise InvalidInput(f"Labels must be int64 ({length},); got {labels.dtype} {labels.shape}.", field="labels")
+    if np.any((labels < 0) | (labels >= len(spec.skills))):
+        raise InvalidInput(f"Labels must be in [0, {len(spec.skills)}), the dataset's skills.", field="labels")

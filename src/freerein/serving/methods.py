@@ -1,0 +1,76 @@
+"""A service's methods: each RPC of its `.proto`, joined to the coroutine of the core that answers it.
+
+Both doors are made from this table, so that they cannot differ. The rule: RPC `ListSkills` is answered by
+`core.list_skills`, takes the dataclass of its request message and returns the dataclass of its response message; over
+REST it is `/v1/list-skills`, by GET for `List`, `Get` and `Watch`, else by POST.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
+
+from freerein import wire
+
+_READS = ("List", "Get", "Watch")
+
+
+@dataclass(frozen=True)
+class Method:
+    """One RPC and who answers it.
+
+    Attributes:
+        descriptor: The RPC.
+        request: The dataclass taken.
+        response: The dataclass returned, or yielded.
+        call: The core's method: a coroutine function `(request) -> response`, for server streaming an async generator
+            function `(request)`, for bidirectional streaming an async generator function `(requests)`.
+    """
+
+    descriptor: MethodDescriptor
+    request: type[Any]
+    response: type[Any]
+    call: Any
+
+    @property
+    def name(self) -> str:
+        """The RPC's name, such as `ListSkills`."""
+        return self.descriptor.name
+
+    @property
+    def path(self) -> str:
+        """The REST path, such as `/v1/list-skills`."""
+        return "/v1/" + _words(self.name, "-")
+
+    @property
+    def reads(self) -> bool:
+        """Whether it changes nothing, so that REST serves it by GET."""
+        return self.name.startswith(_READS)
+
+
+def methods_of(service: ServiceDescriptor, core: object) -> tuple[Method, ...]:
+    """Returns the methods of a service, each bound to the core's method of that name.
+
+    Raises:
+        AttributeError: The core lacks one: the proto says more than is implemented.
+    """
+    return tuple(
+        Method(
+            descriptor=descriptor,
+            request=wire.dataclass_of(descriptor.input_type),
+            response=wire.dataclass_of(descriptor.output_type),
+            call=getattr(core, _words(descriptor.name, "_")),
+        )
+        for descriptor in service.methods
+    )
+
+
+def service_names(methods: Sequence[Method]) -> tuple[str, ...]:
+    """Returns the full names of the services that methods belong to, without repeats."""
+    return tuple(dict.fromkeys(method.descriptor.containing_service.full_name for method in methods))
+
+
+def _words(name: str, separator: str) -> str:
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", separator, name).lower()

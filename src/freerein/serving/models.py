@@ -1,0 +1,143 @@
+"""Models on disk: `<root>/<name>/<version>/` with a manifest; `<root>/<name>/active.json` names the one that answers.
+
+A version is the first 12 hexadecimal digits of its manifest's sha256, and the manifest holds the sha256 of every file:
+what a version names can never change. What is published is moved into place whole; what is loaded is checked first.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from freerein.durable import sync_folder, write_durably
+from freerein.errors import FailedPrecondition, NotFound
+from freerein.types.common import ModelRef, check_name
+from freerein.types.learning import Model
+
+DEFAULT_NAME = "default"
+MANIFEST = "manifest.json"
+CARD = "card.json"
+
+
+class ModelStore:
+    """The models of one service.
+
+    Args:
+        root: Where new models are published.
+        shipped: Where models lie that came with freerein; searched after `root`, never written.
+    """
+
+    def __init__(self, root: Path, shipped: Path | None = None) -> None:
+        self._root = root
+        self._roots = (root, shipped) if shipped is not None else (root,)
+
+    def publish(self, name: str, folder: Path) -> ModelRef:
+        """Moves a folder of files into the store and returns its name and version. The same files: the same version.
+
+        Args:
+            name: The model's name; empty for the default one.
+            folder: Files, among them `card.json`; gone afterwards.
+        """
+        name = check_name(name or DEFAULT_NAME, field="model_name")
+        files = {path.name: _sha256(path) for path in sorted(folder.iterdir()) if path.name != MANIFEST}
+        manifest = json.dumps({"files": files}, sort_keys=True).encode()
+        version = hashlib.sha256(manifest).hexdigest()[:12]
+        write_durably(folder / MANIFEST, manifest)
+        target = self._root / name / version
+        if target.exists():
+            shutil.rmtree(folder)
+        else:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            folder.rename(target)
+            sync_folder(target.parent)
+        return ModelRef(name, version)
+
+    def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:
+        """Makes a version the active one.
+
+        Raises:
+            NotFound: There is no such model.
+            FailedPrecondition: Another version is active than `expected_current`.
+        """
+        self.folder(ref)
+        current = self.active_version(ref.name)
+        if expected_current and expected_current != current:
+            raise FailedPrecondition(
+                f"The active version must be the expected one; it is {current or 'none'}.",
+                field="expected_current",
+                hint="List the models, decide again, and send the version that is active now.",
+            )
+        write_durably(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
+
+    def active_version(self, name: str) -> str:
+        """Returns the version that answers for a name, empty when there is none."""
+        for root in self._roots:
+            path = root / name / "active.json"
+            if path.is_file():
+                return str(json.loads(path.read_bytes())["version"])
+        return ""
+
+    def names(self) -> tuple[str, ...]:
+        """Returns the names of all models."""
+        return tuple(sorted({path.name for root in self._roots for path in _folders(root)}))
+
+    def models(self) -> tuple[Model, ...]:
+        """Returns every version of every model, by name, the newest version first."""
+        found: dict[ModelRef, Path] = {}
+        for root in self._roots:
+            for folder in _folders(root):
+                versions = [path for path in _folders(folder) if (path / MANIFEST).is_file()]
+                for path in sorted(versions, key=lambda version: version.stat().st_mtime, reverse=True):
+                    found.setdefault(ModelRef(folder.name, path.name), path)
+        by_name = sorted(found.items(), key=lambda entry: entry[0].name)  # stable: newest first within a name
+        return tuple(Model(ref, self.active_version(ref.name) == ref.version, card(path)) for ref, path in by_name)
+
+    def folder(self, ref: ModelRef) -> Path:
+        """Returns the folder of a version, every file checked against its manifest.
+
+        Raises:
+            NotFound: There is no such model.
+            FailedPrecondition: A file is missing or changed.
+        """
+        check_name(ref.name, field="model.name")
+        check_name(ref.version, field="model.version")
+        for root in self._roots:
+            path = root / ref.name / ref.version
+            if (path / MANIFEST).is_file():
+                _check(path, ref)
+                return path
+        raise NotFound(
+            "The model must be one of those in the store; there is none of that name and version.",
+            field="model",
+            hint="GET /v1/list-models names them.",
+        )
+
+
+def card(folder: Path) -> dict[str, Any]:
+    """Returns what a model's card says."""
+    return dict(json.loads((folder / CARD).read_bytes()))
+
+
+def _check(folder: Path, ref: ModelRef) -> None:
+    manifest = (folder / MANIFEST).read_bytes()
+    intact = hashlib.sha256(manifest).hexdigest().startswith(ref.version) and all(
+        (folder / name).is_file() and _sha256(folder / name) == digest
+        for name, digest in json.loads(manifest)["files"].items()
+    )
+    if not intact:
+        raise FailedPrecondition(
+            f"The files of model {ref.name} {ref.version} must be as published; one is missing or changed.",
+            field="model",
+            hint="Activate another version, or fit the model again.",
+        )
+
+
+def _folders(path: Path) -> Iterator[Path]:
+    return (entry for entry in path.iterdir() if entry.is_dir()) if path.is_dir() else iter(())
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,54 @@
+"""`ServiceError`s as RFC 9457 problem documents, never above 4 KiB."""
+
+import math
+from typing import Any
+
+import orjson
+
+from freerein.errors import ServiceError
+
+MEDIA_TYPE = "application/problem+json"
+_LONGEST_TEXT = 1_000
+_TITLES = {
+    400: "Malformed request",
+    401: "Unauthenticated",
+    404: "Not found",
+    405: "Method not allowed",
+    409: "Conflict",
+    413: "Too large",
+    415: "Unsupported media type",
+    422: "Invalid input",
+    429: "Too many requests",
+    499: "Cancelled",
+    500: "Internal error",
+    501: "Not implemented",
+    503: "Unavailable",
+    504: "Deadline exceeded",
+}
+
+
+def document(error: ServiceError, request_id: str) -> bytes:
+    """Returns the JSON document of an error."""
+    problem: dict[str, Any] = {
+        "type": "about:blank",
+        "title": _TITLES[error.http_status],
+        "status": error.http_status,
+        "code": error.code,
+        "detail": error.detail[:_LONGEST_TEXT],
+        "field": error.field[:_LONGEST_TEXT],
+        "hint": error.hint[:_LONGEST_TEXT],
+        "request_id": request_id,
+    }
+    return orjson.dumps(problem)
+
+
+def headers(error: ServiceError, request_id: str) -> dict[str, str]:
+    """Returns the headers that belong to an error's document."""
+    result = {"content-type": MEDIA_TYPE, "x-request-id": request_id}
+    if error.retry_after_s is not None:
+        result["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
+    if error.http_status == 401:
+        result["www-authenticate"] = "Bearer"
+    if error.http_status == 413:
+        result["connection"] = "close"  # the rest of the body is not read
+    return result

@@ -1,0 +1,212 @@
+"""The gRPC door: a grpc.aio server made from a service's methods, with health and reflection."""
+
+import asyncio
+import logging
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from typing import Any
+
+import grpc
+import structlog
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_health.v1.health import aio as health_aio
+from grpc_reflection.v1alpha import reflection
+
+from freerein import wire
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, Overloaded, ServiceError
+from freerein.serving import auth, grpc_errors
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.methods import Method, service_names
+from freerein.serving.metrics import Metrics
+
+_log = logging.getLogger(__name__)
+_HEALTH = "/grpc.health.v1.Health/"
+_Context = grpc.aio.ServicerContext[Any, Any]
+
+
+class GrpcDoor:
+    """The gRPC door of one service.
+
+    Args:
+        methods: What it answers.
+        health: Tells readiness, and when draining.
+        metrics: Where calls are counted.
+        limits: The bounds.
+        token: Bearer token that calls must carry; empty for none.
+    """
+
+    def __init__(
+        self, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
+    ) -> None:
+        self._health = health
+        self._metrics = metrics
+        self._limits = limits
+        self._streams = 0
+        self._names = service_names(methods)
+        self._health_servicer = health_aio.HealthServicer()
+        self.server = grpc.aio.server(
+            interceptors=[_Auth(token)],
+            maximum_concurrent_rpcs=limits.concurrent_calls,
+            options=[
+                ("grpc.max_receive_message_length", limits.message_bytes),
+                ("grpc.max_send_message_length", limits.message_bytes),
+                ("grpc.so_reuseport", 0),  # a taken port is an error, not a share
+                ("grpc.http2.min_recv_ping_interval_without_data_ms", 1_000),
+                ("grpc.keepalive_permit_without_calls", 1),
+                ("grpc.keepalive_time_ms", 10_000),
+                ("grpc.http2.ping_timeout_ms", 1_000),
+            ],
+        )
+        for name in self._names:
+            own = [method for method in methods if method.descriptor.containing_service.full_name == name]
+            handlers = {method.name: self._handler(method) for method in own}
+            self.server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(name, handlers),))
+        health_pb2_grpc.add_HealthServicer_to_server(self._health_servicer, self.server)
+        reflection.enable_server_reflection(
+            (*self._names, health_pb2.DESCRIPTOR.services_by_name["Health"].full_name, reflection.SERVICE_NAME),
+            self.server,
+        )
+
+    async def report_health(self) -> None:
+        """Keeps the standard health service at what `health` says, until draining."""
+        status: int | None = None
+        while not self._health.draining:
+            now = _NOT_SERVING if self._health.reason() else _SERVING
+            if now != status:
+                status = now
+                for name in ("", *self._names):
+                    await self._health_servicer.set(name, status)
+            await self._health.unless_draining(asyncio.sleep(_HEALTH_PERIOD_S))
+        await self._health_servicer.enter_graceful_shutdown()
+
+    def _handler(self, method: Method) -> grpc.RpcMethodHandler[Any, Any]:
+        codec = {
+            "request_deserializer": wire.message_type(method.request).FromString,
+            "response_serializer": lambda message: message.SerializeToString(),
+        }
+        if method.descriptor.client_streaming:
+            return grpc.stream_stream_rpc_method_handler(self._streaming(method), **codec)
+        if method.descriptor.server_streaming:
+            return grpc.unary_stream_rpc_method_handler(self._streaming(method), **codec)
+        return grpc.unary_unary_rpc_method_handler(self._unary(method), **codec)
+
+    def _unary(self, method: Method) -> Callable[[Any, _Context], Awaitable[Any]]:
+        async def answer(message: Any, context: _Context) -> Any:
+            async def work() -> Any:
+                if self._health.draining:
+                    raise self._health.error()
+                try:
+                    async with asyncio.timeout(_seconds(context, self._limits.unary_s)):
+                        return wire.pack(await method.call(wire.unpack(message, method.request)))
+                except TimeoutError:
+                    raise DeadlineExceeded("The answer was not ready in time.", hint="Send less per call.") from None
+
+            return await self._guarded(method, context, work())
+
+        return answer
+
+    def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
+        async def answer(incoming: Any, context: _Context) -> None:
+            async def work() -> None:
+                self._admit_stream()
+                try:
+                    if method.descriptor.client_streaming:
+                        request: Any = _requests(incoming, method.request)
+                    else:
+                        request = wire.unpack(incoming, method.request)
+                    async for response in method.call(request):
+                        await context.write(wire.pack(response))
+                finally:
+                    self._streams -= 1
+
+            await self._guarded(method, context, work())
+
+        return answer
+
+    def _admit_stream(self) -> None:
+        self._streams += 1  # taken back by the caller's `finally`
+        if self._streams > self._limits.streams:
+            self._streams -= 1
+            raise Overloaded(f"At most {self._limits.streams} streams may be open; they are.", hint="Close one first.")
+
+    async def _guarded(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
+        """Awaits a call's work; counts it, logs it, and turns its errors into statuses."""
+        started, code, request_id = time.perf_counter(), "ok", _request_id(context)
+        try:
+            with (
+                structlog.contextvars.bound_contextvars(request_id=request_id),
+                self._metrics.in_flight.labels("grpc").track_inprogress(),
+            ):
+                return await work
+        except ServiceError as error:
+            code = error.code
+            await grpc_errors.abort(context, error, request_id)
+        except asyncio.CancelledError:
+            code = Cancelled.code
+            self._metrics.cancelled.labels("grpc").inc()
+            raise
+        except Exception:
+            code = Internal.code
+            _log.exception("bug", extra={"route": method.name, "request_id": request_id})
+            bug = Internal("A bug of ours; the log says more.", hint="Report it with the request id.")
+            await grpc_errors.abort(context, bug, request_id)
+        finally:
+            seconds = time.perf_counter() - started
+            self._metrics.calls.labels("grpc", method.name, code).inc()
+            self._metrics.latency.labels("grpc", method.name).observe(seconds)
+            _log.info(
+                "call",
+                extra={"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id},
+            )
+
+
+_SERVING = health_pb2.HealthCheckResponse.SERVING
+_NOT_SERVING = health_pb2.HealthCheckResponse.NOT_SERVING
+_HEALTH_PERIOD_S = 0.2
+
+
+class _Auth(grpc.aio.ServerInterceptor):
+    """Refuses calls without the token, before their message is read; health checks need none."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token
+
+    async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
+        if details.method.startswith(_HEALTH):
+            return await continuation(details)
+        metadata = dict(details.invocation_metadata or ())
+        try:
+            auth.check(str(metadata.get("authorization", "")), self._token)
+        except ServiceError as error:
+            return _refusal(error)
+        return await continuation(details)
+
+
+def _refusal(error: ServiceError) -> grpc.RpcMethodHandler[Any, Any]:
+    async def refuse(_messages: Any, context: _Context) -> None:
+        await grpc_errors.abort(context, error, _request_id(context))
+
+    return grpc.stream_stream_rpc_method_handler(refuse)
+
+
+async def _requests(messages: AsyncIterator[Any], cls: type[Any]) -> AsyncIterator[Any]:
+    """Yields each message as its dataclass, or as the `ServiceError` that says why it is none."""
+    async for message in messages:
+        try:
+            request = wire.unpack(message, cls)
+        except ServiceError as error:
+            yield error
+        else:
+            yield request
+
+
+def _seconds(context: _Context, longest: float) -> float:
+    remaining = context.time_remaining()
+    return longest if remaining is None else min(longest, remaining)
+
+
+def _request_id(context: _Context) -> str:
+    given = dict(context.invocation_metadata() or ()).get("x-request-id", "")
+    return str(given)[:64] or uuid.uuid4().hex

@@ -1,0 +1,55 @@
+"""What an operator may change, read once from the environment by `__main__`."""
+
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, SecretStr, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+class ServiceSettings(BaseSettings):
+    """Settings that every service has. Each is an environment variable `FREEREIN_<NAME>`.
+
+    Attributes:
+        host: Address that both doors bind.
+        http_port: Port of the REST door; 0 for a free one.
+        grpc_port: Port of the gRPC door; 0 for a free one.
+        token: Bearer token that every call but the health checks must carry; unset for none.
+        tls_cert: PEM file with the certificate chain; with `tls_key`, both doors speak TLS.
+        tls_key: PEM file with the private key.
+        insecure: Says aloud that a bind beyond loopback needs neither token nor TLS.
+        data_dir: Where datasets, models and fits lie.
+        receipt_s: Seconds that a client has to send a whole request.
+        queue: Items that may wait for the model.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
+
+    host: str = "127.0.0.1"
+    http_port: int = Field(ge=0, le=65535)
+    grpc_port: int = Field(ge=0, le=65535)
+    token: SecretStr | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    insecure: bool = False
+    data_dir: Path = Path("var")
+    receipt_s: float = Field(default=10.0, gt=0, le=600)
+    queue: int = Field(default=256, ge=1, le=65536)
+
+    @model_validator(mode="after")
+    def _refuse_an_open_door(self) -> Self:
+        if (self.tls_cert is None) != (self.tls_key is None):
+            raise ValueError("FREEREIN_TLS_CERT and FREEREIN_TLS_KEY must be set together")
+        if self.host not in _LOOPBACK and not (self.token or self.tls_cert or self.insecure):
+            raise ValueError(
+                "a bind beyond loopback needs FREEREIN_TOKEN or FREEREIN_TLS_CERT and FREEREIN_TLS_KEY; "
+                "set FREEREIN_INSECURE=1 to serve without either on a network that you trust"
+            )
+        return self
+
+    @property
+    def token_text(self) -> str:
+        """The token, empty for none."""
+        return self.token.get_secret_value() if self.token else ""
