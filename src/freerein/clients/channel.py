@@ -1,14 +1,16 @@
-"""The connection to one service, and the one place where a call gets its deadline, token and request id.
+"""The connection to one service: a dataclass goes out as a message, and an answer or an error comes back.
 
-    dataclass --wire.pack--> message --gRPC--> message --wire.unpack--> dataclass
-                                 |
-                                 +--> freerein.errors
+    dataclass -- wire.pack --> message == gRPC ==> message  -- wire.unpack --> dataclass
+                                               ==> AioRpcError -- grpc_errors --> ServiceError
+
+It is the one place where a call gets its deadline, its token and its request id.
 """
 
 import uuid
-from collections.abc import AsyncIterator
-from types import TracebackType
-from typing import Self, TypeVar, cast
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar, cast
 
 import grpc
 from google.protobuf.message import Message
@@ -17,7 +19,7 @@ from grpc import aio
 from freerein import wire
 from freerein.clients import retries
 from freerein.clients.grpc_errors import service_error
-from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge
+from freerein.errors import Internal, InvalidInput, TooLarge
 
 DEADLINE_S = 30.0
 MAX_MESSAGE_BYTES = 64 * 2**20
@@ -95,40 +97,90 @@ class Channel:
         Raises:
             ServiceError: The service refused the request, could not be reached or did not answer in time.
         """
+        call = _Call(f"{_verb(request)} at {self.address}", uuid.uuid4().hex)
         message = cast(Sent, _packed(request))
-        call = _Call(f"{_verb(request)} at {self.address}")
-        try:
-            received = await method(message, timeout=timeout_s, metadata=(*self._authorization, *call.metadata))
-        except aio.AioRpcError as error:
-            raise call.error(error) from error
+        with call.errors():
+            received = await method(message, timeout=timeout_s, metadata=self._metadata(call))
         return _unpacked(received, reply)
 
-    async def server_stream(
+    def server_stream(
         self,
         method: "aio.UnaryStreamMultiCallable[Sent, Received]",
         request: object,
         reply: type[T],
         *,
         timeout_s: float | None,
-    ) -> AsyncIterator[T]:
-        """Yields the answers to one request; as `unary`. Closing the iterator ends the call."""
+    ) -> AsyncGenerator[T, None]:
+        """Returns an iterator over the answers to one request; as `unary`. Closing it ends the call."""
+        call = _Call(f"{_verb(request)} at {self.address}", uuid.uuid4().hex)
         message = cast(Sent, _packed(request))
-        call = _Call(f"{_verb(request)} at {self.address}")
-        stream = method(message, timeout=timeout_s, metadata=(*self._authorization, *call.metadata))
-        async for item in _received(stream, call, reply):
-            yield item
+        return _replies(method(message, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
 
-    async def both_streams(
+    def stream(
         self,
         method: "aio.StreamStreamMultiCallable[Sent, Received]",
         requests: AsyncIterator[object],
         reply: type[T],
         *,
         timeout_s: float | None,
-    ) -> AsyncIterator[T]:
-        """Yields answers to many requests on one stream; as `server_stream`."""
-        call = _Call(f"A stream to {self.address}")
+    ) -> AsyncGenerator[T, None]:
+        """Returns an iterator over the answers to a stream of requests; as `server_stream`."""
+        call = _Call(f"The stream to {self.address}", uuid.uuid4().hex)
         messages = (cast(Sent, _packed(request)) async for request in requests)
-        stream = method(messages, timeout=timeout_s, metadata=(*self._authorization, *call.metadata))
-        async for item in _received(stream, call, reply):
-            yield item
+        return _replies(method(messages, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
+
+    def _metadata(self, call: "_Call") -> tuple[tuple[str, str], ...]:
+        return (("x-request-id", call.request_id), *self._authorization)
+
+
+@dataclass(frozen=True)
+class _Call:
+    """One call, as its errors tell of it."""
+
+    name: str
+    request_id: str
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """Raises gRPC's errors as ours."""
+        try:
+            yield
+        except aio.AioRpcError as error:
+            raised = service_error(error, call=self.name)
+            raised.add_note(f"Request id: {self.request_id}")
+            raise raised from error
+
+
+async def _replies(
+    stream: "aio.UnaryStreamCall[Sent, Received] | aio.StreamStreamCall[Sent, Received]", reply: type[T], call: _Call
+) -> AsyncGenerator[T, None]:
+    try:
+        with call.errors():
+            async for received in stream:
+                yield _unpacked(received, reply)
+    finally:
+        stream.cancel()
+
+
+def _verb(request: object) -> str:
+    return type(request).__name__.removesuffix("Request")
+
+
+def _packed(request: object) -> Message:
+    message = wire.pack(request)
+    if (size := message.ByteSize()) > MAX_MESSAGE_BYTES:
+        raise TooLarge(
+            f"A request must be at most {MAX_MESSAGE_BYTES} bytes; got {size}.",
+            hint="Send a shorter trajectory or smaller frames, or encoded images.",
+        )
+    return message
+
+
+def _unpacked(message: Message, reply: type[T]) -> T:
+    try:
+        return wire.unpack(message, reply)
+    except InvalidInput as error:
+        raise Internal(
+            f"The service's reply cannot be read: {error.detail}",
+            hint="Use the client and the service of one version.",
+        ) from error

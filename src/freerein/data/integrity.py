@@ -1,6 +1,5 @@
 """Whether a dataset is whole: every file as it was written, every count as the files say."""
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +8,11 @@ import numpy as np
 
 from freerein.data import episodes, layout, meta, truth
 from freerein.data.reader import Dataset
+from freerein.data.rows import read_rows
 from freerein.data.spec import DatasetSpec
-from freerein.data.trajectory_file import read_rows
 from freerein.errors import InvalidInput, ServiceError
 
+_GAP = "The data files must be numbered without a gap; this one is missing."
 _REBUILD = "Open the dataset once while no writer is at work: `meta/` is rebuilt from the data files."
 _RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
 
@@ -50,43 +50,38 @@ def verify(root: Path) -> list[Problem]:
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
-    hashes = dict(enumerate(meta.read_episodes(root, spec)["data/sha256"].to_pylist()))
-    first_frame, expected = 0, 0
+    recorded = meta.read_episodes(root, spec).to_pylist()
+    expected = first_frame = 0
     for file in layout.numbered_files(root / "data"):
-        for missing in range(expected, file.index):
-            yield Problem(
-                _where("data", missing), "The data files must be numbered without a gap; this one is missing.", _RESTORE
-            )
-        expected = file.index + 1
+        yield from (Problem(_where("data", index), _GAP, _RESTORE) for index in range(expected, file.index))
+        expected, row = file.index + 1, recorded[file.index] if file.index < len(recorded) else None
+        first_frame = row["dataset_from_index"] if row else first_frame
         try:
-            data = layout.trajectory_path(root / "data", file.index).read_bytes()
-            length = _check_data_file(root, spec, data=data, index=file.index, first_frame=first_frame)
+            first_frame += _check_data_file(
+                root, spec, index=file.index, first_frame=first_frame, sha256=row and row["data/sha256"]
+            )
         except InvalidInput as error:
             yield Problem(_where("data", file.index), error.detail, _RESTORE)
-            return
-        first_frame += length
-        if hashlib.sha256(data).hexdigest() != hashes.get(file.index, hashlib.sha256(data).hexdigest()):
-            yield Problem(
-                _where("data", file.index), "The file must be as it was written; it has changed since.", _RESTORE
-            )
+            if row is None:
+                return  # without its length, nothing can be said of the files after it
 
 
-def _check_data_file(root: Path, spec: DatasetSpec, *, data: bytes, index: int, first_frame: int) -> int:
+def _check_data_file(root: Path, spec: DatasetSpec, *, index: int, first_frame: int, sha256: str | None) -> int:
     """Returns a data file's length in timesteps.
 
     Raises:
-        InvalidInput: It is broken, or not the trajectory that its name says.
+        InvalidInput: It is broken, not the trajectory that its name says, or not what was written.
     """
-    described = episodes.describe(data, index=index, first_frame=first_frame)
-    columns = layout.data_schema(spec).names
-    rows = read_rows(layout.trajectory_path(root / "data", index), index=index, columns=columns)
-    if len(rows) != described["length"] or not rows.schema.equals(layout.data_schema(spec)):
-        raise InvalidInput(
-            f"The file must hold trajectory {index} alone, in the columns that `meta/` names; it does not."
-        )
+    path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
+    described = episodes.describe(path.read_bytes(), index=index, first_frame=first_frame)
+    rows = read_rows(path, index=index, columns=schema.names)
+    if len(rows) != described["length"] or not rows.schema.equals(schema):
+        raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")
     t = np.arange(len(rows))
     if not (np.array_equal(rows["frame_index"], t) and np.array_equal(rows["index"], first_frame + t)):
         raise InvalidInput(f"The frames must count on from frame {first_frame} of the dataset; they do not.")
+    if sha256 and described["data/sha256"] != sha256:
+        raise InvalidInput("The file must be as it was written; it has changed since.")
     return len(rows)
 
 

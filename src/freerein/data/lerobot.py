@@ -1,6 +1,7 @@
 """Datasets that other tools wrote as LeRobotDataset v3: any with images stored as images, and an action."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,23 @@ from freerein.types.sim import ActionSpec
 _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_index"]
 
 
-def read(root: Path) -> tuple[DatasetSpec, pa.Table, dict[str, str]]:
-    """Returns a dataset's spec, one row per trajectory with at least its length and place, and the key of each camera.
+@dataclass(frozen=True)
+class Foreign:
+    """A dataset that another tool wrote.
+
+    Attributes:
+        spec: What its trajectories have in common.
+        episodes: One row per trajectory, with `length`, `data/chunk_index`, `data/file_index` and `skills`.
+        camera_keys: By camera, the column that holds its frames.
+    """
+
+    spec: DatasetSpec
+    episodes: pa.Table
+    camera_keys: dict[str, str]
+
+
+def read(root: Path) -> Foreign:
+    """Returns what the dataset in a folder says of itself.
 
     Raises:
         NotFound: There is no dataset.
@@ -27,17 +43,16 @@ def read(root: Path) -> tuple[DatasetSpec, pa.Table, dict[str, str]]:
     info = _read_json(root / layout.INFO_FILE)
     if info is None:
         raise NotFound("There must be a dataset; nothing here looks like one.", hint="List the datasets that exist.")
-    table = _episodes(root)
-    vocabulary = {skill for skills in table["skills"].to_pylist() for skill in skills}
     try:
         _check_layout(info)
         keys = _camera_keys(info["features"])
+        episodes = _episodes(root)
         spec = DatasetSpec(
             fps=int(info["fps"]),
             cameras={camera: _frame_size(info["features"][key]) for camera, key in keys.items()},
             action=_action(info["features"]["action"], root),
             robot_type=str(info.get("robot_type") or ""),
-            skills=tuple(sorted(vocabulary)),
+            skills=tuple(sorted({skill for skills in episodes["skills"].to_pylist() for skill in skills})),
             task=_task(root),
         )
     except (KeyError, TypeError, ValueError):
@@ -45,7 +60,7 @@ def read(root: Path) -> tuple[DatasetSpec, pa.Table, dict[str, str]]:
             "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
         ) from None
-    return spec, table, keys
+    return Foreign(spec, episodes, keys)
 
 
 def _check_layout(info: dict[str, Any]) -> None:

@@ -28,7 +28,7 @@ def read_spec(root: Path) -> DatasetSpec | None:
     if stored.is_file():
         return loads(stored.read_text())
     first = layout.trajectory_path(root / "data", 0)
-    footer = read_footer(first) if first.is_file() else None
+    footer = read_footer(first.read_bytes()) if first.is_file() else None
     return footer.spec if footer else None
 
 

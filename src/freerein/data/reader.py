@@ -37,7 +37,8 @@ class Dataset:
         self._root = root
         spec = meta.read_spec(root)
         if spec is None:
-            self.spec, table, self._keys = lerobot.read(root)
+            foreign = lerobot.read(root)
+            self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
         else:
             self.spec, table = spec, meta.load_mended(root, spec)
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}

@@ -7,7 +7,6 @@ also stands in the file's footer, under the key `freerein`.
 import io
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
     columns["action"] = _action_column(trajectory.actions)
     columns |= {name: pa.array(column[:, 0]) for name, column in numbers.items() if name != "action"}
-    described = {
+    described: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
         "statistics": {name: _as_lists(each) for name, each in _statistics(trajectory, spec, numbers).items()},
@@ -74,14 +73,14 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     return sink.getvalue()
 
 
-def read_footer(data: bytes | Path) -> Footer | None:
+def read_footer(data: bytes) -> Footer | None:
     """Returns what a data file says of itself, None when freerein did not write it.
 
     Raises:
         InvalidInput: The file is truncated or corrupt.
     """
     with refusing_corruption("A data file"):
-        metadata = pq.read_metadata(io.BytesIO(data) if isinstance(data, bytes) else data)
+        metadata = pq.read_metadata(io.BytesIO(data))
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
         if text is None:
             return None
@@ -97,7 +96,7 @@ def read_footer(data: bytes | Path) -> Footer | None:
 def _numbers(trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int) -> dict[str, npt.NDArray[Any]]:
     """Every column but the images: (T, A) actions, and the (T, 1) that LeRobot wants beside them."""
     t = np.arange(len(trajectory.actions))
-    columns = {
+    columns: dict[str, npt.NDArray[Any]] = {
         "timestamp": (t / spec.fps).astype(np.float32),
         "frame_index": t,
         "episode_index": np.full_like(t, index),
@@ -126,14 +125,14 @@ def _png(pixels: npt.NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def _action_column(actions: npt.NDArray[np.generic]) -> pa.Array:
+def _action_column(actions: npt.NDArray[Any]) -> pa.Array:
     flat = pa.array(np.ascontiguousarray(actions).ravel())
     return flat if actions.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, actions.shape[1])
 
 
-def _as_lists(of_feature: FeatureStatistics) -> dict[str, list[object]]:
+def _as_lists(of_feature: FeatureStatistics) -> dict[str, list[Any]]:
     return {name: values.tolist() for name, values in of_feature.items()}
 
 
-def _as_arrays(of_feature: dict[str, list[object]]) -> FeatureStatistics:
+def _as_arrays(of_feature: dict[str, list[Any]]) -> FeatureStatistics:
     return {name: np.array(values, np.float64) for name, values in of_feature.items()}

@@ -74,10 +74,9 @@ class Batcher(Generic[I, O]):
         self._thread = threading.Thread(target=self._work, name="model", daemon=True)
         self._thread.start()
 
-    @property
-    def faulty(self) -> bool:
-        """Whether the last five calls of the model all failed."""
-        return self._faults >= _FAULTS_UNTIL_NOT_READY
+    def not_ready(self) -> str:
+        """Returns why the model cannot answer, empty when it can: its last five calls all failed."""
+        return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY else ""
 
     async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> Done[O]:
         """Returns what the model made of an item. Cancelled, it is dropped before it reaches the model.

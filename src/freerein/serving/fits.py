@@ -53,7 +53,6 @@ class Fits:
         store: Where finished models go.
         resolve: Returns the whole configuration for a dataset's name and a partial one; raises InvalidInput or
             NotFound when there can be no such fit.
-        on_model: Called after a finished model became the active one.
         health: Ends the streams of WatchFit on drain.
     """
 
@@ -64,14 +63,12 @@ class Fits:
         module: str,
         store: ModelStore,
         resolve: Resolve,
-        on_model: Callable[[], None],
         health: Health,
     ) -> None:
         self._records = records
         self._module = module
         self._store = store
         self._resolve = resolve
-        self._on_model = on_model
         self._health = health
         self._queue: asyncio.Queue[str] = asyncio.Queue()
         self._child: asyncio.subprocess.Process | None = None
@@ -205,7 +202,6 @@ class Fits:
         fit = self._records.fit(fit_id)
         ref = await asyncio.to_thread(self._store.publish, fit.model_name, self._records.work(fit_id) / "model")
         self._store.activate(ref)
-        self._on_model()
         await self._records.change(replace(fit, state="succeeded", model=ref))
 
     async def _fail(self, fit_id: str, reason: str) -> None:

@@ -1,7 +1,7 @@
 """Whether a service is live, ready or draining, and the event that tells every stream to end."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import TypeVar
 
 from freerein.errors import Unavailable
@@ -53,3 +53,23 @@ class Health:
         finally:
             work.cancel()
             drain.cancel()
+
+    async def until_draining(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
+        """Yields what `items` yields, and ends when it ends or draining begins."""
+        drain = asyncio.ensure_future(self._draining.wait())
+        following: asyncio.Future[T] | None = None
+        try:
+            while not self.draining:
+                following = asyncio.ensure_future(anext(items))
+                await asyncio.wait({following, drain}, return_when=asyncio.FIRST_COMPLETED)
+                if not following.done():
+                    return
+                try:
+                    item = following.result()
+                except StopAsyncIteration:
+                    return
+                yield item
+        finally:
+            drain.cancel()
+            if following is not None:
+                following.cancel()

@@ -50,18 +50,18 @@ class Method:
         return self.name.startswith(_READS)
 
 
-def methods_of(service: ServiceDescriptor, core: object) -> tuple[Method, ...]:
-    """Returns the methods of a service, each bound to the core's method of that name.
+def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:
+    """Returns the methods of a service, each bound to the method of that name of the first core that has it.
 
     Raises:
-        AttributeError: The core lacks one: the proto says more than is implemented.
+        LookupError: None has it: the proto says more than is implemented.
     """
     return tuple(
         Method(
             descriptor=descriptor,
             request=wire.dataclass_of(descriptor.input_type),
             response=wire.dataclass_of(descriptor.output_type),
-            call=getattr(core, _words(descriptor.name, "_")),
+            call=_find(_words(descriptor.name, "_"), cores),
         )
         for descriptor in service.methods
     )
@@ -70,6 +70,13 @@ def methods_of(service: ServiceDescriptor, core: object) -> tuple[Method, ...]:
 def service_names(methods: Sequence[Method]) -> tuple[str, ...]:
     """Returns the full names of the services that methods belong to, without repeats."""
     return tuple(dict.fromkeys(method.descriptor.containing_service.full_name for method in methods))
+
+
+def _find(name: str, cores: Sequence[object]) -> Any:
+    for core in cores:
+        if hasattr(core, name):
+            return getattr(core, name)
+    raise LookupError(f"no core has a method {name}")
 
 
 def _words(name: str, separator: str) -> str:

@@ -81,7 +81,7 @@ class GrpcDoor:
             await self._health.unless_draining(asyncio.sleep(_HEALTH_PERIOD_S))
         await self._health_servicer.enter_graceful_shutdown()
 
-    def _handler(self, method: Method) -> grpc.RpcMethodHandler[Any, Any]:
+    def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
         codec = {
             "request_deserializer": wire.message_type(method.request).FromString,
             "response_serializer": lambda message: message.SerializeToString(),
@@ -184,7 +184,7 @@ class _Auth(grpc.aio.ServerInterceptor):
         return await continuation(details)
 
 
-def _refusal(error: ServiceError) -> grpc.RpcMethodHandler[Any, Any]:
+def _refusal(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
     async def refuse(_messages: Any, context: _Context) -> None:
         await grpc_errors.abort(context, error, _request_id(context))
 

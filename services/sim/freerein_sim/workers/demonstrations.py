@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Trajectory
-from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
-from freerein_sim.workers import snapshots
+from freerein.types.sim import Camera, DemonstrateRequest, DemonstrateResponse
+from freerein_sim.workers.snapshots import generator
 from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
 from freerein_sim.worlds.wander import Wander
 from freerein_sim.worlds.world import World, WorldSpec, check_view, skill_indices
@@ -19,26 +18,98 @@ _MAX_TRIES = 10
 def draw(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
     """Returns trajectory `first` of a request.
 
-    An expert that fails tries again, with what its generator draws next.
+    It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails tries again from another start.
 
     Args:
-        world: A world of the request's task; in any state.
+        world: A world of the request's task, in any state.
         request: What to demonstrate.
 
     Raises:
         InvalidInput: The request names what the world does not have, or bounds that cannot be met.
-        FailedPrecondition: The expert failed too often.
+        FailedPrecondition: The expert failed in every try.
     """
     views = _views(world.spec, request)
-    rng = snapshots.generator(np.random.SeedSequence(request.seed, spawn_key=(request.first,)))
+    skills = _skills(world.spec, request)
+    rng = generator(np.random.SeedSequence(request.seed, spawn_key=(request.first,)))
     for _ in range(_MAX_TRIES):
-        made = _act(world, request, views, rng)
+        made = _act(world, request, skills, views, rng)
         if made.success:
-            return _response(world.spec, made, request)
+            return _response(world.spec, request, made)
     raise FailedPrecondition(
-        f"The expert must succeed within {_MAX_TRIES} tries; in trajectory {request.first} it did not.",
-        hint=f"Go on with `first` = {request.first + 1}, or with another seed.",
+        f"The expert must succeed within {_MAX_TRIES} tries; for trajectory {request.first} it did not.",
+        hint=f"Skip it: ask again with `first` {request.first + 1}.",
     )
 
 
-class _Views(dict[str, int]): ...
+def _act(
+    world: World,
+    request: DemonstrateRequest,
+    skills: Sequence[str],
+    views: Sequence[Camera],
+    rng: np.random.Generator,
+) -> Demonstration:
+    if request.behaviour == "expert":
+        number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
+        chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
+        world.reset(rng, recipe=chosen)
+        behaviour = world.expert(chosen, rng)
+    else:
+        chosen = []
+        world.reset(rng)
+        behaviour = Wander(world.spec.action, rng)
+    return demonstrate(
+        world,
+        behaviour,
+        skills=chosen,
+        cameras=[view.name for view in views],
+        height=views[0].height,
+        width=views[0].width,
+        max_steps=world.spec.max_episode_steps,
+    )
+
+
+def _response(spec: WorldSpec, request: DemonstrateRequest, made: Demonstration) -> DemonstrateResponse:
+    executed = made.labels[made.labels >= 0]
+    trajectory = Trajectory(made.frames, made.actions, tuple(sorted(spec.skills[i] for i in set(executed.tolist()))))
+    if request.privileged and len(executed) == len(made.labels):
+        return DemonstrateResponse(request.first, trajectory, made.labels)
+    return DemonstrateResponse(request.first, trajectory)
+
+
+def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
+    """Returns the skills to choose from."""
+    if request.behaviour == "random":
+        if request.skills or request.min_skills or request.max_skills:
+            raise InvalidInput(
+                "`skills`, `min_skills` and `max_skills` must be empty when behaviour is random; got some.",
+                field="skills",
+                hint="Random actions execute no skills: leave them out, or ask for the expert.",
+            )
+        return ()
+    skills = request.skills or spec.skills
+    if len(set(skill_indices(spec, skills))) != len(skills):
+        raise InvalidInput("`skills` must name each skill once; got one twice.", field="skills")
+    if not 1 <= (request.min_skills or 1) <= (request.max_skills or len(skills)) <= len(skills):
+        raise InvalidInput(
+            f"1 <= `min_skills` <= `max_skills` <= {len(skills)} must hold, the number of skills to choose from; got "
+            f"{request.min_skills} and {request.max_skills}.",
+            field="max_skills",
+            hint="Each skill occurs once at most. 0 means no bound.",
+        )
+    return skills
+
+
+def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:
+    """Returns the cameras to record, with the one size at which they are recorded."""
+    names = dict.fromkeys(request.cameras or (spec.cameras[0].name,))
+    own = [camera for camera in spec.cameras if camera.name in names] or spec.cameras[:1]
+    if len({(request.height or camera.height, request.width or camera.width) for camera in own}) > 1:
+        raise InvalidInput(
+            "`height` and `width` must be given where cameras differ in size; got none.",
+            field="height",
+            hint="All cameras of a trajectory are recorded at one size.",
+        )
+    height, width = request.height or own[0].height, request.width or own[0].width
+    return tuple(
+        Camera(name, height, width, check_view(spec, name, height=height, width=width).channels) for name in names
+    )

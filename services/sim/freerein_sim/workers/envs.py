@@ -48,9 +48,7 @@ class Envs:
         self._has_begun = False
         self._proved: set[Camera] = set()
 
-    def reset(
-        self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()
-    ) -> ResetResponse:
+    def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
         """Begins new episodes.
 
         Args:
@@ -161,9 +159,7 @@ class Envs:
         self._steps[env] = 0
 
     def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> Frames:
-        frames = {
-            view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views
-        }
+        frames = {view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views}
         for row, env in enumerate(envs):
             for view in views:
                 frames[view.name][row] = self._worlds[env].render(view.name, height=view.height, width=view.width)
@@ -183,9 +179,7 @@ class Envs:
         views = []
         for name in dict.fromkeys(names):
             own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
-            view = Camera(
-                name, height or self._height or own.height, width or self._width or own.width, own.channels
-            )
+            view = Camera(name, height or self._height or own.height, width or self._width or own.width, own.channels)
             check_view(spec, name, height=view.height, width=view.width)
             views.append(view)
         return views

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from freerein.types.sim import ActionSpec
 from freerein_sim.worlds.world import Action, Behaviour, Frame, World
 
 
@@ -22,7 +23,7 @@ class Demonstration:
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
-    actions: npt.NDArray[np.float32] | npt.NDArray[np.int64]
+    actions: Action
     labels: npt.NDArray[np.int64]
     skills: tuple[str, ...]
     success: bool
@@ -65,10 +66,9 @@ def demonstrate(
         diverged = outcome.diverged
         if outcome.terminated:
             break
-    dtype, size = (np.int64 if world.spec.action.choices else np.float32), world.spec.action.size
     return Demonstration(
         frames={camera: _stack(world, camera, seen, height, width) for camera, seen in frames.items()},
-        actions=np.array(actions, dtype).reshape(-1, size),
+        actions=_join(world.spec.action, actions),
         labels=np.array(labels, np.int64),
         skills=tuple(skills),
         success=behaviour.succeeded() and not diverged,
@@ -78,3 +78,9 @@ def demonstrate(
 def _stack(world: World, camera: str, seen: Sequence[Frame], height: int, width: int) -> npt.NDArray[np.uint8]:
     channels = next(each.channels for each in world.spec.cameras if each.name == camera)
     return np.array(seen, np.uint8).reshape(-1, height, width, channels)
+
+
+def _join(spec: ActionSpec, actions: Sequence[Action]) -> Action:
+    if spec.choices:
+        return np.array(actions, np.int64).reshape(-1, spec.size)
+    return np.array(actions, np.float32).reshape(-1, spec.size)

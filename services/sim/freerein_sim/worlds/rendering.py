@@ -25,16 +25,16 @@ _OFF = (
 
 
 class Renderer:
-    """The OpenGL context of one model. Everything of it happens on the thread that made it.
+    """The OpenGL context of one model on one thread, shared by all worlds of that model there.
+
+    Sharing keeps sixteen worlds as fast as one, in a sixteenth of the memory. Get one from `open_renderer`.
 
     Args:
         model: What to draw.
-
-    Raises:
-        Unimplemented: This machine has neither EGL nor OSMesa.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        self.uses = 0
         self._thread = threading.get_ident()
         self._model = model
         self._gl = _open_gl(max(model.vis.global_.offwidth, model.vis.global_.offheight))
@@ -63,15 +63,41 @@ class Renderer:
         return np.ascontiguousarray(bottom_up[::-1])
 
     def close(self) -> None:
-        """Frees the context, on the thread that made it."""
+        """Ends one use; the last one frees the context, on the thread that made it."""
         self._check_thread()
-        self._gl.make_current()
-        self._context.free()
-        self._gl.free()
+        self.uses -= 1
+        if self.uses == 0:
+            del _open_here.renderers[id(self._model)]
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
 
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:
             raise FailedPrecondition("A world is rendered and closed on one thread; this is another.")
+
+
+def open_renderer(model: mujoco.MjModel) -> Renderer:
+    """Returns this thread's renderer of the model. Every call needs one `close` on the same thread.
+
+    Raises:
+        Unimplemented: This machine has neither EGL nor OSMesa.
+    """
+    renderer = _open_here.renderers.get(id(model))
+    if renderer is None:
+        renderer = _open_here.renderers[id(model)] = Renderer(model)
+    renderer.uses += 1
+    return renderer
+
+
+class _OpenHere(threading.local):
+    """The renderers of this thread, by the `id` of the model, which each keeps alive."""
+
+    def __init__(self) -> None:
+        self.renderers: dict[int, Renderer] = {}
+
+
+_open_here = _OpenHere()
 
 
 class _GL(Protocol):

@@ -13,7 +13,7 @@ from freerein.types.common import check_name
 from freerein.types.sim import ActionSpec, Camera
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
-"""float32 (A,) in [-1, 1] where the world is continuous, int64 (1,) where it is discrete."""
+"""float32 (A,) in [-1, 1] where the world is continuous, int64 (1,) where it is discrete; (T, A) for T timesteps."""
 
 Frame = npt.NDArray[np.uint8]
 """uint8 (H, W, C), RGB."""

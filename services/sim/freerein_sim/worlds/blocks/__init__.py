@@ -45,7 +45,7 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
 
 
 def _make(spec: WorldSpec, colours: tuple[str, ...], goal: Goal | None) -> World:
-    from freerein_sim.worlds.blocks.simulation import Blocks  # noqa: PLC0415  listing tasks needs no MuJoCo
+    from freerein_sim.worlds.blocks.simulation import Blocks
 
     return Blocks(spec, colours, goal)
 

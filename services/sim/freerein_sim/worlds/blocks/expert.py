@@ -165,9 +165,9 @@ class BlocksExpert:
     def _goal_place(self, destination: Destination) -> Position:
         other = self._world.position(destination.to)
         if destination.relation is Relation.ON_TOP_OF:
-            return other + (0, 0, BLOCK_M)
+            return np.add(other, (0, 0, BLOCK_M))
         side = -1 if destination.relation is Relation.LEFT_OF else 1
-        return other + (0, side * _BESIDE_M, 0)
+        return np.add(other, (0, side * _BESIDE_M, 0))
 
     def _tops(self) -> list[Position]:
         """Returns the places on top of blocks that lie on the table, are bare, and are to be moved no more."""
@@ -175,7 +175,7 @@ class BlocksExpert:
         later = {skill.removeprefix("move-") for skill in self._waiting}
         positions = {colour: self._world.position(colour) for colour in self._others()}
         return [
-            at + (0, 0, BLOCK_M)
+            np.add(at, (0, 0, BLOCK_M))
             for colour, at in positions.items()
             if colour not in later
             and is_on_table(at)
@@ -197,4 +197,4 @@ class BlocksExpert:
         furthest = float(np.abs(way[:2]).max())
         way[:2] *= min(1.0, self._speed / max(furthest, 1e-9))
         way[:2] += _NOISE * min(1.0, furthest) * self._rng.standard_normal(2)
-        return np.clip(way, -1, 1).astype(np.float32)
+        return np.asarray(np.clip(way, -1, 1), np.float32)

@@ -6,7 +6,8 @@ arm follows its mocap body in the Fetch environments. x points to the front came
 
 import hashlib
 import importlib.util
-from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
@@ -34,6 +35,7 @@ _STEEL, _RUBBER = (0.82, 0.83, 0.85, 1), (0.13, 0.13, 0.15, 1)
 _LINKS_M = {"gripper_link": 0.0, "wrist_roll_link_collision": -0.1664, "wrist_flex_link_collision": -0.3049}
 """Meshes of the gripper and the wrist above it, and how far along the gripper's own x axis each lies."""
 
+_CACHED_SCENES = 16
 _LINK_KG, _FINGER_KG, _BLOCK_KG = 0.3, 0.1, 0.1
 _SERVO_KP, _SERVO_KV, _SERVO_N = 4000.0, 140.0, 120.0
 _FINGER_KP, _FINGER_KV, _FINGER_ARMATURE_KG = 500.0, 20.0, 0.1
@@ -46,8 +48,22 @@ _CAMERAS = {
 """By name: where it is, what it looks at, and its vertical field of view in degrees."""
 
 
-def build(colours: Sequence[str]) -> mujoco.MjModel:
-    """Returns the compiled scene with one block of each colour.
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled scene, shared by all worlds that show it.
+
+    Attributes:
+        model: The model; nobody changes it.
+        fingerprint: A hash of the model and of MuJoCo's version.
+    """
+
+    model: mujoco.MjModel
+    fingerprint: str
+
+
+@lru_cache(maxsize=_CACHED_SCENES)
+def build(colours: tuple[str, ...]) -> Scene:
+    """Returns the scene with one block of each colour. Compiling takes a tenth of a second, so scenes are kept.
 
     Raises:
         FailedPrecondition: The wheel that holds the gripper's meshes is not installed.
@@ -64,14 +80,10 @@ def build(colours: Sequence[str]) -> mujoco.MjModel:
     _add_gripper(spec)
     for colour in colours:
         _add_block(spec.worldbody, colour)
-    return spec.compile()
-
-
-def fingerprint(model: mujoco.MjModel) -> str:
-    """Returns a hash of the compiled model and of MuJoCo's version."""
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return hashlib.sha256(mujoco.mj_versionString().encode() + buffer.tobytes()).hexdigest()
+    model = spec.compile()
+    compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, compiled)
+    return Scene(model, hashlib.sha256(mujoco.mj_versionString().encode() + compiled.tobytes()).hexdigest())
 
 
 def _set_look(spec: mujoco.MjSpec) -> None:
@@ -189,7 +201,7 @@ def _mesh_folder() -> Path:
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or found.origin is None:
         raise FailedPrecondition(
-            "The world blocks needs the Fetch gripper's meshes of the wheel gymnasium-robotics, which is not installed.",
+            "The blocks world reads the gripper's meshes from the wheel gymnasium-robotics, which is not installed.",
             hint="pip install --no-deps -r assets.txt",
         )
     return Path(found.origin).parent / "envs" / "assets" / "stls" / "fetch"

@@ -1,5 +1,6 @@
 """The blocks world: MuJoCo behind the `World` protocol."""
 
+import logging
 import struct
 from collections.abc import Sequence
 
@@ -11,7 +12,7 @@ from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
 from freerein_sim.worlds.blocks.expert import BlocksExpert, Destination
 from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, holds
-from freerein_sim.worlds.rendering import Renderer
+from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import (
     Action,
     Frame,
@@ -22,6 +23,8 @@ from freerein_sim.worlds.world import (
     check_view,
     skill_indices,
 )
+
+_log = logging.getLogger(__name__)
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
@@ -54,10 +57,12 @@ class Blocks:
         self.spec = spec
         self.colours = colours
         self.goal = goal
-        self._model = scene.build(colours)
+        mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
+        built = scene.build(colours)
+        self.fingerprint = built.fingerprint
+        self._model = built.model
         self._data = mujoco.MjData(self._model)
         self._renderer: Renderer | None = None
-        self.fingerprint = scene.fingerprint(self._model)
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws where the blocks lie and where the gripper is; the recipe changes nothing that can be seen."""
@@ -96,7 +101,7 @@ class Blocks:
         """Returns what the camera sees; the first call opens an OpenGL context on the calling thread."""
         check_view(self.spec, camera, height=height, width=width)
         if self._renderer is None:
-            self._renderer = Renderer(self._model)
+            self._renderer = open_renderer(self._model)
         return self._renderer.render(self._data, camera, height=height, width=width)
 
     def snapshot(self) -> bytes:

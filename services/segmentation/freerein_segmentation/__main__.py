@@ -1,0 +1,79 @@
+"""The segmentation service as a process: `python -m freerein_segmentation`."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from freerein.api.learning.v1 import learning_pb2
+from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.serving.batcher import Batcher
+from freerein.serving.fit_records import FitRecords
+from freerein.serving.fits import Fits
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.methods import methods_of
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein_segmentation import fit, model
+from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
+from freerein_segmentation.settings import SegmentationSettings
+
+NAME = "segmentation"
+
+
+def build(
+    settings: SegmentationSettings,
+    limits: Limits,
+    metrics: Metrics,
+    health: Health,
+    *,
+    load: Callable[[Path, str], SkillModel] = model.load,
+) -> Service:
+    """Returns the service.
+
+    Args:
+        settings: What the operator chose.
+        limits: The bounds.
+        metrics: Where the batcher is measured.
+        health: Tells when draining.
+        load: Returns the model of a folder, on a device.
+    """
+    store = ModelStore(settings.data_dir / "models" / NAME)
+    models: LoadedModels[SkillModel] = LoadedModels(
+        store, lambda folder: load(folder, settings.device), fit_command="freerein fit segmentation DATASET"
+    )
+    batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
+    segmenter = Segmenter(models, batcher, timeout_s=limits.unary_s)
+    fits = Fits(
+        FitRecords(settings.data_dir / "fits" / NAME),
+        module="freerein_segmentation.fit",
+        store=store,
+        resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config),
+        health=health,
+    )
+
+    async def start() -> None:
+        await models.start()
+        await fits.start()
+
+    async def close() -> None:
+        await fits.close()
+        batcher.close()
+
+    services = {**segmentation_pb2.DESCRIPTOR.services_by_name, **learning_pb2.DESCRIPTOR.services_by_name}
+    return Service(
+        name=NAME,
+        methods=(
+            *methods_of(services["SegmentationService"], segmenter),
+            *methods_of(services["FitService"], fits),
+            *methods_of(services["ModelService"], models),
+        ),
+        start=start,
+        close=close,
+        not_ready=lambda: models.not_ready() or batcher.not_ready(),
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(NAME, SegmentationSettings, build))

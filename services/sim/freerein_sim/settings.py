@@ -1,0 +1,21 @@
+"""What an operator may change of the sim service."""
+
+import os
+
+from pydantic import Field
+
+from freerein.serving.settings import ServiceSettings
+
+
+class SimSettings(ServiceSettings):
+    """Settings of the sim service.
+
+    Attributes:
+        sim_workers: Processes that hold the worlds; default, one for each core.
+        sim_sessions: Sessions that may be open at once.
+    """
+
+    http_port: int = Field(default=8104, ge=0, le=65535)
+    grpc_port: int = Field(default=9104, ge=0, le=65535)
+    sim_workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
+    sim_sessions: int = Field(default=64, ge=1, le=65536)

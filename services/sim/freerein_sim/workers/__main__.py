@@ -1,0 +1,24 @@
+"""A worker process: `python -m freerein_sim.workers <file descriptor of a socket>`. The service starts it."""
+
+import logging
+import signal
+import socket
+import sys
+
+from freerein_sim.workers.host import Host, serve
+from freerein_sim.worlds.tasks import tasks
+
+
+def main() -> None:
+    """Serves the socket until its other end closes: by the service's wish, or because the service is dead."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # sent to the whole group by a terminal: the service decides
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    logging.basicConfig(level=logging.INFO)
+    host = Host(tasks())
+    with socket.socket(fileno=int(sys.argv[1])) as connection:
+        serve(connection, host)
+    host.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""The worker processes of a service: where sessions are placed, and what takes the place of one that dies."""
+
+import asyncio
+import logging
+from collections.abc import Sequence
+
+from freerein.errors import WorkerLost
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
+from freerein_sim.workers.worker import Worker
+
+_LOG = logging.getLogger(__name__)
+
+
+class Pool:
+    """Places for workers. Some hold sessions; others make demonstrations, so that no session waits for one.
+
+    Args:
+        workers: Processes that hold sessions.
+        demonstrators: Processes that make demonstrations; they start when the first is asked for.
+        stuck_s: A worker that leaves a call unanswered for so long hangs, and is killed.
+
+    Attributes:
+        tasks: The tasks by name, known after `start`.
+    """
+
+    def __init__(self, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0) -> None:
+        self.tasks: dict[str, Task] = {}
+        self._hosts = [_Place(stuck_s) for _ in range(workers)]
+        self._demonstrators = [_Place(stuck_s) for _ in range(demonstrators)]
+
+    async def start(self) -> None:
+        """Starts the workers that hold sessions, and waits until they answer.
+
+        Raises:
+            WorkerLost: One cannot start.
+        """
+        workers = await asyncio.gather(*(place.fill() for place in self._hosts))
+        listed = await workers[0].call(ListTasksRequest(), ListTasksResponse)
+        self.tasks = {task.name: task for task in listed.tasks}
+
+    async def place(self, num_envs: int) -> Worker:
+        """Returns the worker with the least load, which `num_envs` is added to; whoever asked subtracts it again.
+
+        Raises:
+            WorkerLost: A worker died, and the next one cannot start.
+        """
+        worker = await _least_loaded(self._hosts).fill()
+        worker.load += num_envs
+        return worker
+
+    async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
+        """Returns the one trajectory at the request's `first`.
+
+        Raises:
+            WorkerLost: Its worker died.
+            ServiceError: The request is refused.
+        """
+        worker = await _least_loaded(self._demonstrators).fill()
+        worker.load += 1
+        try:
+            return await worker.call(request, DemonstrateResponse)
+        finally:
+            worker.load -= 1
+
+    async def close(self) -> None:
+        """Ends all workers."""
+        await asyncio.gather(*(place.close() for place in (*self._hosts, *self._demonstrators)))
+
+
+class _Place:
+    """A place for one worker. When a worker that has worked dies, the next one is started at once."""
+
+    def __init__(self, stuck_s: float) -> None:
+        self._stuck_s = stuck_s
+        self._filling: asyncio.Task[Worker] | None = None
+        self._refilling: asyncio.Task[None] | None = None
+        self._worker: Worker | None = None
+
+    @property
+    def load(self) -> int:
+        """The load of its worker."""
+        return 0 if self._worker is None or self._worker.is_lost else self._worker.load
+
+    async def fill(self) -> Worker:
+        """Returns its worker, started first when there is none."""
+        if self._worker is not None and not self._worker.is_lost:
+            return self._worker
+        if self._filling is None:
+            self._filling = asyncio.create_task(self._start())
+        return await asyncio.shield(self._filling)
+
+    async def close(self) -> None:
+        """Ends its worker."""
+        if self._refilling is not None:
+            self._refilling.cancel()
+        if self._filling is not None:
+            await asyncio.wait([self._filling])
+        if self._worker is not None:
+            await self._worker.close()
+
+    async def _start(self) -> Worker:
+        try:
+            worker = await Worker.start(stuck_s=self._stuck_s)
+            await worker.call(ListTasksRequest(), ListTasksResponse)
+        finally:
+            self._filling = None
+        self._worker = worker
+        self._refilling = asyncio.create_task(self._refill(worker))
+        return worker
+
+    async def _refill(self, worker: Worker) -> None:
+        await worker.wait_ended()
+        try:
+            await self.fill()
+        except WorkerLost:
+            _LOG.error("a worker died at its start; the next session starts another")
+
+
+def _least_loaded(places: Sequence[_Place]) -> _Place:
+    return min(places, key=lambda place: place.load)

@@ -1,0 +1,228 @@
+"""What every world must do, checked for any task; for the worlds of other packages, too.
+
+    @pytest.mark.parametrize("check", conformance.CHECKS, ids=lambda check: check.__name__)
+    def test_my_world_conforms(check):
+        check(my_task)
+
+A check raises `AssertionError` with a sentence; it makes its own worlds and closes them.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein_sim.worlds.demonstrate import demonstrate
+from freerein_sim.worlds.wander import Wander
+from freerein_sim.worlds.world import Action, Frame, Task, World
+
+_SEED = 7
+_STEPS = 12
+
+
+def describes_itself(task: Task) -> None:
+    """The spec is coherent, and the world's is the task's."""
+    spec = task.spec
+    action = spec.action
+    _require(len(spec.cameras) > 0, "A world has at least one camera.")
+    _require(len({each.name for each in spec.cameras}) == len(spec.cameras), "Cameras have names of their own.")
+    _require(len(set(spec.skills)) == len(spec.skills), "Skills have names of their own.")
+    _require(spec.control_dt_s > 0 and spec.max_episode_steps > 0, "Time goes forward.")
+    _require(len(action.names) == (action.choices or action.size), "Every number, or every choice, has a name.")
+    _require(action.size == 1 or not action.choices, "A discrete action is one number.")
+    _require(bool(action.choices) or len(action.scale) == action.size, "A continuous action has a scale.")
+    with closing(task.make()) as world:
+        _require(world.spec == spec, "The world's spec is the task's.")
+    _require(task.describe().name == task.name, "A task describes itself.")
+
+
+def tells_the_truth_in_shape(task: Task) -> None:
+    """True state is finite float64, one number per name, in every step."""
+    with closing(_begin(task)) as world:
+        for _ in _wander(world):
+            truth = world.truth()
+            _require(truth.state.dtype == np.float64, "True state is float64.")
+            _require(truth.state.shape == (len(task.spec.state_names),), "Each number of the true state has a name.")
+            _require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "Truth is finite.")
+
+
+def starts_unsolved(task: Task) -> None:
+    """No episode begins with its goal reached."""
+    with closing(task.make()) as world:
+        for child in np.random.SeedSequence(_SEED).spawn(50):
+            world.reset(np.random.default_rng(child))
+            _require(not world.truth().success, "An episode begins with its goal not reached.")
+
+
+def repeats_itself_under_a_seed(task: Task) -> None:
+    """Two worlds with one seed and the same actions agree, bit for bit; another seed gives another start."""
+    with (
+        closing(_begin(task)) as first,
+        closing(_begin(task)) as second,
+        closing(_begin(task, seed=_SEED + 1)) as other,
+    ):
+        _require(first.fingerprint == second.fingerprint, "Worlds of one task have one fingerprint.")
+        _require(_saw(first) == _saw(second), "Worlds of one seed begin alike.")
+        _require(_saw(first) != _saw(other), "Worlds of different seeds begin differently.")
+        _require(_futures(first) == _futures(second), "Worlds of one seed stay alike.")
+
+
+def resets_to_the_same_start(task: Task) -> None:
+    """What happened before a reset leaves no trace."""
+    with closing(_begin(task)) as used, closing(_begin(task)) as fresh:
+        _futures(used)
+        for world in (used, fresh):
+            world.reset(np.random.default_rng(_SEED + 2))
+        _require(_saw(used) == _saw(fresh), "A used world resets as a fresh one does.")
+        _require(_futures(used) == _futures(fresh), "A used world goes on as a fresh one does.")
+
+
+def restores_bit_for_bit(task: Task) -> None:
+    """A snapshot continued in another world gives the same states and frames."""
+    if not task.spec.exact_snapshots:
+        return
+    with closing(_begin(task)) as world, closing(_begin(task, seed=_SEED + 1)) as other:
+        _futures(world)
+        snapshot = world.snapshot()
+        other.restore(snapshot)
+        _require(other.snapshot() == snapshot, "A restored world has the snapshot that it was given.")
+        _require(_saw(world) == _saw(other), "A restored world looks the same.")
+        _require(_futures(world) == _futures(other), "A restored world goes on the same.")
+
+
+def refuses_broken_snapshots(task: Task) -> None:
+    """Bytes that are no snapshot are refused, and change nothing."""
+    if not task.spec.exact_snapshots:
+        return
+    with closing(_begin(task)) as world:
+        snapshot = world.snapshot()
+        for broken in (b"", snapshot[:-1], snapshot + b"\0", bytes(len(snapshot)), b"\xff" * len(snapshot)):
+            _refuses(partial(world.restore, broken), "A broken snapshot is refused.")
+        _require(world.snapshot() == snapshot, "A refused snapshot changes nothing.")
+
+
+def renders_what_was_asked(task: Task) -> None:
+    """Frames have the camera's size and channels, show something, and share no memory."""
+    with closing(_begin(task)) as world:
+        for camera in task.spec.cameras:
+            frame = world.render(camera.name, height=camera.height, width=camera.width)
+            again = world.render(camera.name, height=camera.height, width=camera.width)
+            _require(frame.dtype == np.uint8, "Frames are uint8.")
+            _require(frame.shape == (camera.height, camera.width, camera.channels), "Frames have the size asked for.")
+            _require(int(frame.min()) < int(frame.max()), "Frames show something.")
+            _require(not np.shares_memory(frame, again), "Every frame is an array of its own.")
+            _require(np.array_equal(frame, again), "Looking changes nothing.")
+
+
+def refuses_bad_views(task: Task) -> None:
+    """Unknown cameras and sizes out of bounds are refused."""
+    camera, too_big = task.spec.cameras[0].name, task.spec.max_size + 1
+    with closing(_begin(task)) as world:
+        _refuses(partial(world.render, "no-such-camera", height=8, width=8), "An unknown camera is refused.")
+        for height, width in ((0, 8), (8, -1), (too_big, 8), (8, too_big)):
+            _refuses(partial(world.render, camera, height=height, width=width), "A size out of bounds is refused.")
+
+
+def refuses_bad_actions(task: Task) -> None:
+    """Actions of the wrong dtype, shape or range are refused, and change nothing."""
+    spec = task.spec.action
+    dtype = np.int64 if spec.choices else np.float32
+    bad: list[npt.NDArray[Any]] = [
+        np.zeros(spec.size + 1, dtype),
+        np.zeros((1, spec.size), dtype),
+        np.zeros(spec.size, np.float64),
+        np.full(spec.size, spec.choices or 1.5, dtype),
+        np.full(spec.size, -1 if spec.choices else -1.5, dtype),
+    ]
+    if not spec.choices:
+        bad += [np.full(spec.size, value, dtype) for value in (np.nan, np.inf)]
+    with closing(_begin(task)) as world:
+        before = _saw(world)
+        for action in bad:
+            _refuses(partial(world.step, action), "A bad action is refused.")
+        _require(_saw(world) == before, "A refused action changes nothing.")
+
+
+def refuses_unknown_skills(task: Task) -> None:
+    """Skills that the world does not have are refused."""
+    with closing(_begin(task)) as world:
+        rng = np.random.default_rng(_SEED)
+        _refuses(partial(world.expert, ("no-such-skill",), rng), "An unknown skill has no expert.")
+        _refuses(partial(world.reset, rng, recipe=("no-such-skill",)), "An unknown skill is in no recipe.")
+
+
+def has_an_expert_that_succeeds(task: Task) -> None:
+    """The expert executes every skill, in order, in time, and the oracle agrees that the goal holds if there is one."""
+    spec = task.spec
+    with closing(task.make()) as world:
+        rng = np.random.default_rng(_SEED)
+        world.reset(rng, recipe=spec.skills)
+        expert = world.expert(spec.skills, rng)
+        shown = demonstrate(
+            world, expert, skills=spec.skills, cameras=(), height=1, width=1, max_steps=spec.max_episode_steps
+        )
+        _require(shown.success, "The expert succeeds.")
+        order = shown.labels[np.flatnonzero(np.diff(shown.labels, prepend=-2))]
+        _require(order.tolist() == list(range(len(spec.skills))), "Labels follow the recipe.")
+        _require(not task.goal_text or world.truth().success, "The oracle sees the goal that the expert reached.")
+
+
+CHECKS: tuple[Callable[[Task], None], ...] = (
+    describes_itself,
+    tells_the_truth_in_shape,
+    starts_unsolved,
+    repeats_itself_under_a_seed,
+    resets_to_the_same_start,
+    restores_bit_for_bit,
+    refuses_broken_snapshots,
+    renders_what_was_asked,
+    refuses_bad_views,
+    refuses_bad_actions,
+    refuses_unknown_skills,
+    has_an_expert_that_succeeds,
+)
+"""Every check, in the order in which to read their failures."""
+
+
+def _require(holds: bool, sentence: str) -> None:
+    if not holds:
+        raise AssertionError(f"Expected: {sentence}")
+
+
+def _refuses(call: Callable[[], object], sentence: str) -> None:
+    try:
+        call()
+    except InvalidInput:
+        return
+    raise AssertionError(f"Expected: {sentence}")
+
+
+def _begin(task: Task, *, seed: int = _SEED) -> World:
+    world = task.make()
+    world.reset(np.random.default_rng(seed))
+    return world
+
+
+def _wander(world: World) -> Iterator[Action]:
+    """Steps the world at random, always in the same way, and yields after each step until the episode ends."""
+    wander = Wander(world.spec.action, np.random.default_rng(_SEED))
+    for _ in range(_STEPS):
+        action = wander.decide().action
+        outcome = world.step(action)
+        yield action
+        if outcome.terminated:
+            return
+
+
+def _saw(world: World) -> tuple[bytes, ...]:
+    """Returns true state and every camera's frame, as bytes to compare."""
+    views: list[Frame] = [world.render(each.name, height=each.height, width=each.width) for each in world.spec.cameras]
+    return world.truth().state.tobytes(), *(view.tobytes() for view in views)
+
+
+def _futures(world: World) -> list[tuple[bytes, ...]]:
+    return [_saw(world) for _ in _wander(world)]

@@ -1,0 +1,255 @@
+"""Gymnasium environments over the sim service: what learns from them sees pixels, and nothing else.
+
+An observation is a camera's frame, uint8 (H, W, C); a dict of them by camera where several are asked for. The reward
+is 0.0, for rewards come from reward models. Every call of an environment is one unary call of the service, not a
+message on its stream: that costs a fifth of a millisecond more per step, and gives each step a deadline, errors that
+say what to mend, and a retry when a reply was lost, which `step_id` makes harmless.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from freerein.clients.channel import Channel
+from freerein.clients.pixel_session import Observation, Pixels, PixelSession, row, truth_info
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.types.sim import CreateSessionRequest, Frames, StepResponse, Task
+
+LEASE_S = 600.0
+"""Seconds that a learner may spend between two calls; then the service ends the session."""
+
+_RENDER_MODES = ("rgb_array",)
+
+
+class RemoteEnv(gymnasium.Env[Observation, Any]):
+    """One environment.
+
+    The service begins the next episode in the step that ends one. That is not seen here: the step returns the last
+    frame of the old episode, and `reset()` returns the first frame of the episode already begun. `reset(seed=...)`
+    begins another one.
+
+    Args:
+        task: The task's name.
+        address: `host:port` of the sim service.
+        cameras: The cameras to observe; empty for the task's first. One: Box; several: Dict.
+        height: Height of frames, in pixels; 0 means the cameras' own.
+        width: Width of frames, in pixels; 0 means the cameras' own.
+        privileged: For evaluation only: the reward is the oracle's, and `info["truth"]` holds `state` (float64 (S,)),
+            `reward` and `success` of each step, and of resets that began an episode.
+        lease_s: Seconds without a call after which the service ends the session; at most 3600.
+        render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
+        token: The service's token; empty for none.
+        root_certificates: PEM certificates for TLS; None for no TLS.
+
+    Raises:
+        ServiceError: As every method: the service refused, could not be reached or did not answer in time.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        address: str,
+        *,
+        cameras: Sequence[str] = (),
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
+        lease_s: float = LEASE_S,
+        render_mode: str | None = None,
+        token: str = "",
+        root_certificates: bytes | None = None,
+    ) -> None:
+        self.render_mode = _checked_render_mode(render_mode)
+        self._session = PixelSession(
+            Channel(address, token=token, root_certificates=root_certificates),
+            CreateSessionRequest(task, lease_s=lease_s, height=height, width=width, privileged=privileged),
+            cameras=cameras,
+        )
+        self.task = self._session.task
+        self.metadata = _metadata(self.task)
+        self.observation_space = self._session.observation_space
+        self.action_space = self._session.action_space
+        self._latest: dict[str, Pixels] | None = None
+        self._begun: dict[str, Pixels] | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode; see the class. `options` are not used."""
+        super().reset(seed=seed)
+        info: dict[str, Any] = {}
+        if self._begun is None or seed is not None:
+            reply = self._session.reset(seed=seed)
+            self._begun, info = row(reply.frames, 0), truth_info(reply.truth, 0)
+        self._latest, self._begun = self._begun, None
+        return self._session.observation(self._latest), info
+
+    def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Takes one action: float32 (A,) in [-1, 1], or a choice. `info["diverged"]`: the simulation gave up.
+
+        Raises:
+            FailedPrecondition: The episode has ended, or none was begun.
+        """
+        if self._begun is not None:
+            raise FailedPrecondition("`step` needs a running episode; this one has ended.", hint="Call reset() first.")
+        reply = self._session.step(np.asarray(action)[np.newaxis])
+        terminated, truncated = bool(reply.terminated[0]), bool(reply.truncated[0])
+        self._latest = row(reply.frames, 0)
+        if terminated or truncated:
+            self._latest, self._begun = row(reply.final_frames, 0), self._latest
+        observation = self._session.observation(self._latest)
+        return observation, float(_reward(reply)[0]), terminated, truncated, _step_info(reply, 0)
+
+    def render(self) -> Pixels | None:
+        """Returns the first camera's latest frame, uint8 (H, W, 3); None unless `render_mode` is `rgb_array`."""
+        return _rendered(self._session, self._latest) if self.render_mode else None
+
+    def close(self) -> None:
+        """Ends the session; closing again does nothing."""
+        self._session.close()
+
+
+class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
+    """`num_envs` environments of one session, stepped by one call.
+
+    Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next one, and
+    `info["final_obs"]` and `info["final_info"]` hold the end of the old one.
+
+    Args:
+        task: The task's name.
+        address: `host:port` of the sim service.
+        num_envs: Environments.
+        cameras: As `RemoteEnv`; so are all that follow.
+        height: See there.
+        width: See there.
+        privileged: See there; `info["truth"]` of an environment whose episode ended is in `final_info`.
+        lease_s: See there.
+        render_mode: See there; `render()` returns a tuple, a frame for each environment.
+        token: See there.
+        root_certificates: See there.
+
+    Raises:
+        ServiceError: As every method: the service refused, could not be reached or did not answer in time.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        address: str,
+        *,
+        num_envs: int,
+        cameras: Sequence[str] = (),
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
+        lease_s: float = LEASE_S,
+        render_mode: str | None = None,
+        token: str = "",
+        root_certificates: bytes | None = None,
+    ) -> None:
+        self.render_mode = _checked_render_mode(render_mode)
+        self.num_envs = num_envs
+        self._session = PixelSession(
+            Channel(address, token=token, root_certificates=root_certificates),
+            CreateSessionRequest(task, num_envs, lease_s=lease_s, height=height, width=width, privileged=privileged),
+            cameras=cameras,
+        )
+        self.task = self._session.task
+        self.metadata = _metadata(self.task) | {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.single_observation_space = self._session.observation_space
+        self.single_action_space = self._session.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._latest: Frames | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins episodes in all environments, or where `options["reset_mask"]`, bool (N,), is true.
+
+        Args:
+            seed: Environment i draws from `SeedSequence(seed).spawn(N)[i]`; None lets the generators go on.
+            options: None, or the mask.
+        """
+        super().reset(seed=seed)
+        envs = _masked(options["reset_mask"], self.num_envs) if options and "reset_mask" in options else ()
+        reply = self._session.reset(seed=seed, envs=envs)
+        self._latest = reply.frames
+        info: dict[str, Any] = {}
+        for index in envs or range(self.num_envs):
+            info = self._add_info(info, truth_info(reply.truth, index), index)
+        return self._session.observation(reply.frames), info
+
+    def step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
+        """Takes one action in each environment: float32 (N, A) in [-1, 1], or choices (N,).
+
+        Returns:
+            Observations; rewards, float64 (N,); terminated and truncated, bool (N,); info, with `diverged` bool (N,).
+        """
+        reply = self._session.step(actions)
+        self._latest = reply.frames
+        terminated, truncated = reply.terminated.copy(), reply.truncated.copy()
+        info: dict[str, Any] = {}
+        ended = 0
+        for index in range(self.num_envs):
+            step_info = _step_info(reply, index)
+            if terminated[index] or truncated[index]:
+                final = self._session.observation(row(reply.final_frames, ended))
+                step_info, ended = {"final_obs": final, "final_info": step_info}, ended + 1
+            info = self._add_info(info, step_info, index)
+        return self._session.observation(reply.frames), _reward(reply), terminated, truncated, info
+
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Returns each environment's latest frame of the first camera, uint8 (H, W, 3); None without a render mode."""
+        return tuple(_rendered(self._session, self._latest)) if self.render_mode else None
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the session; `close` calls it once."""
+        self._session.close()
+
+
+def _checked_render_mode(render_mode: str | None) -> str | None:
+    if render_mode is not None and render_mode not in _RENDER_MODES:
+        raise InvalidInput(
+            f"`render_mode` must be None or one of {', '.join(_RENDER_MODES)}; got another one.",
+            field="render_mode",
+            hint="Ask for rgb_array.",
+        )
+    return render_mode
+
+
+def _metadata(task: Task) -> dict[str, Any]:
+    return {"render_modes": list(_RENDER_MODES), "render_fps": 1.0 / task.control_dt_s}
+
+
+def _reward(reply: StepResponse) -> npt.NDArray[np.float64]:
+    return np.array(reply.reward if reply.truth is None else reply.truth.reward, np.float64)
+
+
+def _step_info(reply: StepResponse, index: int) -> dict[str, Any]:
+    return {"diverged": bool(reply.diverged[index]), **truth_info(reply.truth, index)}
+
+
+def _rendered(session: PixelSession, latest: Frames | None) -> Pixels:
+    if latest is None:
+        raise FailedPrecondition("`render` needs an episode; none was begun.", hint="Call reset() first.")
+    return session.shown(latest)
+
+
+def _masked(mask: npt.ArrayLike, num_envs: int) -> tuple[int, ...]:
+    """Returns the indices where a reset mask is true."""
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
+        raise InvalidInput(
+            f"`reset_mask` must be bool ({num_envs},) with a true value; got {array.dtype} {array.shape}.",
+            field="reset_mask",
+            hint="Leave it out to reset all environments.",
+        )
+    return tuple(int(index) for index in np.flatnonzero(array))

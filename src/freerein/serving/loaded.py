@@ -1,0 +1,98 @@
+"""The models in memory that answer: the core of `ModelService`, and where a learned core gets its model from."""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from freerein.errors import FailedPrecondition
+from freerein.serving.models import DEFAULT_NAME, ModelStore
+from freerein.types.common import ModelRef, check_name
+from freerein.types.learning import (
+    ActivateModelRequest,
+    ActivateModelResponse,
+    ListModelsRequest,
+    ListModelsResponse,
+)
+
+M = TypeVar("M")
+
+_KEPT = 4
+
+
+class LoadedModels(Generic[M]):
+    """Models of one learned service, loaded on first use, the active ones before the service is ready.
+
+    Args:
+        store: Where they lie.
+        load: Returns the model of a folder, warmed up. Called off the event loop.
+        fit_command: What a user types to make a model, for the error when there is none.
+    """
+
+    def __init__(self, store: ModelStore, load: Callable[[Path], M], *, fit_command: str) -> None:
+        self._store = store
+        self._load = load
+        self._fit_command = fit_command
+        self._loaded: OrderedDict[ModelRef, M] = OrderedDict()
+        self._loading = asyncio.Lock()
+        self._warm = False
+
+    async def start(self) -> None:
+        """Loads the active version of every model.
+
+        Raises:
+            FailedPrecondition: Its files are missing or changed.
+        """
+        for name in self._store.names():
+            if version := self._store.active_version(name):
+                await self._get(ModelRef(name, version))
+        self._warm = True
+
+    def not_ready(self) -> str:
+        """Returns why models cannot answer yet, empty when they can. Having none is ready, too."""
+        return "" if self._warm else "Its models are being loaded."
+
+    async def resolve(self, ref: ModelRef) -> tuple[ModelRef, M]:
+        """Returns the model that a request names, and its whole reference.
+
+        Raises:
+            FailedPrecondition: No version of that name is active.
+            NotFound: There is no such model.
+        """
+        name = check_name(ref.name or DEFAULT_NAME, field="model.name")
+        version = ref.version or self._store.active_version(name)
+        if not version:
+            raise FailedPrecondition(
+                "A model must have been fitted and be active; there is none of that name.",
+                field="model",
+                hint=f"Fit one: {self._fit_command}",
+            )
+        whole = ModelRef(name, version)
+        return whole, await self._get(whole)
+
+    async def list_models(self, _request: ListModelsRequest) -> ListModelsResponse:
+        """Returns every version of every model."""
+        return ListModelsResponse(await asyncio.to_thread(self._store.models))
+
+    async def activate_model(self, request: ActivateModelRequest) -> ActivateModelResponse:
+        """Loads a version, then makes it the one that answers, between two batches.
+
+        Raises:
+            NotFound: There is no such model.
+            FailedPrecondition: Its files changed, or another version is active than expected.
+        """
+        ref = ModelRef(check_name(request.name or DEFAULT_NAME, field="name"), request.version)
+        await self._get(ref)
+        self._store.activate(ref, expected_current=request.expected_current)
+        return ActivateModelResponse(next(model for model in self._store.models() if model.ref == ref))
+
+    async def _get(self, ref: ModelRef) -> M:
+        if ref not in self._loaded:
+            async with self._loading:
+                if ref not in self._loaded:
+                    self._loaded[ref] = await asyncio.to_thread(lambda: self._load(self._store.folder(ref)))
+        self._loaded.move_to_end(ref)
+        while len(self._loaded) > _KEPT:
+            self._loaded.popitem(last=False)
+        return self._loaded[ref]

@@ -1,0 +1,27 @@
+"""The trajectories that both sides of the compatibility check know, drawn from one seed. Needs numpy only."""
+
+import numpy as np
+
+FPS = 20
+TASK = "tidy the desk"
+SIZES = {"front": (24, 32, 3), "wrist": (16, 16, 1)}
+ACTION_NAMES = ("x", "y", "grip")
+SKILLS = (("pick",), ("pick", "place"), ())
+LENGTHS = (5, 7, 4)
+CHOICES = 3
+
+
+def frames(index: int, camera: str) -> np.ndarray:
+    """Returns uint8 (T, H, W, C)."""
+    rng = np.random.default_rng([index, *camera.encode()])
+    return rng.integers(0, 256, (LENGTHS[index], *SIZES[camera]), dtype=np.uint8)
+
+
+def actions(index: int) -> np.ndarray:
+    """Returns float32 (T, 3) in [-1, 1]."""
+    return np.random.default_rng(index).uniform(-1, 1, (LENGTHS[index], len(ACTION_NAMES))).astype(np.float32)
+
+
+def choices(index: int) -> np.ndarray:
+    """Returns int64 (T, 1), discrete actions."""
+    return np.random.default_rng(index).integers(0, CHOICES, (LENGTHS[index], 1))

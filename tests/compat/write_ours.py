@@ -1,0 +1,30 @@
+"""Writes the scene with freerein. Usage: write_ours.py ROOT."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import scene
+
+from freerein.data import DatasetSpec, create
+from freerein.types.common import Trajectory
+from freerein.types.sim import ActionSpec
+
+root = Path(sys.argv[1])
+spec = DatasetSpec(
+    fps=scene.FPS,
+    cameras=scene.SIZES,
+    action=ActionSpec(size=len(scene.ACTION_NAMES), choices=0, names=scene.ACTION_NAMES),
+    robot_type="arm",
+    skills=("pick", "place"),
+    task=scene.TASK,
+)
+with create(root / "continuous", spec) as writer:
+    for index, skills in enumerate(scene.SKILLS):
+        frames = {camera: scene.frames(index, camera) for camera in scene.SIZES}
+        writer.append(Trajectory(frames=frames, actions=scene.actions(index), skills=skills))
+
+choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
+with create(root / "discrete", replace(spec, action=choice)) as writer:
+    frames = {camera: scene.frames(0, camera) for camera in scene.SIZES}
+    writer.append(Trajectory(frames=frames, actions=scene.choices(0)))

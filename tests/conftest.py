@@ -1,0 +1,105 @@
+"""Services as real processes on free ports, for every test that speaks to one over a socket."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+_START_S = 30.0
+
+
+@dataclass(frozen=True)
+class RunningService:
+    """A service process.
+
+    Attributes:
+        process: The process.
+        url: The REST door, such as `http://127.0.0.1:12345`.
+        address: The gRPC door, such as `127.0.0.1:12346`.
+        data_dir: Its data directory.
+        log: Where its log goes.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    url: str
+    address: str
+    data_dir: Path
+    log: Path
+
+    @property
+    def http_port(self) -> int:
+        return int(self.url.rpartition(":")[2])
+
+    def stop(self) -> int:
+        """Sends SIGTERM; returns the exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(15)
+
+
+StartService = Callable[..., RunningService]
+
+
+def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
+    """Starts `python -m module` and returns when its doors are open."""
+    log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
+    data_dir.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", module]
+    settings = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir), **environ}
+    with log.open("wb") as stderr:
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", **settings},
+        )
+    assert process.stdout is not None
+    readable, _, _ = select.select([process.stdout], [], [], _START_S)
+    line = process.stdout.readline() if readable else b""
+    if not line:
+        process.kill()
+        pytest.fail(f"{module} did not open its doors:\n{log.read_text()[-3000:]}")
+    ports = json.loads(line)
+    url, address = f"http://127.0.0.1:{ports['http_port']}", f"127.0.0.1:{ports['grpc_port']}"
+    return RunningService(process, url, address, data_dir, log)
+
+
+@pytest.fixture
+def start_service(tmp_path: Path) -> Iterator[StartService]:
+    """A function that starts a service process, ended with the test: `start_service("freerein_sim", FREEREIN_TOKEN="x")`."""
+    started: list[RunningService] = []
+
+    def start(module: str, data_dir: Path | None = None, **environ: str) -> RunningService:
+        started.append(start_process(module, data_dir or tmp_path / "data", **environ))
+        return started[-1]
+
+    yield start
+    _end_all(started)
+
+
+@pytest.fixture(scope="module")
+def start_module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartService]:
+    """As `start_service`, for services that a whole module shares."""
+    started: list[RunningService] = []
+
+    def start(module: str, data_dir: Path | None = None, **environ: str) -> RunningService:
+        started.append(start_process(module, data_dir or tmp_path_factory.mktemp("data"), **environ))
+        return started[-1]
+
+    yield start
+    _end_all(started)
+
+
+def _end_all(started: list[RunningService]) -> None:
+    for service in started:
+        if service.process.poll() is None:
+            service.process.kill()
+        service.process.wait(15)
+        if service.process.stdout is not None:
+            service.process.stdout.close()

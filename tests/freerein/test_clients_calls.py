@@ -1,0 +1,439 @@
+"""What every call of every client does, against a peer that speaks gRPC and nothing of ours."""
+
+import asyncio
+import inspect
+import re
+import subprocess
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+from google.protobuf.duration_pb2 import Duration
+from google.rpc import error_details_pb2, status_pb2
+from grpc import aio
+from grpc_status import rpc_status
+
+from freerein import errors, wire
+from freerein.api.learning.v1 import learning_pb2, learning_pb2_grpc
+from freerein.api.segmentation.v1 import segmentation_pb2, segmentation_pb2_grpc
+from freerein.api.sim.v1 import sim_pb2, sim_pb2_grpc
+from freerein.clients import Channel, FitClient, ModelClient, SegmentationClient, SimClient, retries
+from freerein.clients.channel import MAX_MESSAGE_BYTES
+from freerein.types import learning, segmentation, sim
+from freerein.types.common import ModelRef
+
+SESSION = "0" * 32
+SKILLS = segmentation.ListSkillsRequest()
+CLIENTS = (SegmentationClient, SimClient, FitClient, ModelClient)
+SERVICES = [
+    service
+    for module in (learning_pb2, segmentation_pb2, sim_pb2)
+    for service in module.DESCRIPTOR.services_by_name.values()
+]
+
+
+@dataclass
+class Peer:
+    """Refuses calls with the statuses of `refusals`, first to last; then answers. Remembers what it was sent."""
+
+    refusals: list[grpc.Status] = field(default_factory=list)
+    calls: list[str] = field(default_factory=list)
+    metadata: list[dict[str, str | bytes]] = field(default_factory=list)
+    time_remaining_s: list[float] = field(default_factory=list)
+    requests: list[object] = field(default_factory=list)
+
+    async def receive(self, request: object, context: aio.ServicerContext) -> None:
+        self.calls.append(type(request).__name__.removesuffix("Request"))
+        self.requests.append(request)
+        self.metadata.append(dict(context.invocation_metadata() or ()))
+        self.time_remaining_s.append(context.time_remaining())
+        if self.refusals:
+            await context.abort_with_status(self.refusals.pop(0))
+
+
+class Segmentation(segmentation_pb2_grpc.SegmentationServiceServicer):
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+
+    async def ListSkills(self, request, context):
+        await self.peer.receive(request, context)
+        return segmentation_pb2.ListSkillsResponse(skills=["move", "turn"], height=2)
+
+    async def Segment(self, request, context):
+        await self.peer.receive(request, context)
+        return segmentation_pb2.SegmentResponse(labels=[0] * (6 * 2**20), confidence=[1.0], skills=["move"])
+
+
+class Sim(sim_pb2_grpc.SimServiceServicer):
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+
+    async def CreateSession(self, request, context):
+        await self.peer.receive(request, context)
+        return sim_pb2.CreateSessionResponse(session=SESSION, task=sim_pb2.Task(name=request.task))
+
+    async def Reset(self, request, context):
+        await self.peer.receive(request, context)
+        return sim_pb2.ResetResponse()
+
+    async def Render(self, request, context):
+        await self.peer.receive(request, context)
+        await asyncio.Event().wait()
+
+    async def Snapshot(self, request, context):
+        await self.peer.receive(request, context)
+        return sim_pb2.SnapshotResponse(snapshot=bytes(MAX_MESSAGE_BYTES))
+
+    async def Connect(self, request_iterator, context):
+        async for request in request_iterator:
+            yield sim_pb2.ConnectResponse(step=_step_reply(request.step.step_id))
+
+    async def Demonstrate(self, request, context):
+        await self.peer.receive(request, context)
+        for index in range(request.count):
+            yield sim_pb2.DemonstrateResponse(index=index, trajectory=_trajectory())
+        if request.seed:
+            await context.abort(grpc.StatusCode.ABORTED, "the worker is gone")
+        await asyncio.Event().wait()
+
+
+class Fits(learning_pb2_grpc.FitServiceServicer):
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+
+    async def StartFit(self, request, context):
+        await self.peer.receive(request, context)
+        return learning_pb2.StartFitResponse(fit=_fit(request.config))
+
+    async def WatchFit(self, request, context):
+        await self.peer.receive(request, context)
+        for sequence in range(request.from_sequence, 3):
+            yield learning_pb2.WatchFitResponse(sequence=sequence, fit=_fit())
+
+
+class Models(learning_pb2_grpc.ModelServiceServicer):
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+
+    async def ActivateModel(self, request, context):
+        await self.peer.receive(request, context)
+        return learning_pb2.ActivateModelResponse(model=learning_pb2.Model(active=True))
+
+
+def _fit(config=None) -> learning_pb2.Fit:
+    return learning_pb2.Fit(id=SESSION, state=learning_pb2.Fit.STATE_QUEUED, config=config)
+
+
+def _step_reply(step_id: int):
+    no = np.zeros(1, np.bool_)
+    return wire.pack(sim.StepResponse(step_id, {}, np.zeros(1, np.float32), no, no, no, {}))
+
+
+def _trajectory():
+    frames = {"front": np.zeros((2, 4, 4, 3), np.uint8)}
+    return wire.pack(sim.Trajectory(frames, np.zeros((2, 3), np.float32), ("move",)))
+
+
+def refusal(reason: str, code: grpc.StatusCode, *, retry_after_s: float = 0.0) -> grpc.Status:
+    status = status_pb2.Status(code=code.value[0], message="Expected one thing; got another.")
+    metadata = {"field": "actions", "hint": "Send the one thing.", "request_id": "x"}
+    status.details.add().Pack(error_details_pb2.ErrorInfo(reason=reason, domain="freerein", metadata=metadata))
+    if retry_after_s:
+        delay = Duration()
+        delay.FromMilliseconds(int(retry_after_s * 1e3))
+        status.details.add().Pack(error_details_pb2.RetryInfo(retry_delay=delay))
+    return rpc_status.to_status(status)
+
+
+UNAVAILABLE = refusal("unavailable", grpc.StatusCode.UNAVAILABLE)
+
+
+@asynccontextmanager
+async def serving(peer: Peer, credentials: grpc.ServerCredentials | None = None) -> AsyncIterator[str]:
+    server = aio.server(options=[("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1)])
+    segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(Segmentation(peer), server)
+    sim_pb2_grpc.add_SimServiceServicer_to_server(Sim(peer), server)
+    learning_pb2_grpc.add_FitServiceServicer_to_server(Fits(peer), server)
+    learning_pb2_grpc.add_ModelServiceServicer_to_server(Models(peer), server)
+    secure = credentials is not None
+    port = server.add_secure_port("localhost:0", credentials) if secure else server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    try:
+        yield f"localhost:{port}" if secure else f"127.0.0.1:{port}"
+    finally:
+        await server.stop(None)
+
+
+@pytest.fixture
+async def peer() -> Peer:
+    return Peer()
+
+
+@pytest.fixture
+async def channel(peer: Peer) -> AsyncIterator[Channel]:
+    async with serving(peer) as address:
+        channel = Channel(address, token="secret")
+        yield channel
+        await channel.close()
+
+
+# --- what goes with a call
+
+
+async def test_a_call_carries_a_deadline_a_token_and_a_request_id_of_its_own(channel: Channel, peer: Peer) -> None:
+    client = SegmentationClient(channel)
+    assert (await client.list_skills(SKILLS)).skills == ("move", "turn")
+    await client.list_skills(SKILLS, timeout_s=5.0)
+    assert 25.0 < peer.time_remaining_s[0] <= 30.0
+    assert peer.time_remaining_s[1] <= 5.0
+    assert peer.metadata[0]["authorization"] == "Bearer secret"
+    ids = [str(metadata["x-request-id"]) for metadata in peer.metadata]
+    assert all(re.fullmatch("[0-9a-f]{32}", request_id) for request_id in ids)
+    assert ids[0] != ids[1]
+
+
+async def test_without_a_token_none_is_sent(peer: Peer) -> None:
+    async with serving(peer) as address, SegmentationClient(Channel(address)) as client:
+        await client.list_skills(SKILLS)
+    assert "authorization" not in peer.metadata[0]
+
+
+async def test_a_call_that_gets_no_answer_ends_at_its_deadline(channel: Channel) -> None:
+    with pytest.raises(errors.DeadlineExceeded, match=r"Render at 127\.0\.0\.1:\d+ failed"):
+        await SimClient(channel).render(sim.RenderRequest(SESSION), timeout_s=0.2)
+
+
+async def test_an_idempotency_key_is_made_where_the_caller_gave_none(channel: Channel, peer: Peer) -> None:
+    await SimClient(channel).create_session(sim.CreateSessionRequest("push"))
+    await SimClient(channel).create_session(sim.CreateSessionRequest("push", idempotency_key="mine"))
+    reply = await FitClient(channel).start_fit(learning.StartFitRequest("demos", config={"steps": 5}))
+    keys = [request.idempotency_key for request in peer.requests]
+    assert len(keys[0]) == len(keys[2]) == 32
+    assert keys[1] == "mine"
+    assert reply.fit.config == {"steps": 5}
+
+
+# --- errors
+
+
+@pytest.mark.parametrize("cls", [errors.OutputNotFinite, errors.WorkerLost, errors.Unauthenticated])
+async def test_an_error_of_a_service_is_raised_as_the_class_that_it_was(
+    channel: Channel, peer: Peer, cls: type[errors.ServiceError]
+) -> None:
+    peer.refusals = [refusal(cls.code, grpc.StatusCode[cls.grpc_status])]
+    with pytest.raises(errors.ServiceError) as caught:
+        await SegmentationClient(channel).list_skills(SKILLS)
+    assert type(caught.value) is cls
+    assert caught.value.detail == "Expected one thing; got another."
+    assert caught.value.field == "actions"
+    assert caught.value.hint == "Send the one thing."
+    assert caught.value.retry_after_s is None
+    assert str(peer.metadata[0]["x-request-id"]) in caught.value.__notes__[0]
+
+
+async def test_an_error_says_when_to_try_again(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [refusal("overloaded", grpc.StatusCode.RESOURCE_EXHAUSTED, retry_after_s=2.5)]
+    with pytest.raises(errors.Overloaded) as caught:
+        await SegmentationClient(channel).list_skills(SKILLS)
+    assert caught.value.retry_after_s == 2.5
+
+
+async def test_a_reason_of_a_later_version_is_internal(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [refusal("out_of_luck", grpc.StatusCode.ABORTED)]
+    with pytest.raises(errors.Internal, match="Expected one thing"):
+        await SegmentationClient(channel).list_skills(SKILLS)
+
+
+async def test_a_status_with_unreadable_details_counts_by_its_code(channel: Channel, peer: Peer) -> None:
+    status = rpc_status.to_status(status_pb2.Status(code=grpc.StatusCode.NOT_FOUND.value[0], message="gone"))
+    peer.refusals = [status._replace(trailing_metadata=(("grpc-status-details-bin", b"\xff\xff\xff"),))]
+    with pytest.raises(errors.NotFound, match="ListSkills at .* failed: gone"):
+        await SegmentationClient(channel).list_skills(SKILLS)
+
+
+async def test_nobody_listening_is_unavailable_and_the_address_is_named(unused_tcp_port: int) -> None:
+    async with SegmentationClient(Channel(f"127.0.0.1:{unused_tcp_port}")) as client:
+        with pytest.raises(errors.Unavailable, match=f"127.0.0.1:{unused_tcp_port}") as caught:
+            await client.list_skills(SKILLS, timeout_s=3.0)
+    assert caught.value.hint
+
+
+async def test_a_call_that_the_service_does_not_have_is_unimplemented(channel: Channel) -> None:
+    with pytest.raises(errors.Unimplemented):
+        await SimClient(channel).list_tasks(sim.ListTasksRequest())
+
+
+async def test_a_reply_that_cannot_be_read_is_not_blamed_on_the_request(channel: Channel) -> None:
+    with pytest.raises(errors.Internal, match="reply cannot be read"):
+        await FitClient(channel).get_fit(learning.GetFitRequest(SESSION))
+
+
+# --- retries
+
+
+async def test_an_idempotent_call_is_tried_again_within_one_deadline_and_request_id(
+    channel: Channel, peer: Peer
+) -> None:
+    peer.refusals = [UNAVAILABLE] * 2
+    await SegmentationClient(channel).list_skills(SKILLS)
+    assert peer.calls == ["ListSkills"] * 3
+    assert len({metadata["x-request-id"] for metadata in peer.metadata}) == 1
+    assert peer.time_remaining_s == sorted(peer.time_remaining_s, reverse=True)
+
+
+async def test_a_call_is_tried_four_times_and_no_more(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [UNAVAILABLE] * 9
+    with pytest.raises(errors.Unavailable):
+        await SegmentationClient(channel).list_skills(SKILLS)
+    assert len(peer.calls) == retries.MAX_ATTEMPTS == 4
+
+
+async def test_a_call_that_is_not_idempotent_is_tried_once(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [UNAVAILABLE] * 2
+    with pytest.raises(errors.Unavailable):
+        await SimClient(channel).reset(sim.ResetRequest(SESSION))
+    with pytest.raises(errors.Unavailable):
+        await ModelClient(channel).activate_model(learning.ActivateModelRequest("default", "a"))
+    assert peer.calls == ["Reset", "ActivateModel"]
+
+
+@pytest.mark.parametrize("code", ["overloaded", "internal", "worker_lost"])
+async def test_only_unavailable_is_tried_again(channel: Channel, peer: Peer, code: str) -> None:
+    peer.refusals = [refusal(code, grpc.StatusCode[errors.by_code(code).grpc_status])]
+    with pytest.raises(errors.ServiceError):
+        await SegmentationClient(channel).list_skills(SKILLS)
+    assert len(peer.calls) == 1
+
+
+async def test_a_large_request_is_tried_again_too(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [UNAVAILABLE]
+    frames = np.zeros((1, 1024, 1024, 3), np.uint8)
+    await SegmentationClient(channel).segment(segmentation.SegmentRequest(frames=frames))
+    assert peer.calls == ["Segment"] * 2
+
+
+def test_every_call_is_idempotent_or_known_not_to_be() -> None:
+    calls = {(service.full_name, method) for service in SERVICES for method in service.methods_by_name}
+    idempotent = {(service, method) for service, methods in retries.IDEMPOTENT.items() for method in methods}
+    assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "ActivateModel"}
+    assert idempotent < calls
+
+
+# --- limits
+
+
+async def test_messages_of_many_megabytes_pass(channel: Channel) -> None:
+    reply = await SegmentationClient(channel).segment(segmentation.SegmentRequest())
+    assert reply.labels.shape == (6 * 2**20,)
+
+
+async def test_a_request_over_the_limit_is_refused_before_it_is_sent(channel: Channel, peer: Peer) -> None:
+    frames = np.zeros((1, MAX_MESSAGE_BYTES, 1, 1), np.uint8)
+    with pytest.raises(errors.TooLarge, match="at most 67108864 bytes; got 671088"):
+        await SegmentationClient(channel).segment(segmentation.SegmentRequest(frames=frames))
+    assert peer.calls == []
+
+
+async def test_a_reply_over_the_limit_is_too_large_and_not_overload(channel: Channel) -> None:
+    with pytest.raises(errors.TooLarge, match="Snapshot at"):
+        await SimClient(channel).snapshot(sim.SnapshotRequest(SESSION))
+
+
+# --- streams
+
+
+async def test_a_stream_is_an_iterator_without_a_deadline(channel: Channel, peer: Peer) -> None:
+    events = [event async for event in FitClient(channel).watch_fit(learning.WatchFitRequest(SESSION, 1))]
+    assert [event.sequence for event in events] == [1, 2]
+    assert events[0].fit.state == "queued"
+    assert peer.time_remaining_s[0] is None or peer.time_remaining_s[0] > 1e6
+
+
+async def test_a_stream_begins_again_only_before_its_first_message(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [UNAVAILABLE]
+    events = [event async for event in FitClient(channel).watch_fit(learning.WatchFitRequest(SESSION))]
+    assert [event.sequence for event in events] == [0, 1, 2]
+    assert peer.calls == ["WatchFit"] * 2
+
+
+async def test_a_stream_that_breaks_gives_what_came_and_then_raises(channel: Channel) -> None:
+    demonstrations = SimClient(channel).demonstrate(sim.DemonstrateRequest("push", "expert", count=2, seed=1))
+    assert [(await anext(demonstrations)).index for _ in range(2)] == [0, 1]
+    with pytest.raises(errors.ServiceError, match="Demonstrate at .* the worker is gone"):
+        await anext(demonstrations)
+
+
+async def test_a_stream_ends_at_the_deadline_of_its_caller(channel: Channel) -> None:
+    demonstrations = SimClient(channel).demonstrate(sim.DemonstrateRequest("push", "random"), timeout_s=0.3)
+    assert (await anext(demonstrations)).trajectory.skills == ("move",)
+    with pytest.raises(errors.DeadlineExceeded):
+        await anext(demonstrations)
+
+
+async def test_a_stepping_stream_answers_message_by_message(channel: Channel) -> None:
+    answered = asyncio.Event()
+
+    async def requests() -> AsyncIterator[sim.ConnectRequest]:
+        yield sim.ConnectRequest(step=sim.StepRequest(SESSION, 1, np.zeros((1, 2), np.float32)))
+        await answered.wait()
+        yield sim.ConnectRequest(step=sim.StepRequest(SESSION, 2, np.zeros((1, 2), np.float32)))
+
+    step_ids = []
+    async for reply in SimClient(channel).connect(requests()):
+        assert reply.step is not None
+        step_ids.append(reply.step.step_id)
+        answered.set()
+    assert step_ids == [1, 2]
+
+
+# --- the connection
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[bytes, bytes]]:
+    folder: Path = tmp_path_factory.mktemp("tls")
+    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
+    files = ["-addext", "subjectAltName=DNS:localhost", "-keyout", "key.pem", "-out", "cert.pem"]
+    subprocess.run([*command.split(), *files], cwd=folder, check=True, capture_output=True)
+    yield (folder / "key.pem").read_bytes(), (folder / "cert.pem").read_bytes()
+
+
+async def test_with_root_certificates_the_call_is_over_tls(peer: Peer, certificate: tuple[bytes, bytes]) -> None:
+    key, chain = certificate
+    async with serving(peer, grpc.ssl_server_credentials([(key, chain)])) as address:
+        async with SegmentationClient(Channel(address, root_certificates=chain)) as client:
+            assert (await client.list_skills(SKILLS)).height == 2
+        async with SegmentationClient(Channel(address)) as client:
+            with pytest.raises(errors.Unavailable):
+                await client.list_skills(SKILLS)
+
+
+async def test_a_service_that_comes_back_is_found_again(peer: Peer, unused_tcp_port: int) -> None:
+    address = f"127.0.0.1:{unused_tcp_port}"
+    async with SegmentationClient(Channel(address)) as client:
+        with pytest.raises(errors.Unavailable):
+            await client.list_skills(SKILLS)
+        server = aio.server()
+        segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(Segmentation(peer), server)
+        server.add_insecure_port(address)
+        await server.start()
+        assert (await client.list_skills(SKILLS)).height == 2
+        await server.stop(None)
+
+
+async def test_clients_of_one_address_share_a_channel(channel: Channel, peer: Peer) -> None:
+    await SegmentationClient(channel).list_skills(segmentation.ListSkillsRequest(ModelRef("default")))
+    await FitClient(channel).start_fit(learning.StartFitRequest("demos"))
+    assert peer.calls == ["ListSkills", "StartFit"]
+
+
+def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
+    services = {service.name.removesuffix("Service"): service for service in SERVICES}
+    for client in CLIENTS:
+        calls = services[client.__name__.removesuffix("Client")].methods_by_name
+        methods = {name for name in vars(client) if inspect.isfunction(vars(client)[name])}
+        assert methods == {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", call).lower() for call in calls}

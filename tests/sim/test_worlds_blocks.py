@@ -1,0 +1,230 @@
+import re
+import subprocess
+import sys
+from contextlib import closing
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein_sim.worlds.blocks import COLOURS, TASKS, scene
+from freerein_sim.worlds.blocks.relations import Goal, Relation, holds
+from freerein_sim.worlds.blocks.simulation import Blocks
+from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
+from freerein_sim.worlds.wander import Wander
+from freerein_sim.worlds.world import World
+
+BY_NAME = {task.name: task for task in TASKS}
+NOTHING = np.zeros(3, np.float32)
+VELOCITIES = 8 + 8 * (1 + 4 + 7 * len(COLOURS))
+"""Byte of a snapshot at which velocities begin: after the header, the time, four joints and the blocks' poses."""
+
+
+def begin(name: str, seed: int = 0) -> World:
+    world = BY_NAME[name].make()
+    world.reset(np.random.default_rng(seed))
+    return world
+
+
+def show(world: World, seed: int, skills: tuple[str, ...]) -> Demonstration:
+    rng = np.random.default_rng(seed)
+    world.reset(rng, recipe=skills)
+    steps = world.spec.max_episode_steps
+    return demonstrate(world, world.expert(skills, rng), skills=skills, cameras=(), height=1, width=1, max_steps=steps)
+
+
+def tamper(world: World, offset: int, value: float) -> bytes:
+    snapshot = bytearray(world.snapshot())
+    snapshot[offset : offset + 8] = np.array([value], "<f8").tobytes()
+    return bytes(snapshot)
+
+
+def test_there_is_a_goal_task_for_each_relation_of_each_ordered_pair_of_colours() -> None:
+    expected = {
+        f"blocks.{first}-{relation}-{second}"
+        for first, second in permutations(COLOURS, 2)
+        for relation in ("left-of", "right-of", "on-top-of")
+    }
+
+    assert set(BY_NAME) == {"blocks"} | expected
+    assert BY_NAME["blocks.red-left-of-green"].goal_text == "a red block to the left of a green block"
+    assert BY_NAME["blocks.blue-on-top-of-red"].goal_text == "a blue block on top of a red block"
+    assert BY_NAME["blocks"].goal_text == ""
+
+
+def test_listing_tasks_needs_no_simulator() -> None:
+    listing = "import sys, freerein_sim.worlds.blocks as b; b.TASKS[1].describe(); sys.exit('mujoco' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", listing], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("relation", "offset", "expected"),
+    [
+        (Relation.LEFT_OF, (0, -0.07, 0), True),
+        (Relation.LEFT_OF, (0, 0.07, 0), False),
+        (Relation.LEFT_OF, (0, -0.10, 0), False),
+        (Relation.LEFT_OF, (0.03, -0.07, 0), False),
+        (Relation.LEFT_OF, (0, -0.07, 0.03), False),
+        (Relation.RIGHT_OF, (0, 0.07, 0), True),
+        (Relation.RIGHT_OF, (0, -0.07, 0), False),
+        (Relation.ON_TOP_OF, (0, 0.01, 0.05), True),
+        (Relation.ON_TOP_OF, (0, 0.03, 0.05), False),
+        (Relation.ON_TOP_OF, (0, 0.01, 0.07), False),
+        (Relation.ON_TOP_OF, (0, 0.01, -0.05), False),
+    ],
+)
+def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
+    relation: Relation, offset: tuple[float, float, float], expected: bool
+) -> None:
+    other = np.array([0.0, 0.02, 0.025])
+
+    assert holds(relation, other + offset, other) is expected
+
+
+def test_the_expert_moves_every_named_block_and_no_other() -> None:
+    rng = np.random.default_rng(0)
+    with closing(begin("blocks")) as world:
+        assert isinstance(world, Blocks)
+        for seed in range(40):
+            skills = tuple(rng.permutation(world.spec.skills)[: rng.integers(2, 5)].tolist())
+            world.reset(np.random.default_rng(seed))
+            before = {colour: world.position(colour) for colour in COLOURS}
+            shown = show(world, seed, skills)
+            moved = {
+                f"move-{colour}" for colour in COLOURS if abs(world.position(colour) - before[colour]).max() > 0.03
+            }
+
+            assert shown.success, f"seed {seed}"
+            assert moved == set(skills), f"seed {seed}"
+
+
+@pytest.mark.parametrize("relation", ["left-of", "right-of", "on-top-of"])
+def test_the_expert_reaches_goals_that_the_oracle_then_sees(relation: str) -> None:
+    with closing(begin(f"blocks.green-{relation}-yellow")) as world:
+        for seed in range(10):
+            assert show(world, seed, ("move-green",)).success
+            assert world.truth().success
+            assert world.truth().reward == 1.0
+
+
+def test_the_recipe_changes_nothing_that_can_be_seen() -> None:
+    with closing(begin("blocks")) as world:
+        seen = []
+        for recipe in ((), ("move-red",), ("move-blue", "move-green")):
+            world.reset(np.random.default_rng(5), recipe=recipe)
+            seen.append(world.render("front", height=64, width=64).tobytes())
+
+    assert len(set(seen)) == 1
+
+
+def test_every_block_can_be_seen_from_the_front_at_64_pixels() -> None:
+    with closing(begin("blocks")) as world:
+        image = world.render("front", height=64, width=64).astype(int)
+    red, green, blue = np.moveaxis(image, -1, 0)
+
+    assert ((red > 120) & (green < 60) & (blue < 60)).sum() >= 30
+    assert ((green > 100) & (red < 80) & (blue < 80)).sum() >= 30
+    assert ((red > 150) & (green > 120) & (blue < 80)).sum() >= 30
+    assert ((blue > 120) & (red < 80) & (green < 110)).sum() >= 30
+
+
+def test_the_gripper_stays_within_its_bounds() -> None:
+    with closing(begin("blocks")) as world:
+        for action in ((1, 1, 1), (-1, -1, -1)):
+            for _ in range(20):
+                world.step(np.array(action, np.float32))
+            y, z = world.truth().state[:2]
+
+            assert -0.23 < y < 0.23
+            assert 0.03 < z < 0.27
+
+
+def test_a_free_gripper_moves_by_the_scale_of_its_action() -> None:
+    with closing(begin("blocks.red-left-of-green")) as world:
+        before = world.truth().state[:2]
+        world.step(np.array([0.4, 0.4, 0], np.float32))
+        for _ in range(6):
+            world.step(NOTHING)
+
+        assert world.truth().state[:2] - before == pytest.approx([0.02, 0.02], abs=0.002)
+
+
+def test_a_blocked_gripper_does_not_wind_up() -> None:
+    with closing(begin("blocks")) as world:
+        assert isinstance(world, Blocks)
+        for _ in range(40):
+            world.step(np.array([0, -1, -1], np.float32))
+        low = world.gripper[1]
+        for _ in range(4):
+            world.step(np.array([0, 1, 0], np.float32))
+
+        assert world.gripper[1] > low + 0.1
+
+
+def test_an_episode_ends_when_a_block_leaves_the_table() -> None:
+    with closing(begin("blocks")) as world:
+        fallen = [world.restore(tamper(world, 8 + 8 * (1 + 4 + 1), 0.5))]  # the red block's y, beyond the table
+        outcomes = [world.step(NOTHING) for _ in range(8)]
+
+    assert fallen == [None]
+    assert outcomes[-1].terminated
+    assert not outcomes[-1].diverged
+
+
+def test_divergence_is_reported_and_never_reset_away() -> None:
+    with closing(begin("blocks")) as world:
+        world.restore(tamper(world, VELOCITIES, 1e12))
+        outcome = world.step(NOTHING)
+        gone = abs(world.truth().state[0]) > 1
+        world.reset(np.random.default_rng(0))
+
+        assert outcome.terminated
+        assert outcome.diverged
+        assert gone
+        assert not world.step(NOTHING).diverged
+
+
+def test_a_snapshot_that_is_not_finite_is_refused() -> None:
+    with closing(begin("blocks")) as world, pytest.raises(InvalidInput, match="finite"):
+        world.restore(tamper(world, VELOCITIES, np.nan))
+
+
+def test_any_cut_of_a_demonstration_continues_to_the_same_bits() -> None:
+    wander = Wander(BY_NAME["blocks"].spec.action, np.random.default_rng(1))
+    actions = [wander.decide().action for _ in range(60)]
+    with closing(begin("blocks")) as world, closing(begin("blocks", seed=9)) as other:
+        cuts = []
+        for action in actions:
+            cuts.append(world.snapshot())
+            world.step(action)
+        for t in np.random.default_rng(2).integers(60, size=20):
+            other.restore(cuts[t])
+            for action in actions[t:]:
+                other.step(action)
+
+            assert other.snapshot() == world.snapshot()
+
+
+def test_worlds_of_different_blocks_refuse_each_others_snapshots() -> None:
+    with closing(begin("blocks")) as four, closing(begin("blocks.red-left-of-green")) as two:
+        assert four.fingerprint != two.fingerprint
+        with pytest.raises(InvalidInput, match="snapshot of this world"):
+            two.restore(four.snapshot())
+
+
+def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
+
+    with pytest.raises(FailedPrecondition) as caught:
+        scene.build.__wrapped__(COLOURS)
+
+    assert caught.value.hint == "pip install --no-deps -r assets.txt"
+
+
+def test_a_goal_reads_as_a_name_and_as_words() -> None:
+    goal = Goal("red", Relation.RIGHT_OF, "blue")
+
+    assert re.fullmatch(r"[a-z0-9][a-z0-9._-]*", goal.name)
+    assert goal.text == "a red block to the right of a blue block"

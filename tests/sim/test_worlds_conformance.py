@@ -1,0 +1,29 @@
+from collections.abc import Callable
+
+import pytest
+
+from freerein_sim.worlds import blocks, conformance, grid
+from freerein_sim.worlds.world import Task
+
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
+CHECKED = (
+    "grid",
+    "grid-no-indicator",
+    "blocks",
+    "blocks.red-left-of-green",
+    "blocks.yellow-right-of-blue",
+    "blocks.blue-on-top-of-red",
+)
+
+
+@pytest.mark.parametrize("task", [TASKS[name] for name in CHECKED], ids=CHECKED)
+@pytest.mark.parametrize("check", conformance.CHECKS, ids=[check.__name__ for check in conformance.CHECKS])
+def test_our_worlds_conform(check: Callable[[Task], None], task: Task) -> None:
+    check(task)
+
+
+def test_a_check_names_what_a_world_does_wrong() -> None:
+    mislabelled = Task("wrong", "blocks", "", grid.SPEC, TASKS["blocks"].make)
+
+    with pytest.raises(AssertionError, match=r"The world's spec is the task's\."):
+        conformance.describes_itself(mislabelled)
