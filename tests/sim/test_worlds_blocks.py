@@ -19,6 +19,8 @@ BY_NAME = {task.name: task for task in TASKS}
 NOTHING = np.zeros(3, np.float32)
 VELOCITIES = 8 + 8 * (1 + 4 + 7 * len(COLOURS))
 """Byte of a snapshot at which velocities begin: after the header, the time, four joints and the blocks' poses."""
+RED_Y = 8 + 8 * (1 + 4 + 1)
+"""Byte at which the red block's y lies."""
 
 
 def begin(name: str, seed: int = 0) -> World:
@@ -165,14 +167,14 @@ def test_a_blocked_gripper_does_not_wind_up() -> None:
 
 def test_an_episode_ends_when_a_block_leaves_the_table() -> None:
     with closing(begin("blocks")) as world:
-        fallen = [world.restore(tamper(world, 8 + 8 * (1 + 4 + 1), 0.5))]  # the red block's y, beyond the table
+        world.restore(tamper(world, RED_Y, 0.5))
         outcomes = [world.step(NOTHING) for _ in range(8)]
 
-    assert fallen == [None]
     assert outcomes[-1].terminated
     assert not outcomes[-1].diverged
 
 
+@pytest.mark.fault("M5")
 def test_divergence_is_reported_and_never_reset_away() -> None:
     with closing(begin("blocks")) as world:
         world.restore(tamper(world, VELOCITIES, 1e12))
@@ -191,6 +193,7 @@ def test_a_snapshot_that_is_not_finite_is_refused() -> None:
         world.restore(tamper(world, VELOCITIES, np.nan))
 
 
+@pytest.mark.fault("M10")
 def test_any_cut_of_a_demonstration_continues_to_the_same_bits() -> None:
     wander = Wander(BY_NAME["blocks"].spec.action, np.random.default_rng(1))
     actions = [wander.decide().action for _ in range(60)]

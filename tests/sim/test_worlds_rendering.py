@@ -48,6 +48,7 @@ def test_both_backends_draw(backend: str) -> None:
     assert run(MUJOCO_GL=backend) == "True"
 
 
+@pytest.mark.fault("M12")
 def test_a_machine_that_cannot_draw_says_what_to_install() -> None:
     assert run(PYOPENGL_PLATFORM="glx") == (
         "apt-get install libegl1 libgl1 for MUJOCO_GL=egl, or libosmesa6 for MUJOCO_GL=osmesa."
@@ -59,7 +60,7 @@ def test_worlds_that_share_a_context_see_each_their_own_scene() -> None:
         alone = [look(first), look(second)]
         mixed = [look(world, size) for size in (64, 128, 64) for world in (first, second)]
 
-    assert not np.array_equal(*alone)
+    assert not np.array_equal(alone[0], alone[1])
     assert np.array_equal(alone[0], mixed[0])
     assert np.array_equal(alone[0], mixed[4])
     assert np.array_equal(alone[1], mixed[5])

@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import secrets
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -23,20 +23,18 @@ from freerein.errors import (
     WorkerLost,
 )
 from freerein.types import sim
+from freerein_sim.workers.bounds import check_frames
 from freerein_sim.workers.connection import worker_lost
 from freerein_sim.workers.pool import Pool
 from freerein_sim.workers.worker import Worker
 
 MAX_ENVS = 64
-MAX_SIZE_PX = 256
 MAX_COUNT = 100_000
-MAX_FRAME_BYTES = 63 * 2**20
-"""Of one reply; a message has at most 64 MiB, so there are at most 64 Mpx in one."""
-
 DEFAULT_LEASE_S = 60.0
 MAX_LEASE_S = 3600.0
 
 _REAP_EVERY_S = 1.0
+_SEED_BITS = 53  # survive JSON in any language
 
 R = TypeVar("R")
 
@@ -46,17 +44,19 @@ class _Session:
     """A session: on which worker, until when, and how far it is."""
 
     id: str
-    key: str
-    worker: Worker
+    made_by: sim.CreateSessionRequest  # with its defaults filled in
     task: sim.Task
-    num_envs: int
-    height: int
-    width: int
-    lease_s: float
+    worker: Worker
     expires_at: float
     step_id: int = 0
     answered: tuple[sim.StepRequest, sim.StepResponse] | None = None
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    def check_frames(self, cameras: Sequence[str], *, height: int = 0, width: int = 0, times: int = 1) -> None:
+        """Checks the size of a reply that shows every environment so many times."""
+        made_by = self.made_by
+        height, width = height or made_by.height, width or made_by.width
+        check_frames(self.task, cameras, height=height, width=width, images=times * made_by.num_envs)
 
 
 class Sessions:
@@ -126,6 +126,7 @@ class Sessions:
             Overloaded: As many sessions are open as may be.
             Unavailable: The service is about to stop.
         """
+        self._check_serving()
         earlier, making = self._created.get(request.idempotency_key, (request, None))
         if earlier != request:
             raise AlreadyExists(
@@ -145,7 +146,7 @@ class Sessions:
         """Begins new episodes, as `Envs.reset`. The count of steps goes on."""
 
         async def work(session: _Session) -> sim.ResetResponse:
-            _check_size(session.task, request.cameras, session.height, session.width, images=session.num_envs)
+            session.check_frames(request.cameras)
             return await session.worker.call(request, sim.ResetResponse)
 
         return await self._exclusively(request.session, work)
@@ -159,15 +160,14 @@ class Sessions:
 
         async def work(session: _Session) -> sim.StepResponse:
             if session.answered is not None and request.step_id == session.step_id:
-                return _answered_before(request, *session.answered)
+                return _recorded(request, *session.answered)
             if request.step_id != session.step_id + 1:
                 raise FailedPrecondition(
                     f"`step_id` must be {session.step_id + 1}, one more than the last; got {request.step_id}.",
                     field="step_id",
                     hint="Count every step from 1; resets do not begin again, Restore says where to go on.",
                 )
-            images = 2 * session.num_envs  # all episodes may end, and each has a final frame then
-            _check_size(session.task, request.cameras, session.height, session.width, images=images)
+            session.check_frames(request.cameras, times=2)  # all episodes may end, and have final frames
             response = await session.worker.call(request, sim.StepResponse)
             session.step_id, session.answered = request.step_id, (request, response)
             return response
@@ -179,8 +179,7 @@ class Sessions:
 
         async def work(session: _Session) -> sim.RenderResponse:
             cameras = request.cameras or tuple(camera.name for camera in session.task.cameras)
-            height, width = request.height or session.height, request.width or session.width
-            _check_size(session.task, cameras, height, width, images=session.num_envs)
+            session.check_frames(cameras, height=request.height, width=request.width)
             return await session.worker.call(request, sim.RenderResponse)
 
         return await self._exclusively(request.session, work)
@@ -217,7 +216,7 @@ class Sessions:
                 field="count",
             )
         cameras = request.cameras or (task.cameras[0].name,)
-        _check_size(task, cameras, request.height, request.width, images=task.max_episode_steps)
+        check_frames(task, cameras, height=request.height, width=request.width, images=task.max_episode_steps)
         for index in range(request.first, request.count):
             self._check_serving()
             yield await self._pool.demonstrate(replace(request, first=index))
@@ -239,16 +238,145 @@ class Sessions:
             self._forget(session)
             self._run(_close_quietly(session))
 
-    # The ends of a session
-
     async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        try:
+            self._check_quota()
+            self._creating += 1
+            try:
+                return await self._place(request)
+            finally:
+                self._creating -= 1
+        except BaseException:
+            self._created.pop(request.idempotency_key, None)
+            raise
+
+    async def _place(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        worker = await self._pool.place(request.num_envs)
+        try:
+            response = await worker.call(request, sim.CreateSessionResponse)
+        except BaseException:
+            worker.load -= request.num_envs
+            raise
+        expires_at = self._clock() + request.lease_s
+        self._sessions[response.session] = _Session(response.session, request, response.task, worker, expires_at)
+        return response
+
+    async def _exclusively(self, session_id: str, work: Callable[[_Session], Coroutine[Any, Any, R]]) -> R:
+        """Does work on a session when no other is done on it. Once begun it is finished, whoever still waits.
+
+        Raises:
+            NotFound: There is no such session, or it ended while the call waited for its turn.
+            WorkerLost: Its worker is dead.
+        """
+        session = self._find(session_id)
+        self._renew(session_id)
+        await session.lock.acquire()
+        return await asyncio.shield(self._run(self._work(session, work)))
+
+    async def _work(self, session: _Session, work: Callable[[_Session], Coroutine[Any, Any, R]]) -> R:
+        try:
+            if session.id not in self._sessions:
+                raise worker_lost() if session.worker.is_lost else _no_such_session()
+            return await work(session)
+        except (WorkerLost, Internal):
+            self._forget(session)
+            raise
+        finally:
+            self._renew(session.id)
+            session.lock.release()
+
+    def _run(self, work: Coroutine[Any, Any, R]) -> "asyncio.Task[R]":
+        """Starts work that draining waits for."""
+        task = asyncio.create_task(work)
+        self._in_flight.add(task)
+        task.add_done_callback(self._in_flight.discard)
+        return task
+
+    def _forget(self, session: _Session) -> None:
+        """Frees a session's place; twice is fine."""
+        if self._sessions.pop(session.id, None) is not None:
+            self._created.pop(session.made_by.idempotency_key, None)
+            session.worker.load -= session.made_by.num_envs
+
+    def _find(self, session_id: str) -> _Session:
+        session = self._sessions.get(session_id)
+        if session is None or self._has_expired(session):
+            raise _no_such_session()
+        return session
+
+    def _renew(self, session_id: str) -> None:
+        if (session := self._sessions.get(session_id)) is not None:
+            session.expires_at = self._clock() + session.made_by.lease_s
+
+    def _has_expired(self, session: _Session) -> bool:
+        return self._clock() >= session.expires_at and not session.lock.locked()
+
+    async def _reap_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(_REAP_EVERY_S)
+            self.reap()
+
+    def _resolved(self, request: sim.CreateSessionRequest) -> sim.CreateSessionRequest:
+        """Returns the request with its defaults filled in.
+
+        Raises:
+            NotFound: There is no such task.
+            InvalidInput: A number is out of its bounds.
+        """
+        task = self._task(request.task)
+        check_frames(task, (), height=request.height, width=request.width, images=0)
+        num_envs, lease_s = request.num_envs or 1, request.lease_s or DEFAULT_LEASE_S
+        if not 1 <= num_envs <= MAX_ENVS:
+            raise InvalidInput(f"`num_envs` must be 1 to {MAX_ENVS}; got {num_envs}.", field="num_envs")
+        if not 0 < lease_s <= MAX_LEASE_S:
+            raise InvalidInput(
+                f"`lease_s` must be above 0 and at most {MAX_LEASE_S:.0f} seconds; got another.", field="lease_s"
+            )
+        seed = secrets.randbits(_SEED_BITS) if request.seed is None else request.seed
+        return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed)
+
+    def _task(self, name: str) -> sim.Task:
+        if (task := self._pool.tasks.get(name)) is None:
+            raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
+        return task
+
+    def _check_quota(self) -> None:
         if len(self._sessions) + self._creating >= self._max_sessions:
             raise Overloaded(
-                f"At most {self._max_sessions} sessions may be open at once; all are.",
+                f"At most {self._max_sessions} sessions may be open at once, and so many are.",
                 hint="Close one, or wait until a lease has ended.",
             )
-        self._creating += 1
-        try:
-            return await self._place(request)
-        finally:
-            self._creating -= 1
+
+    def _check_serving(self) -> None:
+        if self._draining:
+            raise Unavailable("The service is about to stop.", hint="Ask another replica, or try again later.")
+
+
+def _recorded(request: sim.StepRequest, last: sim.StepRequest, response: sim.StepResponse) -> sim.StepResponse:
+    """Returns the response to the last step, when this is the last step again."""
+    is_same = (
+        request.cameras == last.cameras
+        and request.actions.dtype == last.actions.dtype
+        and request.actions.shape == last.actions.shape
+        and request.actions.tobytes() == last.actions.tobytes()
+    )
+    if not is_same:
+        raise FailedPrecondition(
+            f"Step {request.step_id} was made already; got it again with other actions or cameras.",
+            field="step_id",
+            hint="Repeat a step only as it was. The next step's `step_id` is one more.",
+        )
+    return response
+
+
+async def _close_quietly(session: _Session) -> None:
+    with contextlib.suppress(WorkerLost):
+        await session.worker.call(sim.CloseSessionRequest(session.id), sim.CloseSessionResponse)
+
+
+def _no_such_session() -> NotFound:
+    return NotFound(
+        "There is no such session: it was never made, was closed, or its lease has ended.",
+        field="session",
+        hint="Create one. Any call renews its lease.",
+    )

@@ -5,6 +5,7 @@ open which rows still describe their file; the hash identifies the contents.
 """
 
 import hashlib
+import io
 from collections.abc import Iterable
 
 import numpy as np
@@ -47,7 +48,7 @@ def describe(data: bytes, *, index: int, first_frame: int) -> Row:
     Raises:
         InvalidInput: The file is corrupt, or freerein did not write it.
     """
-    footer = read_footer(data)
+    footer = read_footer(io.BytesIO(data), index=index)
     if footer is None:
         raise InvalidInput(
             f"Trajectory {index} must have been written by freerein like the others of its dataset; it was not.",
@@ -76,7 +77,7 @@ def describe(data: bytes, *, index: int, first_frame: int) -> Row:
 
 def extended(table: pa.Table, rows: Iterable[Row]) -> pa.Table:
     """Returns a table with rows added at its end."""
-    return pa.concat_tables([table, pa.Table.from_pylist(list(rows), schema=table.schema)])
+    return pa.concat_tables([table, pa.Table.from_pylist(list(rows), schema=table.schema)]).combine_chunks()
 
 
 def frame_count(table: pa.Table) -> int:

@@ -22,13 +22,20 @@ def read_spec(root: Path) -> DatasetSpec | None:
     """Returns a dataset's spec, from the first data file if `meta/` is lost; None when freerein did not write it.
 
     Raises:
-        InvalidInput: The spec or the first data file is corrupt.
+        InvalidInput: The spec is corrupt, or `meta/` is lost and the first data file is corrupt.
     """
-    stored = root / layout.SPEC_FILE
+    stored, first = root / layout.SPEC_FILE, layout.trajectory_path(root / "data", 0)
     if stored.is_file():
         return loads(stored.read_text())
-    first = layout.trajectory_path(root / "data", 0)
-    footer = read_footer(first.read_bytes()) if first.is_file() else None
+    if not first.is_file():
+        return None
+    try:
+        with first.open("rb") as file:
+            footer = read_footer(file, index=0)
+    except InvalidInput:
+        if (root / layout.INFO_FILE).is_file():
+            return None  # another tool's: its own `meta/` is all there is
+        raise
     return footer.spec if footer else None
 
 
@@ -71,8 +78,8 @@ def load_mended(root: Path, spec: DatasetSpec) -> pa.Table:
     table, is_fresh = load(root, spec)
     if not is_fresh:
         with contextlib.suppress(FailedPrecondition, OSError), WriterLock(root):
-            table, _ = load(root, spec)
-            save(root, spec, table)
+            if len(layout.numbered_files(root / "data")) == len(table):  # no writer came and went meanwhile
+                save(root, spec, table)
     return table
 
 
@@ -95,7 +102,7 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
         table = pq.read_table(io.BytesIO((root / layout.EPISODES_FILE).read_bytes()))
     except (pa.ArrowException, OSError):
         return schema.empty_table()
-    return table if table.schema.equals(schema) else schema.empty_table()
+    return table.cast(schema) if table.schema.equals(schema) else schema.empty_table()
 
 
 def read_counts(root: Path) -> tuple[int, int] | None:

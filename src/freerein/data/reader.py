@@ -67,16 +67,16 @@ class Dataset:
         frames = {camera: self._frames(rows, camera) for camera in self._keys}
         return Trajectory(frames=frames, actions=decode_actions(rows, self.spec), skills=self.skills[index])
 
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[index] for index in range(len(self)))
+
     def actions(self, index: int) -> Actions:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
         return decode_actions(self._rows(range(len(self))[index], ["action"]), self.spec)
 
-    def __iter__(self) -> Iterator[Trajectory]:
-        return (self[index] for index in range(len(self)))
-
     @cached_property
     def fingerprint(self) -> str:
-        """The sha256, in hexadecimal, over the sha256 of every data file: the same contents, the same fingerprint.
+        """The sha256, in hexadecimal, over the sha256 of every data file: a copy has the same, a change another.
 
         The writer has recorded the hashes, so that this reads no data file; `verify` holds them against the files. Of a
         dataset of another tool every data file is read once.

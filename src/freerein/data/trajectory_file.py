@@ -7,7 +7,7 @@ also stands in the file's footer, under the key `freerein`.
 import io
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -73,14 +73,14 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     return sink.getvalue()
 
 
-def read_footer(data: bytes) -> Footer | None:
-    """Returns what a data file says of itself, None when freerein did not write it.
+def read_footer(file: BinaryIO, *, index: int) -> Footer | None:
+    """Returns what the data file of trajectory `index` says of itself, None when freerein did not write it.
 
     Raises:
         InvalidInput: The file is truncated or corrupt.
     """
-    with refusing_corruption("A data file"):
-        metadata = pq.read_metadata(io.BytesIO(data))
+    with refusing_corruption(f"Trajectory {index}"):
+        metadata = pq.read_metadata(file)
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
         if text is None:
             return None

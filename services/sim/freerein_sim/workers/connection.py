@@ -35,7 +35,8 @@ class Connection(asyncio.BufferedProtocol):
         frame = framing.encode(request, call=framing.call_of(request), number=number)
         if self.lost.is_set():
             raise worker_lost()
-        answer = self._calls[number] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
+        self._calls[number] = answer
         self._transport.writelines(frame)
         try:
             return await answer

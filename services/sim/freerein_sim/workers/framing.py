@@ -7,7 +7,7 @@ Little-endian. A reply bears the call and number of its request; a refusal the c
 
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from freerein import wire
 from freerein.errors import ServiceError, TooLarge, by_code
@@ -82,7 +82,7 @@ def decode_header(data: bytes | bytearray) -> Header:
 def decode(data: bytes | bytearray, cls: type[wire.T]) -> wire.T:
     """Returns the dataclass that bytes describe."""
     message = wire.message_type(cls)()
-    message.MergeFromString(data)
+    message.MergeFromString(cast(bytes, data))  # it reads any buffer; its stub knows bytes only
     return wire.unpack(message, cls)
 
 

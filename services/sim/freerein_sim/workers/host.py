@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from uuid import uuid4
 
-from freerein.errors import Internal, InvalidInput, NotFound, ServiceError
+from freerein.errors import Internal, NotFound, ServiceError
 from freerein.types import sim
-from freerein.types.common import Error
 from freerein_sim.workers import demonstrations, framing
 from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds.world import Task, World

@@ -171,6 +171,16 @@ def has_an_expert_that_succeeds(task: Task) -> None:
         _require(not task.goal_text or world.truth().success, "The oracle sees the goal that the expert reached.")
 
 
+def has_an_expert_that_survives_any_state(task: Task) -> None:
+    """After a while at random the expert still acts within the spec, and ends or can be cut off."""
+    with closing(_begin(task)) as world:
+        for _ in _wander(world):
+            pass
+        expert = world.expert(task.spec.skills, np.random.default_rng(_SEED))
+        demonstrate(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
+        _require(world.expert((), np.random.default_rng(_SEED)).decide() is None, "Nothing asked, nothing done.")
+
+
 CHECKS: tuple[Callable[[Task], None], ...] = (
     describes_itself,
     tells_the_truth_in_shape,
@@ -184,6 +194,7 @@ CHECKS: tuple[Callable[[Task], None], ...] = (
     refuses_bad_actions,
     refuses_unknown_skills,
     has_an_expert_that_succeeds,
+    has_an_expert_that_survives_any_state,
 )
 """Every check, in the order in which to read their failures."""
 

@@ -87,6 +87,11 @@ class Grid:
         """Index of the object to pick up next, None when the recipe is done."""
         return next((i for i in self._recipe if i not in self._picked), None)
 
+    @property
+    def picked(self) -> tuple[int, ...]:
+        """Indices of the objects that were picked up, in order."""
+        return self._picked
+
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Scatters agent and objects such that an expert can finish in time; an empty recipe means all, shuffled."""
         wanted = skill_indices(SPEC, recipe)
@@ -187,7 +192,7 @@ class GridExpert:
 
     def succeeded(self) -> bool:
         """Returns whether exactly these objects were picked up, in order."""
-        return self._world._picked == self._skills
+        return self._world.picked == self._skills
 
 
 def _cell(image: Frame, row: int, column: int) -> Frame:

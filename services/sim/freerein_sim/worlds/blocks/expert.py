@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Position, Relation, is_on, is_on_table
+from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, Relation, is_on, is_on_table
 from freerein_sim.worlds.world import Decision
 
 if TYPE_CHECKING:
@@ -40,19 +40,6 @@ _PAUSE_PROBABILITY = 0.02
 
 
 @dataclass(frozen=True)
-class Destination:
-    """Where a goal wants the block.
-
-    Attributes:
-        relation: How it is to lie.
-        to: Colour of the block that it is to lie so to.
-    """
-
-    relation: Relation
-    to: str
-
-
-@dataclass(frozen=True)
 class _Reach:
     """One movement: go there, with the fingers so, for at least so many steps."""
 
@@ -66,21 +53,19 @@ class _Reach:
 class BlocksExpert:
     """Moves one block after the other, looking at the true state.
 
-    A block without a destination goes to a free place on the table, or onto a block that need not be moved any more.
+    Without a goal a block goes to a free place on the table, or onto a block that need not be moved any more.
 
     Args:
         world: Whom it acts in.
         skills: Skills of the world, in order.
-        destination: Where the goal wants the block; None for anywhere else.
+        goal: Where the block is to lie; None for anywhere else.
         rng: Draws places, speed, noise and pauses.
     """
 
-    def __init__(
-        self, world: "Blocks", skills: tuple[str, ...], destination: Destination | None, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, world: "Blocks", skills: tuple[str, ...], goal: Goal | None, rng: np.random.Generator) -> None:
         self._world = world
         self._waiting = deque(skills)
-        self._destination = destination
+        self._goal = goal
         self._rng = rng
         self._speed = rng.uniform(*_SPEED)
         self._reaches: deque[_Reach] = deque()
@@ -104,7 +89,8 @@ class BlocksExpert:
 
     def succeeded(self) -> bool:
         """Returns whether every named block was put down where it was to go."""
-        return not self._failed and not self._waiting and not self._reaches and self._is_placed()
+        done = not (self._failed or self._waiting or self._reaches)
+        return done and (not self._colour or self._is_placed())
 
     def _is_reached(self) -> bool:
         reach = self._reaches[0]
@@ -119,17 +105,16 @@ class BlocksExpert:
         """Plans the next skill, or the same once more where it failed; False when all is done."""
         if self._colour and not self._is_placed():
             self._tries += 1
-            if self._tries >= _MAX_TRIES:
-                self._failed = True
-                return False
-        elif not self._waiting:
-            return False
-        else:
+            self._failed = self._tries >= _MAX_TRIES
+        elif self._waiting:
             self._colour = self._waiting.popleft().removeprefix("move-")
             self._tries = 0
-            self._place = self._choose_place()
-        self._reaches.extend(self._movements())
-        return True
+            self._choose_place()
+        else:
+            return False
+        if not self._failed:
+            self._reaches.extend(self._movements())
+        return not self._failed
 
     def _movements(self) -> Iterable[_Reach]:
         block = self._world.position(self._colour)
@@ -154,19 +139,23 @@ class BlocksExpert:
     def _others(self) -> list[str]:
         return [colour for colour in self._world.colours if colour != self._colour]
 
-    def _choose_place(self) -> Position:
-        if self._destination is not None:
-            return self._goal_place(self._destination)
+    def _choose_place(self) -> None:
+        """Sets where the block is to go; on a crowded table there may be no such place."""
+        if self._goal is not None:
+            self._place = self._goal_place(self._goal)
+            return
         stacks, frees = self._tops(), self._free_places()
-        if stacks and (not frees or self._rng.random() < _STACK_PROBABILITY):
-            return stacks[int(self._rng.integers(len(stacks)))]
-        return frees[int(self._rng.integers(len(frees)))]
+        stacking = bool(stacks) and (not frees or self._rng.random() < _STACK_PROBABILITY)
+        places = stacks if stacking else frees
+        self._failed = not places
+        if places:
+            self._place = places[int(self._rng.integers(len(places)))]
 
-    def _goal_place(self, destination: Destination) -> Position:
-        other = self._world.position(destination.to)
-        if destination.relation is Relation.ON_TOP_OF:
+    def _goal_place(self, goal: Goal) -> Position:
+        other = self._world.position(goal.second)
+        if goal.relation is Relation.ON_TOP_OF:
             return np.add(other, (0, 0, BLOCK_M))
-        side = -1 if destination.relation is Relation.LEFT_OF else 1
+        side = -1 if goal.relation is Relation.LEFT_OF else 1
         return np.add(other, (0, side * _BESIDE_M, 0))
 
     def _tops(self) -> list[Position]:

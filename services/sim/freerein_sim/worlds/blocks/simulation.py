@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
-from freerein_sim.worlds.blocks.expert import BlocksExpert, Destination
+from freerein_sim.worlds.blocks.expert import BlocksExpert
 from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, holds
 from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import (
@@ -136,9 +136,8 @@ class Blocks:
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
         """Returns somebody who picks up each named block and puts it down elsewhere, where the goal says if any."""
-        indices = skill_indices(self.spec, skills)
-        destination = None if self.goal is None else Destination(self.goal.relation, self.goal.second)
-        return BlocksExpert(self, tuple(self.spec.skills[i] for i in indices), destination, rng)
+        skill_indices(self.spec, skills)
+        return BlocksExpert(self, tuple(skills), self.goal, rng)
 
     def close(self) -> None:
         """Frees the OpenGL context, on the thread that rendered."""

@@ -1,0 +1,36 @@
+"""`freerein`: run services, record demonstrations, train, label, look after datasets and models."""
+
+import importlib.util
+
+import typer
+
+from freerein.cli import dataset, fit, models, segment, sim
+from freerein.cli.doctor import doctor
+from freerein.cli.up import up
+
+app = typer.Typer(
+    help="Serves learned robot skills. `freerein demo` shows all of it; `freerein doctor` says what is missing.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+app.command()(up)
+app.command()(doctor)
+app.command()(segment.segment)
+app.add_typer(sim.app, name="sim")
+app.add_typer(fit.app, name="fit")
+app.add_typer(dataset.app, name="dataset")
+app.add_typer(models.app, name="models")
+
+if importlib.util.find_spec("freerein.cli.demo"):
+    from freerein.cli.demo import demo
+
+    app.command()(demo)
+
+
+def main() -> None:
+    """Runs one verb."""
+    app(prog_name="freerein")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Which services are installed, and on which ports they are to listen."""
+
+import contextlib
+import socket
+from collections.abc import Iterable, Mapping
+from importlib.metadata import entry_points
+
+from freerein.errors import FailedPrecondition, NotFound
+from freerein.ports import PORTS, Ports
+
+GROUP = "freerein.services"
+LOOPBACK = "127.0.0.1"
+
+
+def installed() -> dict[str, str]:
+    """Returns the module that `python -m` runs, by the name of each installed service."""
+    found = {entry.name: entry.module.removesuffix(".__main__") for entry in entry_points(group=GROUP)}
+    return {name: found[name] for name in PORTS if name in found}
+
+
+def choose(names: Iterable[str]) -> dict[str, str]:
+    """Returns the installed services of these names, all of them when none is named.
+
+    Raises:
+        NotFound: One is not installed, or none is.
+    """
+    modules = installed()
+    missing = [name for name in names if name not in modules]
+    if missing or not modules:
+        raise NotFound(
+            f"Services must be among those installed, {', '.join(modules) or 'which are none'}; "
+            f"{len(missing)} of those asked for are not.",
+            hint="Install the service's distribution, such as `pip install -e services/sim`.",
+        )
+    return {name: modules[name] for name in names} or modules
+
+
+def free_ports(names: Iterable[str]) -> dict[str, Ports]:
+    """Returns two ports on loopback, for each service, that nobody listened on just now."""
+    with contextlib.ExitStack() as held:
+        return {name: Ports(_free_port(held), _free_port(held)) for name in names}
+
+
+def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:
+    """Does nothing where every service can have its ports.
+
+    Raises:
+        FailedPrecondition: Somebody listens on one of them.
+    """
+    for service, pair in ports.items():
+        for port in (pair.rest, pair.grpc):
+            if not is_free(port, host=host):
+                raise FailedPrecondition(
+                    f"Port {port} must be free for {service}; somebody listens on it.",
+                    hint="Stop the other `freerein up`, or whatever holds the port; `freerein doctor` says more.",
+                )
+
+
+def is_free(port: int, *, host: str = LOOPBACK) -> bool:
+    """Returns whether nobody listens on a port."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as candidate:
+        candidate.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            candidate.bind((host, port))
+        except OSError:
+            return False
+        return True
+
+
+def _free_port(held: contextlib.ExitStack) -> int:
+    listener = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+    listener.bind((LOOPBACK, 0))
+    return int(listener.getsockname()[1])

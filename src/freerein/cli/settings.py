@@ -1,0 +1,22 @@
+"""What an operator may change of the command line, read from the environment by each verb."""
+
+from pathlib import Path
+
+from pydantic import SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class CliSettings(BaseSettings):
+    """Settings of the command line. Each is an environment variable `FREEREIN_<NAME>`, the same as the services'.
+
+    Attributes:
+        data_dir: Where datasets, models, fits and logs lie.
+        token: Bearer token sent to services; unset for none.
+        tls_cert: PEM file with the certificates that services' certificates must descend from; unset for no TLS.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
+
+    data_dir: Path = Path("var")
+    token: SecretStr | None = None
+    tls_cert: Path | None = None

@@ -1,0 +1,162 @@
+"""Runs services as child processes on this machine: what `up`, `demo` and the end-to-end tests stand on.
+
+    async with Stack(choose(()), data_dir=Path("var"), environ=os.environ) as stack:
+        await stack.ready(timeout_s=30)
+        sim = SimClient(Channel(stack.addresses["sim"]))
+
+Then they listen; when the block ends they are drained.
+"""
+
+import asyncio
+import ssl
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import aclosing
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import httpx
+
+from freerein.cli.child import Child, Command, RestartPolicy, Status
+from freerein.cli.services import LOOPBACK, check_free
+from freerein.errors import DeadlineExceeded, FailedPrecondition
+from freerein.ports import PORTS, Ports
+
+_RESTARTS = RestartPolicy()
+_WILDCARDS = ("0.0.0.0", "::")  # recognised, never bound
+_PROBE_TIMEOUT_S = 2.0
+
+
+class Stack:
+    """Several services, running together from `async with` on; at its end they are drained.
+
+    None of them outlives this process, nor the thread that runs the event loop, whatever ends it. The services log to
+    `<data_dir>/logs/<service>.log`.
+
+    Args:
+        services: The module that `python -m` runs, by service; see `services.choose`.
+        data_dir: Where datasets, models, fits and logs lie.
+        environ: The services' environment, such as `os.environ`; ports, addresses and the data directory are added.
+        ports: Where each listens; None for the port table. `services.free_ports` makes others.
+        policy: When a service that crashed is started again.
+
+    Attributes:
+        addresses: The gRPC address, `host:port`, of each service.
+        urls: The address of each service's REST door.
+    """
+
+    def __init__(
+        self,
+        services: Mapping[str, str],
+        *,
+        data_dir: Path,
+        environ: Mapping[str, str],
+        ports: Mapping[str, Ports] | None = None,
+        policy: RestartPolicy = _RESTARTS,
+    ) -> None:
+        self._ports = {name: (ports or PORTS)[name] for name in services}
+        self._host = environ.get("FREEREIN_HOST") or LOOPBACK
+        host = LOOPBACK if self._host in _WILDCARDS else self._host
+        host = f"[{host}]" if ":" in host else host
+        certificate = environ.get("FREEREIN_TLS_CERT")
+        scheme = "https" if certificate else "http"
+        self.addresses = {name: f"{host}:{pair.grpc}" for name, pair in self._ports.items()}
+        self.urls = {name: f"{scheme}://{host}:{pair.rest}" for name, pair in self._ports.items()}
+        self._changed = asyncio.Event()
+        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=_trust(certificate))
+        self._tasks: list[asyncio.Task[None]] = []
+        shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir), **_addresses(self.addresses)}
+        self._children = [
+            Child(
+                Command(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
+                Status(name, "starting", self.urls[name], self.addresses[name]),
+                policy,
+                client=self._client,
+                on_change=self._on_change,
+            )
+            for name, module in services.items()
+        ]
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """How the services stand now."""
+        return tuple(child.status for child in self._children)
+
+    async def watch(self) -> AsyncGenerator[tuple[Status, ...], None]:
+        """Yields how the services stand, now and after every change."""
+        while True:
+            changed = self._changed
+            yield self.statuses
+            await changed.wait()
+
+    async def ready(self, *, timeout_s: float) -> None:
+        """Returns when every service is ready.
+
+        Raises:
+            FailedPrecondition: One will not be.
+            DeadlineExceeded: One is not after `timeout_s` seconds.
+        """
+        try:
+            async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
+                async for statuses in changes:
+                    _refuse_hopeless(statuses)
+                    if all(status.state == "ready" for status in statuses):
+                        return
+        except TimeoutError:
+            waiting = "; ".join(f"{each.service}: {each.reason}" for each in self.statuses if each.state != "ready")
+            raise DeadlineExceeded(
+                f"The services must be ready within {timeout_s:g} s; some are not: {waiting}", hint=_SEE_LOG
+            ) from None
+
+    async def __aenter__(self) -> Self:
+        """Starts the services.
+
+        Raises:
+            FailedPrecondition: Somebody listens on one of the ports.
+        """
+        check_free(self._ports, host=self._host)
+        self._tasks = [asyncio.create_task(child.run()) for child in self._children]
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for task in self._tasks:
+            task.cancel()
+        results = await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._client.aclose()
+        for result in results:
+            if isinstance(result, Exception):
+                raise result
+
+    def _on_change(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+
+_SEE_LOG = "Read logs/<service>.log in the data directory, or run `freerein doctor`."
+
+
+def _refuse_hopeless(statuses: tuple[Status, ...]) -> None:
+    for status in statuses:
+        if status.is_hopeless:
+            raise FailedPrecondition(
+                f"The {status.service} service must start; it is {status.state}: {status.reason}", hint=_SEE_LOG
+            )
+
+
+def _environ(shared: Mapping[str, str], ports: Ports) -> dict[str, str]:
+    return {**shared, "FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
+
+
+def _addresses(addresses: Mapping[str, str]) -> dict[str, str]:
+    return {f"FREEREIN_{name.upper()}_ADDRESS": address for name, address in addresses.items()}
+
+
+def _trust(certificate: str | None) -> ssl.SSLContext | bool:
+    """Returns whom the probe trusts: the services' own certificate, whatever name it was made for, and no other."""
+    if certificate is None:
+        return True
+    context = ssl.create_default_context(cafile=certificate)
+    context.check_hostname = False
+    return context

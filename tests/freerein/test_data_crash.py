@@ -1,0 +1,125 @@
+"""A writer killed at any point loses at most the trajectory being written."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freerein.data import Dataset, DatasetSpec, create, open_writer, truth, verify
+from freerein.types.common import Trajectory
+from freerein.types.sim import ActionSpec
+
+WRITER = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from freerein.data import open_writer
+from freerein.types.common import Trajectory
+
+root, stop_event, stop_path = sys.argv[1:]
+
+def stop(event, arguments):
+    if event == stop_event and str(arguments[0]).endswith(stop_path):
+        print("there", flush=True)
+        sys.stdin.read()
+
+sys.addaudithook(stop)
+with open_writer(Path(root)) as writer:
+    for index in range(1, 3):
+        frames = {"front": np.full((4, 6, 8, 3), index, np.uint8)}
+        actions = np.zeros((4, 2), np.float32)
+        writer.append(Trajectory(frames=frames, actions=actions, skills=("push",)), np.zeros(4, np.int64))
+"""
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    spec = DatasetSpec(
+        fps=10,
+        cameras={"front": (6, 8, 3)},
+        action=ActionSpec(size=2, choices=0, names=("x", "y")),
+        robot_type="arm",
+        skills=("push",),
+    )
+    with create(tmp_path / "demos", spec) as writer:
+        writer.append(trajectory(0), np.zeros(4, np.int64))
+    return tmp_path / "demos"
+
+
+def trajectory(index: int) -> Trajectory:
+    frames = {"front": np.full((4, 6, 8, 3), index, np.uint8)}
+    return Trajectory(frames=frames, actions=np.zeros((4, 2), np.float32), skills=("push",))
+
+
+def kill_writer_at(root: Path, event: str, path: str) -> None:
+    """Starts a writer of trajectories 1 and 2, waits until it is about to do `event` to `path`, and kills it there."""
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, root, event, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == b"there\n"
+        writer.send_signal(signal.SIGKILL)
+    assert writer.returncode == -signal.SIGKILL
+
+
+def assert_whole(root: Path, *, trajectories: int) -> None:
+    assert verify(root) == []
+    assert json.loads((root / "meta/info.json").read_text())["total_episodes"] == trajectories
+    assert truth.labelled(root) == list(range(trajectories))
+    assert not list(root.rglob("*.tmp"))
+    dataset = Dataset(root)
+    assert dataset.skills == (("push",),) * trajectories
+    for index, each in enumerate(dataset):
+        np.testing.assert_array_equal(each.frames["front"], trajectory(index).frames["front"])
+
+
+@pytest.mark.parametrize(
+    ("event", "path", "survivors"),
+    [
+        pytest.param("open", "truth/chunk-000/file-002.parquet.tmp", 2, id="before the labels"),
+        pytest.param("open", "data/chunk-000/file-002.parquet.tmp", 2, id="between labels and data"),
+        pytest.param("os.rename", "data/chunk-000/file-002.parquet.tmp", 2, id="data written, not yet named"),
+        pytest.param("open", "meta/episodes/chunk-000/file-000.parquet.tmp", 3, id="between data and meta"),
+        pytest.param("os.rename", "meta/info.json.tmp", 3, id="meta written, counts not yet named"),
+    ],
+)
+def test_every_trajectory_appended_before_the_kill_is_there_and_the_open_one_is_not(
+    root: Path, event: str, path: str, survivors: int
+) -> None:
+    kill_writer_at(root, event, path)
+
+    with open_writer(root) as writer:
+        assert len(writer) == survivors
+        assert_whole(root, trajectories=survivors)
+        writer.append(trajectory(survivors), np.zeros(4, np.int64))
+
+    assert_whole(root, trajectories=survivors + 1)
+
+
+def test_a_reader_rebuilds_meta_after_the_kill(root: Path) -> None:
+    kill_writer_at(root, "open", "meta/episodes/chunk-000/file-000.parquet.tmp")
+    assert [problem.where for problem in verify(root)] != []
+
+    assert len(Dataset(root)) == 3
+    assert verify(root) == []
+
+
+@pytest.mark.parametrize(
+    "lost", ["meta", "meta/info.json", "meta/freerein.json", "meta/stats.json", "meta/tasks.parquet", "meta/episodes"]
+)
+def test_meta_is_rebuilt_from_the_data_files_alone(root: Path, lost: str) -> None:
+    before = {path.name: path.read_bytes() for path in (root / "meta").rglob("*") if path.is_file()}
+    fingerprint = Dataset(root).fingerprint
+    (shutil.rmtree if (root / lost).is_dir() else Path.unlink)(root / lost)
+
+    assert Dataset(root).fingerprint == fingerprint
+
+    assert {path.name: path.read_bytes() for path in (root / "meta").rglob("*") if path.is_file()} == before

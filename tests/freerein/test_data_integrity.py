@@ -1,0 +1,138 @@
+"""Damage is found, named, and comes with a way to mend it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freerein.data import Dataset, DatasetSpec, check, create, truth, verify
+from freerein.errors import InvalidInput, NotFound
+from freerein.types.common import Trajectory
+from freerein.types.sim import ActionSpec
+
+SPEC = DatasetSpec(
+    fps=10,
+    cameras={"front": (6, 8, 3)},
+    action=ActionSpec(size=2, choices=0, names=("x", "y")),
+    robot_type="arm",
+    skills=("pick", "push"),
+)
+SECOND = "data/chunk-000/file-001.parquet"
+
+
+def trajectory(index: int, *, skills: tuple[str, ...]) -> Trajectory:
+    frames = {"front": np.random.default_rng(index).integers(0, 256, (4, 6, 8, 3), dtype=np.uint8)}
+    return Trajectory(frames=frames, actions=np.zeros((4, 2), np.float32), skills=skills)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    with create(tmp_path / "demos", SPEC) as writer:
+        for index, skills in enumerate([("pick",), ("push",), ("pick", "push")]):
+            writer.append(trajectory(index, skills=skills), np.full(4, index % 2))
+    return tmp_path / "demos"
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def cut_footer(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-8])
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def flip_a_bit(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 1
+    path.write_bytes(data)
+
+
+def take_another(path: Path) -> None:
+    path.write_bytes(path.with_name("file-002.parquet").read_bytes())
+
+
+def test_a_whole_dataset_has_no_problems(root: Path) -> None:
+    assert verify(root) == []
+    assert check(root) == []
+
+
+@pytest.mark.parametrize("damage", [truncate, cut_footer, empty, flip_a_bit, take_another, Path.unlink])
+def test_a_damaged_data_file_is_found(root: Path, damage: Callable[[Path], None]) -> None:
+    damage(root / SECOND)
+
+    problems = verify(root)
+
+    assert [each.where for each in problems if each.where.startswith("data/")] == [SECOND]
+    assert all(each.sentence and each.hint for each in problems)
+
+
+@pytest.mark.parametrize("damage", [truncate, cut_footer, empty, take_another, Path.unlink])
+def test_a_damaged_dataset_does_not_open(root: Path, damage: Callable[[Path], None]) -> None:
+    damage(root / SECOND)
+    with pytest.raises(InvalidInput) as caught:
+        _ = Dataset(root)[1]
+    assert "1" in caught.value.detail
+    assert str(root) not in caught.value.detail
+
+
+def test_a_flipped_bit_is_met_when_the_page_is_read(root: Path) -> None:
+    flip_a_bit(root / SECOND)
+    with pytest.raises(InvalidInput):
+        _ = Dataset(root)[1]
+
+
+def test_two_damaged_files_are_both_found(root: Path) -> None:
+    truncate(root / SECOND)
+    flip_a_bit(root / "data/chunk-000/file-002.parquet")
+    assert [each.where for each in verify(root)][:2] == [SECOND, "data/chunk-000/file-002.parquet"]
+
+
+def test_wrong_counts_are_found_and_mended_by_opening(root: Path) -> None:
+    info = root / "meta/info.json"
+    info.write_text(info.read_text().replace('"total_frames": 12', '"total_frames": 13'))
+    assert [each.where for each in verify(root)] == ["meta/info.json"]
+
+    Dataset(root)
+
+    assert verify(root) == []
+
+
+@pytest.mark.parametrize(
+    ("labels", "index"), [(np.zeros(3, np.int64), 0), (np.full(4, 2), 0), (np.zeros(4, np.int64), 3)]
+)
+def test_labels_that_do_not_fit_are_found(root: Path, labels: np.ndarray, index: int) -> None:
+    truth.save(root, index, labels)
+    assert [each.where for each in verify(root)] == [f"truth/chunk-000/file-{index:03d}.parquet"]
+
+
+def test_there_must_be_a_dataset_to_verify(tmp_path: Path) -> None:
+    with pytest.raises(NotFound):
+        verify(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("spec", "tags", "problems"),
+    [
+        (SPEC, [], ["empty"]),
+        (SPEC, [("pick",), ("pick", "push")], ["'pick' must occur in some trajectories and be missing in others"]),
+        (SPEC, [("pick",), ()], ["1 are not", "'push' must occur"]),
+        (replace(SPEC, skills=()), [(), ()], ["names no skills"]),
+    ],
+)
+def test_tags_that_cannot_locate_a_skill_are_found(
+    tmp_path: Path, spec: DatasetSpec, tags: list[tuple[str, ...]], problems: list[str]
+) -> None:
+    with create(tmp_path / "demos", spec) as writer:
+        for index, skills in enumerate(tags):
+            writer.append(trajectory(index, skills=skills))
+
+    found = check(tmp_path / "demos")
+
+    assert len(found) == len(problems)
+    assert all(text in each.sentence for text, each in zip(problems, found, strict=True))

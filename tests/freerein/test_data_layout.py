@@ -1,0 +1,133 @@
+"""The layout on disk, word for word: LeRobotDataset v3.0 as its reader wants it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from freerein.data import DatasetSpec, create
+from freerein.types.common import Trajectory
+from freerein.types.sim import ActionSpec
+
+COUNTER = {"dtype": "int64", "shape": [1], "names": None}
+INFO = {
+    "codebase_version": "v3.0",
+    "robot_type": "arm",
+    "total_episodes": 2,
+    "total_frames": 7,
+    "total_tasks": 1,
+    "chunks_size": 1000,
+    "data_files_size_in_mb": 100,
+    "video_files_size_in_mb": 200,
+    "fps": 20,
+    "splits": {"train": "0:2"},
+    "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+    "video_path": None,
+    "features": {
+        "observation.images.front": {
+            "dtype": "image",
+            "shape": [6, 8, 3],
+            "names": ["height", "width", "channels"],
+        },
+        "action": {"dtype": "float32", "shape": [2], "names": ["x", "y"]},
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+        "frame_index": COUNTER,
+        "episode_index": COUNTER,
+        "index": COUNTER,
+        "task_index": COUNTER,
+    },
+}
+DATA_COLUMNS = {
+    "observation.images.front": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
+    "action": pa.list_(pa.float32(), 2),
+    "timestamp": pa.float32(),
+    "frame_index": pa.int64(),
+    "episode_index": pa.int64(),
+    "index": pa.int64(),
+    "task_index": pa.int64(),
+}
+EPISODES = {
+    "episode_index": [0, 1],
+    "tasks": [["tidy the desk"], ["tidy the desk"]],
+    "length": [3, 4],
+    "data/chunk_index": [0, 0],
+    "data/file_index": [0, 1],
+    "dataset_from_index": [0, 3],
+    "dataset_to_index": [3, 7],
+    "meta/episodes/chunk_index": [0, 0],
+    "meta/episodes/file_index": [0, 0],
+    "skills": [["pick", "push"], []],
+}
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    spec = DatasetSpec(
+        fps=20,
+        cameras={"front": (6, 8, 3)},
+        action=ActionSpec(size=2, choices=0, names=("x", "y")),
+        robot_type="arm",
+        skills=("pick", "push"),
+        task="tidy the desk",
+    )
+    with create(tmp_path / "demos", spec) as writer:
+        for length, skills in ((3, ("pick", "push")), (4, ())):
+            frames = {"front": np.full((length, 6, 8, 3), 51 * length, np.uint8)}
+            actions = np.linspace(-1, 1, 2 * length, dtype=np.float32).reshape(length, 2)
+            writer.append(Trajectory(frames=frames, actions=actions, skills=skills))
+    return tmp_path / "demos"
+
+
+def test_the_files_are_those_of_lerobot_and_one_of_ours(root: Path) -> None:
+    assert sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()) == [
+        "data/chunk-000/file-000.parquet",
+        "data/chunk-000/file-001.parquet",
+        "meta/episodes/chunk-000/file-000.parquet",
+        "meta/freerein.json",
+        "meta/info.json",
+        "meta/stats.json",
+        "meta/tasks.parquet",
+        "writer.lock",
+    ]
+
+
+def test_info_is_what_lerobot_writes(root: Path) -> None:
+    assert json.loads((root / "meta/info.json").read_text()) == INFO
+
+
+def test_a_data_file_has_the_columns_that_info_names(root: Path) -> None:
+    table = pq.read_table(root / "data/chunk-000/file-001.parquet")
+    assert {field.name: field.type for field in table.schema} == DATA_COLUMNS
+    np.testing.assert_allclose(table["timestamp"], [0.0, 0.05, 0.1, 0.15])
+    assert table["frame_index"].to_pylist() == [0, 1, 2, 3]
+    assert table["episode_index"].to_pylist() == [1, 1, 1, 1]
+    assert table["index"].to_pylist() == [3, 4, 5, 6]
+    assert table["task_index"].to_pylist() == [0, 0, 0, 0]
+    assert table["observation.images.front"][0]["bytes"].as_py().startswith(b"\x89PNG")
+
+
+def test_episodes_have_lerobots_columns_and_the_skills(root: Path) -> None:
+    table = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet")
+    assert table.select(list(EPISODES)).to_pydict() == EPISODES
+    assert {name.split("/")[1] for name in table.column_names if name.startswith("stats/")} == set(DATA_COLUMNS)
+    assert table["stats/observation.images.front/count"].to_pylist() == [[3], [4]]
+
+
+def test_tasks_are_indexed_by_their_text_as_pandas_wants_it(root: Path) -> None:
+    table = pq.read_table(root / "meta/tasks.parquet")
+    assert table.to_pydict() == {"task_index": [0], "task": ["tidy the desk"]}
+    assert table.schema.pandas_metadata["index_columns"] == ["task"]
+
+
+def test_statistics_are_of_all_frames_in_lerobots_shapes(root: Path) -> None:
+    stats = json.loads((root / "meta/stats.json").read_text())
+    assert set(stats) == set(DATA_COLUMNS)
+    pixels = np.repeat([0.6, 0.8], [3, 4])
+    for name, expected in {"min": 0.6, "max": 0.8, "mean": pixels.mean(), "std": pixels.std()}.items():
+        np.testing.assert_allclose(stats["observation.images.front"][name], np.full((3, 1, 1), expected))
+    actions = np.concatenate([np.linspace(-1, 1, 2 * length).reshape(length, 2) for length in (3, 4)])
+    np.testing.assert_allclose(stats["action"]["std"], actions.std(axis=0), rtol=1e-6)
+    assert stats["action"]["count"] == [7]

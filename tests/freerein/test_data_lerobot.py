@@ -1,0 +1,149 @@
+"""Datasets of other tools: LeRobotDataset v3 written here with pyarrow alone, several trajectories to a file."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from freerein.data import Dataset, open_writer, verify
+from freerein.errors import InvalidInput, NotFound
+
+LENGTHS = (2, 3, 4)
+PIXELS = np.random.default_rng(0).integers(0, 256, (sum(LENGTHS), 6, 8, 3), dtype=np.uint8)
+ACTIONS = np.random.default_rng(1).uniform(-3, 3, (sum(LENGTHS), 2)).astype(np.float32)
+COUNTER = {"dtype": "int64", "shape": [1], "names": None}
+INFO: dict[str, Any] = {
+    "codebase_version": "v3.0",
+    "robot_type": None,
+    "total_episodes": 3,
+    "total_frames": 9,
+    "total_tasks": 1,
+    "fps": 10,
+    "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+    "features": {
+        "observation.image": {"dtype": "image", "shape": [3, 6, 8], "names": ["channel", "height", "width"]},
+        "observation.state": {"dtype": "float32", "shape": [2], "names": None},
+        "action": {"dtype": "float32", "shape": [2], "names": {"motors": ["pan", "lift"]}},
+        "episode_index": COUNTER,
+    },
+}
+
+
+def write_info(root: Path, **changes: object) -> None:
+    (root / "meta/info.json").write_text(json.dumps(INFO | changes))
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Trajectories 0 and 1 share a file and a row group; trajectory 2 has a file of its own."""
+    for folder in ("data/chunk-000", "meta/episodes/chunk-000"):
+        (tmp_path / folder).mkdir(parents=True)
+    episode_of = np.repeat(np.arange(3), LENGTHS)
+    table = pa.table(
+        {
+            "observation.image": [{"bytes": png(pixels), "path": None} for pixels in PIXELS],
+            "observation.state": pa.array(np.zeros((9, 2)).tolist(), pa.list_(pa.float32())),
+            "action": pa.array(ACTIONS.tolist(), pa.list_(pa.float32())),
+            "episode_index": episode_of,
+        }
+    )
+    pq.write_table(table.slice(0, 5), tmp_path / "data/chunk-000/file-000.parquet")
+    pq.write_table(table.slice(5), tmp_path / "data/chunk-000/file-001.parquet")
+    episodes = {
+        "episode_index": [0, 1, 2],
+        "length": LENGTHS,
+        "data/chunk_index": [0] * 3,
+        "data/file_index": [0, 0, 1],
+    }
+    pq.write_table(pa.table(episodes), tmp_path / "meta/episodes/chunk-000/file-000.parquet")
+    pq.write_table(pa.table({"task_index": [0], "task": ["lift it"]}), tmp_path / "meta/tasks.parquet")
+    (tmp_path / "meta/stats.json").write_text(json.dumps({"action": {"max": [4]}}))
+    write_info(tmp_path)
+    return tmp_path
+
+
+def png(pixels: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(pixels).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def test_every_trajectory_of_a_shared_file_is_read(root: Path) -> None:
+    dataset = Dataset(root)
+
+    assert (dataset.spec.cameras, dataset.spec.task) == ({"image": (6, 8, 3)}, "lift it")
+    assert (dataset.spec.action.size, dataset.spec.action.names) == (2, ("pan", "lift"))
+    for index, (start, end) in enumerate([(0, 2), (2, 5), (5, 9)]):
+        np.testing.assert_array_equal(dataset[index].frames["image"], PIXELS[start:end])
+        np.testing.assert_array_equal(dataset[index].actions, ACTIONS[start:end])
+        np.testing.assert_array_equal(dataset.cached_frames("image")[index], PIXELS[start:end])
+        assert dataset[index].skills == ()
+    assert verify(root) == []
+
+
+def test_nothing_but_the_cache_is_written_into_it(root: Path) -> None:
+    before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    Dataset(root).cached_actions()
+    after = {path: path.read_bytes() for path in root.rglob("*") if path.is_file() and "cache" not in path.parts}
+    assert after == before
+    with pytest.raises(NotFound):
+        open_writer(root)
+
+
+def test_skills_are_read_where_episodes_have_them(root: Path) -> None:
+    path = root / "meta/episodes/chunk-000/file-000.parquet"
+    pq.write_table(pq.read_table(path).append_column("skills", [[["push"], None, ["pick", "push"]]]), path)
+    assert Dataset(root).skills == (("push",), (), ("pick", "push"))
+    assert Dataset(root).spec.skills == ("pick", "push")
+
+
+def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root: Path) -> None:
+    for path in (root / "data").rglob("*.parquet"):
+        table = pq.read_table(path)
+        column = table.column_names.index("action")
+        pq.write_table(table.set_column(column, "action", pa.array(np.arange(len(table)), pa.int64())), path)
+    write_info(root, features=INFO["features"] | {"action": COUNTER})
+
+    dataset = Dataset(root)
+
+    assert dataset.spec.action.choices == 5
+    assert dataset[1].actions.tolist() == [[2], [3], [4]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"codebase_version": "v2.1"}, "version"),
+        ({"fps": 29.97}, "fps"),
+        ({"data_path": "../../{chunk_index}.parquet"}, "path"),
+        ({"features": INFO["features"] | {"observation.image": {"dtype": "video"}}}, "video"),
+        ({"features": INFO["features"] | {"action": {"dtype": "string", "shape": [1], "names": None}}}, "action"),
+        ({"features": {"action": INFO["features"]["action"]}}, "camera"),
+        ({"features": {}}, "camera"),
+    ],
+)
+def test_what_cannot_be_read_here_is_refused_with_a_reason(root: Path, changes: dict[str, Any], word: str) -> None:
+    write_info(root, **changes)
+    with pytest.raises(InvalidInput, match=word):
+        Dataset(root)
+
+
+def remove(path: Path) -> None:
+    path.unlink()
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+@pytest.mark.parametrize("damage", [remove, truncate])
+def test_a_damaged_file_is_found(root: Path, damage: Callable[[Path], None]) -> None:
+    damage(root / "data/chunk-000/file-000.parquet")
+    assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1"]

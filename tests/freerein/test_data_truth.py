@@ -1,0 +1,107 @@
+"""Ground truth is for evaluation: it comes back by its own door, and the learner's reader cannot find that door."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import freerein.data
+from freerein.data import Dataset, DatasetSpec, create, truth
+from freerein.errors import NotFound
+from freerein.types.common import Trajectory
+from freerein.types.sim import ActionSpec
+
+PACKAGE = Path(freerein.data.__file__).parent
+LEARNER = """
+import sys
+from pathlib import Path
+
+from freerein.data import Dataset
+
+touched = []
+sys.addaudithook(lambda event, arguments: touched.append(str(arguments[0])) if event in WATCHED else None)
+WATCHED = {"open", "os.listdir", "os.scandir", "os.rename", "os.remove"}
+dataset = Dataset(Path(sys.argv[1]))
+list(dataset), dataset.actions(0), dataset.fingerprint, dataset.cached_frames("front")[0], dataset.cached_actions()[0]
+print("\\n".join(touched))
+"""
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    spec = DatasetSpec(
+        fps=10,
+        cameras={"front": (6, 8, 3)},
+        action=ActionSpec(size=2, choices=0, names=("x", "y")),
+        robot_type="arm",
+        skills=("pick", "push"),
+    )
+    each = Trajectory({"front": np.zeros((4, 6, 8, 3), np.uint8)}, np.zeros((4, 2), np.float32), ("pick", "push"))
+    with create(tmp_path / "demos", spec) as writer:
+        writer.append(each, np.array([1, 1, 0, 0]))
+        writer.append(each)
+    return tmp_path / "demos"
+
+
+def imported_from_package(module: str) -> set[str]:
+    """Returns the modules of freerein.data that a module of it imports."""
+    tree = ast.parse((PACKAGE / f"{module}.py").read_text())
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    direct = {node.module.rpartition(".")[2] for node in imports if (node.module or "").startswith("freerein.data.")}
+    return direct | {name.name for node in imports if node.module == "freerein.data" for name in node.names}
+
+
+def test_labels_come_back_by_their_own_door(root: Path) -> None:
+    assert truth.labels(root, 0).dtype == np.int64
+    assert truth.labels(root, 0).tolist() == [1, 1, 0, 0]
+    assert truth.labelled(root) == [0]
+
+
+@pytest.mark.parametrize("index", [1, 2])
+def test_labels_that_were_not_recorded_are_not_found(root: Path, index: int) -> None:
+    with pytest.raises(NotFound):
+        truth.labels(root, index)
+
+
+def test_the_learners_reader_imports_nothing_that_knows_of_truth() -> None:
+    reached, pending = set(), {"reader"}
+    while pending:
+        reached |= pending
+        pending = set().union(*(imported_from_package(module) for module in pending)) - reached
+
+    assert {"reader", "rows", "meta", "layout", "lerobot", "cache"} <= reached
+    assert "truth" not in reached
+    constants = [
+        node.value
+        for module in reached
+        for node in ast.walk(ast.parse((PACKAGE / f"{module}.py").read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    assert "truth" not in constants
+
+
+def test_the_learners_reader_opens_nothing_below_truth(root: Path) -> None:
+    for stale in (root / "meta").rglob("*.json"):
+        stale.unlink()  # so that the reader also walks the paths that rebuild meta
+
+    learner = subprocess.run([sys.executable, "-c", LEARNER, root], capture_output=True, text=True, check=True)
+
+    touched = learner.stdout.splitlines()
+    assert any(path.endswith("data/chunk-000/file-000.parquet") for path in touched)
+    assert any(path.endswith("meta/info.json.tmp") for path in touched)
+    assert not [path for path in touched if "truth" in path]
+
+
+def test_garbage_in_truth_changes_nothing_that_learners_see(root: Path) -> None:
+    before = Dataset(root)
+    for path in (root / "truth").rglob("*.parquet"):
+        path.write_bytes(b"garbage")
+    (root / "truth" / "data").mkdir()
+
+    after = Dataset(root)
+
+    assert after.fingerprint == before.fingerprint
+    assert [each.skills for each in after] == [each.skills for each in before]
