@@ -3,11 +3,11 @@
 import functools
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Annotated, ParamSpec
 
 import typer
-from rich.console import Console
 
 from freerein.errors import ServiceError
 
@@ -42,13 +42,45 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
         document = {"code": error.code, "detail": error.detail, "field": error.field, "hint": error.hint}
         sys.stderr.write(json.dumps({"error": document}) + "\n")
         return
-    console = Console(stderr=True, highlight=False)
-    console.print(f"[bold red]error:[/] {_escaped(error.detail)}", soft_wrap=True)
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    console.print(Text.assemble(("error: ", "bold red"), error.detail), soft_wrap=True)
     if error.hint:
-        console.print(f"[bold]hint:[/]  {_escaped(error.hint)}", soft_wrap=True)
+        console.print(Text.assemble(("hint:  ", "bold"), error.hint), soft_wrap=True)
 
 
-def _escaped(text: str) -> str:
-    from rich.markup import escape
+def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints plain text in columns."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
-    return escape(text)
+    table = Table(*columns, box=None, header_style="bold", pad_edge=False)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+@contextmanager
+def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[..., None]]:
+    """Yields `advance(done, note="")`, which moves a bar on stderr; nothing is shown where nobody looks."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not (is_shown and console.is_terminal)) as progress:
+        bar = progress.add_task(name, total=total, note="")
+
+        def advance(done: int, note: str = "", total: int = total) -> None:
+            progress.update(bar, completed=done, total=total, note=note)
+
+        yield advance

@@ -32,7 +32,7 @@ async def record(
         on_count: Called with the number of trajectories on disk, at first and after each one.
 
     Returns:
-        How many trajectories were added.
+        How many trajectories the dataset holds.
 
     Raises:
         FailedPrecondition: The dataset holds something else.
@@ -40,14 +40,13 @@ async def record(
     """
     task = await _find_task(client, request.task)
     with _open(root, request, task) as writer:
-        held = len(writer)
-        on_count(held)
-        if held < request.count:
+        on_count(len(writer))
+        if len(writer) < request.count:
             async with aclosing(unbroken(lambda: _rest(client, request, writer))) as demonstrations:
                 async for demonstration in demonstrations:
                     labels = demonstration.labels if request.privileged else None
                     on_count(writer.append(demonstration.trajectory, labels) + 1)
-        return len(writer) - held
+        return len(writer)
 
 
 async def _rest(

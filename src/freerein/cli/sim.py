@@ -1,12 +1,15 @@
 """`freerein sim`: the simulated worlds, and demonstrations recorded in them."""
 
 import asyncio
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from freerein.cli.output import AsJson, print_json, progress_bar, show_table, verb
-from freerein.types.sim import Behaviour, DemonstrateRequest, ListTasksRequest, ListTasksResponse
+
+if TYPE_CHECKING:
+    from freerein.types.sim import DemonstrateRequest, ListTasksResponse, Task
 
 app = typer.Typer(help="Simulated worlds: their tasks, and demonstrations recorded in them.", no_args_is_help=True)
 
@@ -15,26 +18,14 @@ app = typer.Typer(help="Simulated worlds: their tasks, and demonstrations record
 @verb
 def tasks(as_json: AsJson = False) -> None:
     """List the tasks."""
+    from freerein import wire
+
     found = asyncio.run(_list_tasks())
     if as_json:
-        from freerein import wire
-
         print_json(wire.to_json(found))
         return
-    show_table(
-        ("task", "world", "cameras", "action", "control", "skills"),
-        [
-            (
-                task.name,
-                task.world,
-                ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras),
-                f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers",
-                f"{1 / task.control_dt_s:.3g} Hz",
-                ", ".join(task.skills),
-            )
-            for task in found.tasks
-        ],
-    )
+    columns = ("task", "world", "cameras", "action", "rate", "skills")
+    show_table(columns, [_row(task) for task in found.tasks])
 
 
 @app.command()
@@ -46,15 +37,17 @@ def demonstrate(
     skill: Annotated[list[str] | None, typer.Option(help="Skills to choose from; all when none is named.")] = None,
     min_skills: Annotated[int, typer.Option(min=0, help="Fewest different skills in one; 0 means 1.")] = 0,
     max_skills: Annotated[int, typer.Option(min=0, help="Most different skills in one; 0 means all.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="What all draws come from.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Where all draws come from.")] = 0,
     camera: Annotated[list[str] | None, typer.Option(help="Cameras to record; the first when none is named.")] = None,
     height: Annotated[int, typer.Option(min=0, help="Of the frames, in pixels; 0 means the camera's own.")] = 0,
     width: Annotated[int, typer.Option(min=0, help="Of the frames, in pixels; 0 means the camera's own.")] = 0,
-    behaviour: Annotated[Behaviour, typer.Option(help="Who acts.")] = "expert",
+    behaviour: Annotated[Literal["expert", "random"], typer.Option(help="Who acts.")] = "expert",
     truth: Annotated[bool, typer.Option("--truth", help="Keep true labels beside the data, for evaluation.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Record demonstrations of a task into a dataset."""
+    from freerein.types.sim import DemonstrateRequest
+
     request = DemonstrateRequest(
         task=task,
         behaviour=behaviour,
@@ -69,15 +62,37 @@ def demonstrate(
         privileged=truth,
     )
     with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
-        added = asyncio.run(_record(request, out, on_count))
+        held = asyncio.run(_record(request, out, on_count))
     if as_json:
-        print_json({"dataset": out, "trajectories": max(count, 0), "added": added})
+        print_json({"dataset": out, "trajectories": held})
+    else:
+        typer.echo(f"The dataset {out} holds {held} trajectories.")
 
 
-async def _list_tasks() -> ListTasksResponse:
+async def _list_tasks() -> "ListTasksResponse":
     from freerein.cli.connection import open_channel
     from freerein.cli.settings import CliSettings
     from freerein.clients import SimClient
+    from freerein.types.sim import ListTasksRequest
 
     async with SimClient(open_channel("sim", CliSettings())) as client:
         return await client.list_tasks(ListTasksRequest())
+
+
+async def _record(request: "DemonstrateRequest", dataset: str, on_count: Callable[[int], None]) -> int:
+    from freerein.cli.connection import open_channel
+    from freerein.cli.recording import record
+    from freerein.cli.settings import CliSettings
+    from freerein.clients import SimClient
+    from freerein.data import dataset_path
+
+    settings = CliSettings()
+    root = dataset_path(settings.data_dir, dataset)
+    async with SimClient(open_channel("sim", settings)) as client:
+        return await record(client, request, root, on_count=on_count)
+
+
+def _row(task: "Task") -> tuple[str, ...]:
+    cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras)
+    action = f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers"
+    return task.name, task.world, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)

@@ -1,0 +1,34 @@
+"""The sim service as a process: `python -m freerein_sim`."""
+
+import asyncio
+
+from freerein.api.sim.v1 import sim_pb2
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.methods import methods_of
+from freerein.serving.metrics import Metrics
+from freerein_sim.sessions import Sessions
+from freerein_sim.settings import SimSettings
+from freerein_sim.stepping import Stepping
+from freerein_sim.workers.pool import Pool
+
+NAME = "sim"
+
+
+def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health) -> Service:
+    """Returns the service."""
+    pool = Pool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
+    sessions = Sessions(pool, max_sessions=settings.sim_sessions)
+    stepping = Stepping(sessions.step, sessions.reset, health=health, drain_s=limits.drain_s)
+    return Service(
+        name=NAME,
+        methods=methods_of(sim_pb2.DESCRIPTOR.services_by_name["SimService"], sessions, stepping),
+        start=sessions.start,
+        close=sessions.close,
+        not_ready=lambda: "" if pool.tasks else "Its workers are starting.",
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(NAME, SimSettings, build))
