@@ -155,6 +155,18 @@ def test_labels_that_are_not_as_the_spec_says_are_refused(root: Path, writer: Wr
     assert len(writer) == 0
 
 
+def test_labels_of_an_append_that_failed_do_not_go_to_the_next_trajectory(root: Path, writer: Writer) -> None:
+    in_the_way = root / "data" / "chunk-000"
+    in_the_way.touch()
+    with pytest.raises(FileExistsError):
+        writer.append(trajectory(0), np.zeros(4, np.int64))
+    in_the_way.unlink()
+
+    assert writer.append(trajectory(1)) == 0
+
+    assert truth.labelled(root) == []
+
+
 def test_the_cache_maps_every_frame_and_action(root: Path, writer: Writer) -> None:
     for index in range(3):
         writer.append(trajectory(index))

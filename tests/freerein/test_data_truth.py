@@ -22,8 +22,8 @@ from pathlib import Path
 from freerein.data import Dataset
 
 touched = []
-sys.addaudithook(lambda event, arguments: touched.append(str(arguments[0])) if event in WATCHED else None)
 WATCHED = {"open", "os.listdir", "os.scandir", "os.rename", "os.remove"}
+sys.addaudithook(lambda event, arguments: touched.append(str(arguments[0])) if event in WATCHED else None)
 dataset = Dataset(Path(sys.argv[1]))
 list(dataset), dataset.actions(0), dataset.fingerprint, dataset.cached_frames("front")[0], dataset.cached_actions()[0]
 print("\\n".join(touched))

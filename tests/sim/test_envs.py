@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from freerein_sim.workers import snapshots
-from freerein_sim.workers.envs import Envs
-from freerein_sim.worlds import blocks, grid
-from freerein_sim.worlds.grid import Grid
-from freerein_sim.worlds.world import Action, Outcome, Task
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, Unimplemented
 from freerein.types.sim import StepResponse
+from freerein_sim.workers import snapshots
+from freerein_sim.workers.envs import Envs
+from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds.grid import Grid
+from freerein_sim.worlds.world import Action, Outcome, Task
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 GRID, BLOCKS = TASKS["grid"], TASKS["blocks"]

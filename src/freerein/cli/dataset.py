@@ -17,6 +17,19 @@ app = typer.Typer(help="Datasets: what they hold, and whether they are whole.", 
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
 
+@app.command("list")
+@verb
+def list_datasets(as_json: AsJson = False) -> None:
+    """List the datasets in the data directory."""
+    from freerein.cli.settings import CliSettings
+
+    names = sorted(path.parent.name for path in (CliSettings().data_dir / "datasets").glob("*/meta"))
+    if as_json:
+        print_json({"datasets": names})
+    else:
+        show_table(("dataset",), [(name,) for name in names])
+
+
 @app.command()
 @verb
 def inspect(name: _Name, as_json: AsJson = False) -> None:

@@ -1,4 +1,4 @@
-"""How verbs speak: tables and bars for people, one JSON document per line for programs, errors on stderr, exit code 1."""
+"""How verbs speak: tables and bars for people, a JSON document per line for programs, errors on stderr, exit code 1."""
 
 import functools
 import json
@@ -9,7 +9,7 @@ from typing import Annotated, ParamSpec
 
 import typer
 
-from freerein.errors import ServiceError
+from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 P = ParamSpec("P")
 
@@ -24,8 +24,15 @@ def verb(run: Callable[P, None]) -> Callable[P, None]:
         try:
             run(*args, **kwargs)
         except ServiceError as error:
-            print_error(error, as_json=bool(kwargs.get("as_json")))
-            raise typer.Exit(1) from None
+            failure: ServiceError = error
+        except OSError as error:
+            failure = FailedPrecondition(
+                f"A file or a port was to be used; the system refused: {error}", hint="`freerein doctor` may say more."
+            )
+        else:
+            return
+        print_error(failure, as_json=bool(kwargs.get("as_json")))
+        raise typer.Exit(1)
 
     return reporting
 
@@ -38,8 +45,9 @@ def print_json(document: Mapping[str, object]) -> None:
 
 def print_error(error: ServiceError, *, as_json: bool) -> None:
     """Prints an error on stderr."""
+    hint = f"{error.hint} `freerein up` runs the services.".lstrip() if type(error) is Unavailable else error.hint
     if as_json:
-        document = {"code": error.code, "detail": error.detail, "field": error.field, "hint": error.hint}
+        document = {"code": error.code, "detail": error.detail, "field": error.field, "hint": hint}
         sys.stderr.write(json.dumps({"error": document}) + "\n")
         return
     from rich.console import Console
@@ -47,8 +55,8 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
 
     console = Console(stderr=True)
     console.print(Text.assemble(("error: ", "bold red"), error.detail), soft_wrap=True)
-    if error.hint:
-        console.print(Text.assemble(("hint:  ", "bold"), error.hint), soft_wrap=True)
+    if hint:
+        console.print(Text.assemble(("hint:  ", "bold"), hint), soft_wrap=True)
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -1,6 +1,6 @@
 """Records the sim service's demonstrations into a dataset, and goes on where an earlier recording stopped.
 
-    <root>/recording.json   what was asked for: only the same request, with any count, may go on
+<root>/recording.json   what was asked for: only the same request, with any count, may go on
 """
 
 import json
@@ -20,9 +20,7 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 _REQUEST = "recording.json"
 
 
-async def record(
-    client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]
-) -> int:
+async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]) -> int:
     """Makes a dataset hold the `request.count` demonstrations of a request. Those it holds already stay.
 
     Args:

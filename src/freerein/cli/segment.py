@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 @verb
 def segment(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
+    *,
     index: Annotated[int, typer.Option(min=0, help="Which trajectory.")] = 0,
     model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one when empty.")] = "",

@@ -32,6 +32,7 @@ def tasks(as_json: AsJson = False) -> None:
 @verb
 def demonstrate(
     task: Annotated[str, typer.Argument(help="What `freerein sim tasks` lists.")],
+    *,
     out: Annotated[str, typer.Option(help="The dataset's name. One that was begun alike is gone on with.")],
     count: Annotated[int, typer.Option(min=1, help="Trajectories that the dataset is to hold.")] = 100,
     skill: Annotated[list[str] | None, typer.Option(help="Skills to choose from; all when none is named.")] = None,

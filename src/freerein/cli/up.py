@@ -88,7 +88,5 @@ def _table(statuses: tuple["Status", ...]) -> "Table":
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")
         state = f"[{colour}]{status.state}[/]"
-        table.add_row(
-            status.service, state, status.rest_url, status.grpc_address, str(status.restarts), status.reason
-        )
+        table.add_row(status.service, state, status.rest_url, status.grpc_address, str(status.restarts), status.reason)
     return table

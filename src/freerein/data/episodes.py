@@ -7,6 +7,7 @@ open which rows still describe their file; the hash identifies the contents.
 import hashlib
 import io
 from collections.abc import Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from freerein.data.statistics import STATISTICS, FeatureStatistics
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import InvalidInput
 
-Row = dict[str, object]
+Row: TypeAlias = dict[str, Any]
 
 _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index", "data/bytes")
 

@@ -50,7 +50,7 @@ def verify(root: Path) -> list[Problem]:
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
-    recorded = meta.read_episodes(root, spec).to_pylist()
+    recorded = meta.read_episodes(root, spec).select(["dataset_from_index", "data/sha256"]).to_pylist()
     expected = first_frame = 0
     for file in layout.numbered_files(root / "data"):
         yield from (Problem(_where("data", index), _GAP, _RESTORE) for index in range(expected, file.index))

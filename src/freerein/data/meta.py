@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from freerein.data import episodes, layout
 from freerein.data.durable import WriterLock, write_durably
+from freerein.data.episodes import Row
 from freerein.data.spec import DatasetSpec, dumps, loads
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -26,7 +27,7 @@ def read_spec(root: Path) -> DatasetSpec | None:
     """
     stored, first = root / layout.SPEC_FILE, layout.trajectory_path(root / "data", 0)
     if stored.is_file():
-        return loads(stored.read_text())
+        return loads(stored.read_bytes())
     if not first.is_file():
         return None
     try:
@@ -57,11 +58,11 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
     stored = read_episodes(root, spec)
     believed = _believed(stored, files)
     table = stored.slice(0, believed)
-    frames, rows = episodes.frame_count(table), []
+    frames, rows = episodes.frame_count(table), list[Row]()
     for index in range(believed, len(files)):
         data = layout.trajectory_path(root / "data", index).read_bytes()
         rows.append(episodes.describe(data, index=index, first_frame=frames))
-        frames += int(str(rows[-1]["length"]))
+        frames += rows[-1]["length"]
     table = episodes.extended(table, rows)
     is_fresh = believed == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
     return table, is_fresh and all((root / name).is_file() for name in _FILES)

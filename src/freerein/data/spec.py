@@ -84,7 +84,7 @@ def dumps(spec: DatasetSpec) -> str:
     return json.dumps(asdict(spec), indent=2)
 
 
-def loads(text: str) -> DatasetSpec:
+def loads(text: str | bytes) -> DatasetSpec:
     """Returns the spec that `dumps` wrote.
 
     Raises:

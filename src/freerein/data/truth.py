@@ -55,8 +55,6 @@ def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
     write_durably(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
 
 
-def discard_from(root: Path, index: int) -> None:
-    """Deletes the labels of trajectory `index` and of all after it: a crash kept those from being written."""
-    for orphan in labelled(root):
-        if orphan >= index:
-            layout.trajectory_path(root / _FOLDER, orphan).unlink()
+def discard(root: Path, index: int) -> None:
+    """Deletes the labels of a trajectory, if there are any."""
+    layout.trajectory_path(root / _FOLDER, index).unlink(missing_ok=True)

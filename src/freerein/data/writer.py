@@ -108,9 +108,10 @@ class Writer:
         _check_trajectory(trajectory, self.spec)
         index = len(self)
         data = encode(trajectory, self.spec, index=index, first_frame=self._frames)
+        truth.discard(self._root, index)  # of an append that failed half-way
         if labels is not None:
             _check_labels(labels, self.spec, length=len(trajectory.actions))
-            truth.save(self._root, index, labels)  # before the data: labels without data are swept, never the reverse
+            truth.save(self._root, index, labels)  # before the data: what is on disk has all its labels
         write_durably(layout.trajectory_path(self._root / "data", index), data)
         self._rows.append(episodes.describe(data, index=index, first_frame=self._frames))
         self._frames += len(trajectory.actions)
@@ -150,7 +151,9 @@ def _mended(root: Path, spec: DatasetSpec) -> pa.Table:
         for unfinished in (root / folder).rglob(f"*{UNFINISHED}"):
             unfinished.unlink()
     table, is_fresh = meta.load(root, spec)
-    truth.discard_from(root, len(table))
+    for orphan in truth.labelled(root):
+        if orphan >= len(table):
+            truth.discard(root, orphan)
     if not is_fresh:
         meta.save(root, spec, table)
     return table
@@ -183,12 +186,7 @@ def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
 
 def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
     expected = f"{spec.action_dtype} (T, {spec.action.size}) with T >= 1"
-    if (
-        actions.dtype != spec.action_dtype
-        or actions.ndim != 2
-        or actions.shape[1] != spec.action.size
-        or not len(actions)
-    ):
+    if actions.dtype != spec.action_dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
         raise InvalidInput(f"Actions must be {expected}; got {actions.dtype} {actions.shape}.", field="actions")
     low, high = (0, spec.action.choices - 1) if spec.action.choices else (-1, 1)
     if not np.all((actions >= low) & (actions <= high)):

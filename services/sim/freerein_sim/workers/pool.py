@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from freerein.errors import WorkerLost
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
+from freerein_sim.workers.connection import worker_lost
 from freerein_sim.workers.worker import Worker
 
 _LOG = logging.getLogger(__name__)
@@ -34,7 +35,11 @@ class Pool:
         Raises:
             WorkerLost: One cannot start.
         """
-        workers = await asyncio.gather(*(place.fill() for place in self._hosts))
+        try:
+            workers = await asyncio.gather(*(place.fill() for place in self._hosts))
+        except WorkerLost:
+            await self.close()
+            raise
         listed = await workers[0].call(ListTasksRequest(), ListTasksResponse)
         self.tasks = {task.name: task for task in listed.tasks}
 
@@ -75,6 +80,7 @@ class _Place:
         self._filling: asyncio.Task[Worker] | None = None
         self._refilling: asyncio.Task[None] | None = None
         self._worker: Worker | None = None
+        self._is_closed = False
 
     @property
     def load(self) -> int:
@@ -85,18 +91,21 @@ class _Place:
         """Returns its worker, started first when there is none."""
         if self._worker is not None and not self._worker.is_lost:
             return self._worker
+        if self._is_closed:
+            raise worker_lost()
         if self._filling is None:
             self._filling = asyncio.create_task(self._start())
         return await asyncio.shield(self._filling)
 
     async def close(self) -> None:
-        """Ends its worker."""
-        if self._refilling is not None:
-            self._refilling.cancel()
+        """Ends its worker; no other takes its place."""
+        self._is_closed = True
         if self._filling is not None:
             await asyncio.wait([self._filling])
         if self._worker is not None:
             await self._worker.close()
+        if self._refilling is not None:
+            await self._refilling
 
     async def _start(self) -> Worker:
         try:
@@ -110,6 +119,8 @@ class _Place:
 
     async def _refill(self, worker: Worker) -> None:
         await worker.wait_ended()
+        if self._is_closed:
+            return
         try:
             await self.fill()
         except WorkerLost:

@@ -12,7 +12,7 @@ from freerein_sim.workers import framing
 from freerein_sim.workers.connection import Connection, worker_lost
 
 _LOG = logging.getLogger(__name__)
-_EXIT_S = 5.0
+_EXIT_S = 1.0
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}  # of BLAS and of Mesa, where the operator says nothing
 
 Response = TypeVar("Response")
@@ -44,6 +44,11 @@ class Worker:
             process = _spawn(theirs)
         _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
         return cls(process, connection, stuck_s=stuck_s)
+
+    @property
+    def pid(self) -> int:
+        """The id of its process."""
+        return self._process.pid
 
     @property
     def is_lost(self) -> bool:

@@ -1,0 +1,23 @@
+"""`freerein demo`: demonstrations in, skill labels out, with everything that happens on screen."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from freerein.cli.output import AsJson, verb
+
+
+@verb
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for summary, pictures and data; emptied first.")] = Path("var/demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every draw.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Run the whole pipeline on this machine, measure it, and draw what came out."""
+    import asyncio
+
+    from freerein.cli.demo.pipeline import run
+    from freerein.cli.demo.screen import Screen
+
+    asyncio.run(run(out, seed=seed, screen=Screen(as_json=as_json)))

@@ -1,0 +1,379 @@
+"""Worker processes, without the rules of sessions."""
+
+import asyncio
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from freerein.errors import (
+    FailedPrecondition,
+    Internal,
+    InvalidInput,
+    NotFound,
+    ServiceError,
+    TooLarge,
+    WorkerLost,
+)
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CloseSessionResponse,
+    CreateSessionRequest,
+    CreateSessionResponse,
+    DemonstrateRequest,
+    DemonstrateResponse,
+    ListTasksRequest,
+    ListTasksResponse,
+    ResetRequest,
+    ResetResponse,
+    SnapshotRequest,
+    SnapshotResponse,
+    StepRequest,
+    StepResponse,
+)
+from freerein_sim.workers import demonstrations, framing
+from freerein_sim.workers.connection import Connection
+from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.host import Host
+from freerein_sim.workers.pool import Pool
+from freerein_sim.workers.worker import Worker
+from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds.grid import Grid
+from freerein_sim.worlds.world import Action, Behaviour, Decision, Outcome, Task
+
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
+ORPHANED = """
+import asyncio, sys
+from freerein_sim.workers.pool import Pool
+
+async def main():
+    await Pool(workers=1).start()
+    print("ready", flush=True)
+    await asyncio.Event().wait()
+
+asyncio.run(main())
+"""
+
+StartPool = Callable[..., Awaitable[Pool]]
+
+
+class Faulty(Grid):
+    """A world with a bug."""
+
+    def step(self, action: Action) -> Outcome:
+        raise ZeroDivisionError
+
+
+class Idle:
+    """Somebody who does nothing."""
+
+    def decide(self) -> Decision | None:
+        return None
+
+    def succeeded(self) -> bool:
+        return False
+
+
+class Hopeless(Grid):
+    """A world whose expert never succeeds."""
+
+    def expert(self, skills: object, rng: np.random.Generator) -> Behaviour:
+        return Idle()
+
+
+@pytest.fixture
+async def start_pool() -> AsyncIterator[StartPool]:
+    """A function that starts a pool, closed with the test."""
+    pools: list[Pool] = []
+
+    async def start(**options: float) -> Pool:
+        pools.append(Pool(**options))
+        await pools[-1].start()
+        return pools[-1]
+
+    yield start
+    for pool in pools:
+        await pool.close()
+
+
+def children() -> list[psutil.Process]:
+    return psutil.Process().children()
+
+
+def open_files(pid: int) -> set[int]:
+    return {int(each.name) for each in Path(f"/proc/{pid}/fd").iterdir()}
+
+
+def stop(process: psutil.Process) -> None:
+    """Stops a process, and returns when it has stopped."""
+    process.suspend()
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+
+
+async def create(worker: Worker, task: str, *, num_envs: int, seed: int = 5) -> str:
+    request = CreateSessionRequest(task, num_envs=num_envs, seed=seed, lease_s=60)
+    return (await worker.call(request, CreateSessionResponse)).session
+
+
+def assert_same_bits(ours: StepResponse, theirs: StepResponse) -> None:
+    for name in ("reward", "terminated", "truncated", "diverged"):
+        assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
+    for mine, other in ((ours.frames, theirs.frames), (ours.final_frames, theirs.final_frames)):
+        assert mine.keys() == other.keys()
+        for camera, frames in mine.items():
+            assert (frames.shape, frames.tobytes()) == (other[camera].shape, other[camera].tobytes())
+
+
+@pytest.mark.fault("M11")
+@pytest.mark.parametrize(("task", "camera", "steps"), [("grid", "top", 500), ("blocks", "tilt", 100)])
+async def test_a_worker_steps_to_the_same_bits_as_in_process(
+    start_pool: StartPool, task: str, camera: str, steps: int
+) -> None:
+    pool = await start_pool(workers=1)
+    worker = await pool.place(3)
+    session = await create(worker, task, num_envs=3)
+    envs = Envs(TASKS[task], num_envs=3, seed=5)
+    first = await worker.call(ResetRequest(session, cameras=(camera,)), ResetResponse)
+    assert first.frames[camera].tobytes() == envs.reset(cameras=(camera,)).frames[camera].tobytes()
+    rng, spec = np.random.default_rng(0), TASKS[task].spec.action
+
+    for step_id in range(1, steps + 1):
+        drawn = rng.integers(spec.choices, size=(3, 1)) if spec.choices else rng.uniform(-1, 1, (3, spec.size))
+        actions = drawn if spec.choices else drawn.astype(np.float32)
+        cameras = (camera,) if step_id % 5 == 0 else ()
+        request = StepRequest(session, step_id, actions, cameras)
+        assert_same_bits(await worker.call(request, StepResponse), envs.step(actions, cameras))
+
+    assert (await worker.call(SnapshotRequest(session), SnapshotResponse)).snapshot == envs.snapshot()
+    envs.close()
+
+
+@pytest.mark.fault("M6")
+@pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGSEGV])
+async def test_a_worker_that_dies_fails_its_calls_and_is_replaced(start_pool: StartPool, death: int) -> None:
+    pool = await start_pool(workers=2)
+    one, other = await pool.place(1), await pool.place(1)
+    sessions = {worker: await create(worker, "grid", num_envs=1) for worker in (one, other)}
+    victim = next(child for child in children() if child.pid == one.pid)
+    stop(victim)
+    in_flight = asyncio.ensure_future(one.call(ResetRequest(sessions[one]), ResetResponse))
+    await asyncio.sleep(0)
+
+    victim.send_signal(death)
+    victim.resume()
+
+    with pytest.raises(WorkerLost):
+        await in_flight
+    with pytest.raises(WorkerLost):
+        await one.call(ListTasksRequest(), ListTasksResponse)
+    assert (await other.call(ResetRequest(sessions[other]), ResetResponse)).frames == {}
+    replacement = await pool.place(1)
+    assert replacement not in (one, other)
+    assert await create(replacement, "grid", num_envs=1)
+
+
+@pytest.mark.fault("M6")
+async def test_a_worker_that_hangs_is_killed(start_pool: StartPool) -> None:
+    pool = await start_pool(workers=1, stuck_s=0.5)
+    worker = await pool.place(1)
+    stop(children()[0])
+
+    with pytest.raises(WorkerLost):
+        await worker.call(ListTasksRequest(), ListTasksResponse)
+
+    await worker.wait_ended()
+    assert worker.is_lost
+
+
+def test_a_worker_dies_with_its_service() -> None:
+    service = subprocess.Popen([sys.executable, "-c", ORPHANED], stdout=subprocess.PIPE)
+    assert service.stdout is not None
+    assert service.stdout.readline() == b"ready\n"
+    (worker,) = psutil.Process(service.pid).children()
+
+    service.kill()
+
+    worker.wait(10)
+    service.wait()
+    service.stdout.close()
+
+
+async def test_a_worker_has_one_thread_and_no_socket_but_its_own(start_pool: StartPool) -> None:
+    await start_pool(workers=2)
+
+    for child in children():
+        assert child.num_threads() == 1
+        assert len(open_files(child.pid) - {0, 1, 2}) == 1
+
+
+async def test_a_service_that_closes_leaves_no_process_and_no_file_open() -> None:
+    before = open_files(os.getpid())
+    pool = Pool(workers=2)
+    await pool.start()
+    stop(children()[0])  # will not exit by itself
+
+    await pool.close()
+
+    assert children() == []
+    assert open_files(os.getpid()) == before
+
+
+async def test_sessions_are_placed_on_the_least_loaded_worker(start_pool: StartPool) -> None:
+    pool = await start_pool(workers=2)
+
+    crowded = await pool.place(5)
+    quiet = await pool.place(1)
+
+    assert quiet is not crowded
+    assert await pool.place(3) is quiet
+    assert await pool.place(2) is quiet
+    assert await pool.place(1) is crowded
+
+
+async def test_a_caller_that_goes_away_leaves_the_others_their_replies(start_pool: StartPool) -> None:
+    pool = await start_pool(workers=1)
+    worker = await pool.place(1)
+    calls = [asyncio.create_task(worker.call(ListTasksRequest(), ListTasksResponse)) for _ in range(3)]
+    await asyncio.sleep(0)
+
+    calls[1].cancel()
+
+    assert await calls[0] == await calls[2]
+    assert calls[1].cancelled()
+
+
+async def test_refusals_cross_the_socket_whole(start_pool: StartPool) -> None:
+    pool = await start_pool(workers=1)
+    worker = await pool.place(1)
+    session = await create(worker, "grid", num_envs=2)
+    envs = Envs(TASKS["grid"], num_envs=2, seed=5)
+    actions = np.full((2, 1), 9)
+    await worker.call(ResetRequest(session), ResetResponse)
+    envs.reset()
+
+    with pytest.raises(InvalidInput) as theirs:
+        await worker.call(StepRequest(session, 1, actions), StepResponse)
+
+    with pytest.raises(InvalidInput) as ours:
+        envs.step(actions)
+    assert vars(theirs.value) == vars(ours.value)
+
+
+async def test_a_message_that_announces_too_much_ends_the_connection_unread() -> None:
+    ours, theirs = socket.socketpair()
+    _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)  # asyncio tells it
+    asking = asyncio.ensure_future(connection.ask(ListTasksRequest()))
+    await asyncio.sleep(0)
+
+    theirs.sendall(struct.pack("<IBQ", framing.MAX_MESSAGE_BYTES + 1, 1, 1))
+
+    with pytest.raises(WorkerLost):
+        await asking
+    theirs.close()
+
+
+def test_a_message_over_the_limit_is_not_sent() -> None:
+    with pytest.raises(TooLarge, match="at most 68157440 bytes"):
+        framing.encode(SnapshotResponse(bytes(framing.MAX_MESSAGE_BYTES + 1)), call=1, number=1)
+
+
+def test_a_bug_in_a_world_ends_its_session_and_no_other() -> None:
+    host = Host(
+        {"grid": TASKS["grid"], "faulty": Task("faulty", "grid", "", grid.SPEC, lambda: Faulty(indicator=True))}
+    )
+    request = CreateSessionRequest("grid", num_envs=1, seed=0)
+    good = host.answer(request).session
+    bad = host.answer(replace(request, task="faulty")).session
+    up = np.zeros((1, 1), np.int64)
+    for session in (good, bad):
+        host.answer(ResetRequest(session))
+
+    with pytest.raises(Internal, match="session has ended"):
+        host.answer(StepRequest(bad, 1, up))
+
+    with pytest.raises(NotFound):
+        host.answer(StepRequest(bad, 1, up))
+    assert host.answer(StepRequest(good, 1, up)).step_id == 1
+    assert host.answer(CloseSessionRequest(good)) == CloseSessionResponse()
+
+
+def demonstrated(task: str, **request: object) -> list[DemonstrateResponse]:
+    whole = DemonstrateRequest(task, **{"behaviour": "expert", "count": 4, "seed": 3, **request})
+    world = TASKS[task].make()
+    made = [demonstrations.draw(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
+    world.close()
+    return made
+
+
+@pytest.mark.parametrize("task", ["grid", "blocks"])
+def test_any_part_of_the_demonstrations_can_be_made_again(task: str) -> None:
+    whole, rest = demonstrated(task), demonstrated(task, first=2)
+
+    assert [each.index for each in rest] == [2, 3]
+    for again, once in zip(rest, whole[2:], strict=True):
+        assert again.trajectory.skills == once.trajectory.skills
+        assert again.trajectory.actions.tobytes() == once.trajectory.actions.tobytes()
+        for camera, frames in once.trajectory.frames.items():
+            assert again.trajectory.frames[camera].tobytes() == frames.tobytes()
+
+
+def test_skills_are_the_sorted_set_of_those_executed_and_labels_say_when() -> None:
+    for each in demonstrated("grid", count=20, min_skills=2, max_skills=3, privileged=True):
+        executed = {TASKS["grid"].spec.skills[label] for label in each.labels}
+        assert each.trajectory.skills == tuple(sorted(executed))
+        assert 2 <= len(executed) <= 3
+        assert len(each.labels) == len(each.trajectory.actions) == len(each.trajectory.frames["top"])
+
+
+def test_every_number_of_skills_and_every_order_occurs() -> None:
+    made = demonstrated("grid", count=60, skills=("pick-red", "pick-green"), privileged=True)
+
+    orders = {tuple(dict.fromkeys(each.labels.tolist())) for each in made}
+    assert orders == {(0,), (1,), (0, 1), (1, 0)}
+
+
+def test_labels_are_for_the_privileged() -> None:
+    assert [each.labels.size for each in demonstrated("grid")] == [0] * 4
+
+
+def test_random_actions_have_no_skills_and_as_many_cameras_as_asked_for() -> None:
+    (made,) = demonstrated("blocks", behaviour="random", count=1, cameras=("left", "tilt"), height=32, width=24)
+
+    assert made.trajectory.skills == ()
+    assert {frames.shape[1:] for frames in made.trajectory.frames.values()} == {(32, 24, 3)}
+    assert list(made.trajectory.frames) == ["left", "tilt"]
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"skills": ("pick-nothing",)},
+        {"skills": ("pick-red", "pick-red")},
+        {"min_skills": 6},
+        {"min_skills": 3, "max_skills": 2},
+        {"max_skills": 3, "skills": ("pick-red",)},
+        {"behaviour": "random", "skills": ("pick-red",)},
+        {"cameras": ("nowhere",)},
+        {"height": 1000},
+    ],
+)
+def test_a_demonstration_that_cannot_be_is_refused(request_: dict[str, object]) -> None:
+    with pytest.raises(ServiceError) as refusal:
+        demonstrated("grid", **request_)
+    assert isinstance(refusal.value, InvalidInput)
+    assert refusal.value.field
+
+
+def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
+    with pytest.raises(FailedPrecondition, match="within 10 tries"):
+        demonstrations.draw(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))
