@@ -1,28 +1,14 @@
 """The rules of sessions, over real worker processes."""
 
 import asyncio
-import contextlib
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import (
-    Bundle,
-    RuleBasedStateMachine,
-    consumes,
-    initialize,
-    invariant,
-    multiple,
-    precondition,
-    rule,
-    run_state_machine_as_test,
-)
+import pytest_asyncio
 
 from freerein.errors import (
     AlreadyExists,
@@ -52,9 +38,14 @@ from freerein_sim.workers.envs import Envs
 from freerein_sim.workers.pool import Pool
 from freerein_sim.worlds import grid
 
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
 GRID = next(task for task in grid.TASKS if task.name == "grid")
 ONE = CreateSessionRequest("grid", seed=1)
-UP = np.zeros((1, 1), np.int64)
+UP, DOWN = np.zeros((1, 1), np.int64), np.ones((1, 1), np.int64)
+TOP = ("top",)
+Workers = list[psutil.Process]
+StartSessions = Callable[..., Awaitable[tuple[Sessions, Workers]]]
 
 
 @dataclass
@@ -67,30 +58,470 @@ class Clock:
         return self.now_s
 
 
-StartSessions = Callable[..., Awaitable[Sessions]]
-
-
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
 
 
-@pytest.fixture
+@pytest_asyncio.fixture(loop_scope="module")
 async def start(clock: Clock) -> AsyncIterator[StartSessions]:
-    """A function that starts sessions, closed with the test."""
+    """A function that starts sessions of the test's own, closed with it, and returns their workers too."""
     started: list[Sessions] = []
 
-    async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> Sessions:
+    async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> tuple[Sessions, Workers]:
+        others = children()
         started.append(Sessions(Pool(workers=workers), max_sessions=max_sessions, clock=clock))
         await started[-1].start()
-        return started[-1]
+        return started[-1], [child for child in children() if child not in others]
 
     yield start_sessions
     for sessions in started:
         await sessions.close()
 
 
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def sessions() -> AsyncIterator[Sessions]:
+    """The sessions that tests share which harm nobody."""
+    shared = Sessions(Pool(workers=1))
+    await shared.start()
+    yield shared
+    await shared.close()
+
+
 async def begun(sessions: Sessions, request: CreateSessionRequest = ONE) -> str:
     session = (await sessions.create_session(request)).session
     await sessions.reset(ResetRequest(session))
     return session
+
+
+async def snapshot(sessions: Sessions, session: str) -> bytes:
+    return (await sessions.snapshot(SnapshotRequest(session))).snapshot
+
+
+def stop(process: psutil.Process) -> None:
+    """Stops a process, and returns when it has stopped."""
+    process.suspend()
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+
+
+def children() -> Workers:
+    return psutil.Process().children()
+
+
+def assert_same(one: StepResponse, other: StepResponse) -> None:
+    assert one.step_id == other.step_id
+    for name in ("reward", "terminated", "truncated", "diverged"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in ("frames", "final_frames"):
+        assert {key: value.tobytes() for key, value in getattr(one, name).items()} == {
+            key: value.tobytes() for key, value in getattr(other, name).items()
+        }
+
+
+async def test_a_session_says_what_it_is(sessions: Sessions) -> None:
+    created = await sessions.create_session(CreateSessionRequest("grid"))
+
+    assert len(bytes.fromhex(created.session)) == 16
+    assert (created.num_envs, created.lease_s, created.task) == (1, 60.0, GRID.describe())
+    assert created.task in (await sessions.list_tasks(ListTasksRequest())).tasks
+
+
+async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessions: Sessions) -> None:
+    drawn = await sessions.create_session(CreateSessionRequest("grid", num_envs=2))
+    again = await sessions.create_session(CreateSessionRequest("grid", num_envs=2, seed=drawn.seed))
+
+    first, second = [await sessions.reset(ResetRequest(each.session, cameras=TOP)) for each in (drawn, again)]
+
+    assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"num_envs": 65}, InvalidInput),
+        ({"lease_s": 3601.0}, InvalidInput),
+        ({"lease_s": -1.0}, InvalidInput),
+        ({"lease_s": float("nan")}, InvalidInput),
+        ({"height": 257}, InvalidInput),
+        ({"task": "nothing"}, NotFound),
+    ],
+)
+async def test_a_session_out_of_bounds_is_refused(
+    sessions: Sessions, change: dict[str, object], error: type[ServiceError]
+) -> None:
+    with pytest.raises(error) as refusal:
+        await sessions.create_session(replace(ONE, **change))
+    assert refusal.value.field == next(iter(change))
+
+
+@pytest.mark.fault("M8")
+async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(sessions: Sessions) -> None:
+    huge = CreateSessionRequest("blocks", num_envs=64, seed=0, height=256, width=256)
+    session = await begun(sessions, huge)
+    actions = np.zeros((64, 3), np.float32)
+
+    with pytest.raises(InvalidInput, match="at most 66060288 bytes; these may have 75497472"):
+        await sessions.step(StepRequest(session, 1, actions, ("front", "left", "tilt")))
+
+    assert (await sessions.step(StepRequest(session, 1, actions))).step_id == 1
+    await sessions.close_session(CloseSessionRequest(session))
+
+
+@pytest.mark.fault("M7")
+async def test_a_step_before_the_reset_is_refused(sessions: Sessions) -> None:
+    session = (await sessions.create_session(ONE)).session
+
+    with pytest.raises(FailedPrecondition, match="no reset yet"):
+        await sessions.step(StepRequest(session, 1, UP))
+
+
+@pytest.mark.fault("M7")
+@pytest.mark.parametrize("step_id", [0, 1, 4, 2**60])
+async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(sessions: Sessions, step_id: int) -> None:
+    session = await begun(sessions)
+    for turn in (1, 2):
+        await sessions.step(StepRequest(session, turn, UP))
+
+    with pytest.raises(FailedPrecondition, match=f"must be 3, one more than the last; got {step_id}"):
+        await sessions.step(StepRequest(session, step_id, UP))
+
+    assert (await sessions.step(StepRequest(session, 3, UP))).step_id == 3
+
+
+@pytest.mark.fault("M4")
+async def test_a_refused_step_takes_no_turn(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    before = await snapshot(sessions, session)
+
+    with pytest.raises(InvalidInput, match="`actions`"):
+        await sessions.step(StepRequest(session, 1, np.full((1, 1), 9)))
+
+    assert await snapshot(sessions, session) == before
+    assert (await sessions.step(StepRequest(session, 1, UP))).step_id == 1
+
+
+@pytest.mark.fault("M13")
+async def test_the_last_step_repeated_is_answered_as_it_was_and_not_made_again(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    step = StepRequest(session, 1, DOWN, TOP)
+    reply = await sessions.step(step)
+    after = await snapshot(sessions, session)
+
+    again = await sessions.step(replace(step, actions=DOWN.copy()))
+
+    assert_same(again, reply)
+    assert await snapshot(sessions, session) == after
+
+
+@pytest.mark.fault("M13")
+@pytest.mark.parametrize("change", [{"actions": DOWN}, {"cameras": TOP}])
+async def test_the_last_step_repeated_with_something_else_is_refused(
+    sessions: Sessions, change: dict[str, object]
+) -> None:
+    session = await begun(sessions)
+    step = StepRequest(session, 1, UP)
+    await sessions.step(step)
+
+    with pytest.raises(FailedPrecondition, match="with other actions or cameras"):
+        await sessions.step(replace(step, **change))
+
+
+@pytest.mark.fault("M7")
+async def test_steps_at_the_same_time_are_made_one_after_the_other(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    before = await snapshot(sessions, session)
+
+    replies = await asyncio.gather(*(sessions.step(StepRequest(session, i, DOWN, TOP)) for i in (1, 1, 2, 2, 3)))
+
+    assert [reply.step_id for reply in replies] == [1, 1, 2, 2, 3]
+    envs = Envs(GRID, num_envs=1, seed=0)
+    envs.restore(before)
+    for reply in replies[::2]:
+        assert_same(reply, envs.step(DOWN, TOP))
+
+
+@pytest.mark.fault("M13")
+async def test_a_step_whose_caller_goes_away_is_made_and_its_reply_kept(start: StartSessions) -> None:
+    sessions, workers = await start()
+    session = await begun(sessions)
+    stop(workers[0])
+    step = asyncio.create_task(sessions.step(StepRequest(session, 1, DOWN)))
+    waiting = asyncio.create_task(sessions.step(StepRequest(session, 2, DOWN)))
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+    step.cancel()
+    waiting.cancel()
+    await asyncio.wait([step, waiting])
+    workers[0].resume()
+
+    assert step.cancelled()
+    assert waiting.cancelled()
+    assert (await sessions.step(StepRequest(session, 1, DOWN))).step_id == 1
+    assert (await sessions.step(StepRequest(session, 2, UP))).step_id == 2  # the one that waited was never made
+
+
+@pytest.mark.fault("M7")
+async def test_a_key_makes_one_session_however_often_it_is_used(sessions: Sessions) -> None:
+    request = replace(ONE, idempotency_key="mine", seed=None)
+
+    first, twin = await asyncio.gather(sessions.create_session(request), sessions.create_session(request))
+
+    assert first == twin == await sessions.create_session(request)
+    with pytest.raises(AlreadyExists, match="`idempotency_key`"):
+        await sessions.create_session(replace(request, num_envs=2))
+    await sessions.close_session(CloseSessionRequest(first.session))
+    assert (await sessions.create_session(replace(request, num_envs=2))).session != first.session
+
+
+@pytest.mark.fault("M7")
+async def test_a_key_whose_session_could_not_be_made_can_be_used_again(sessions: Sessions) -> None:
+    request = replace(ONE, idempotency_key="again")
+
+    with pytest.raises(InvalidInput):
+        await sessions.create_session(replace(request, height=40))  # the grid's frames are smaller
+
+    assert await sessions.create_session(request)
+
+
+@pytest.mark.fault("M7")
+async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    await sessions.close_session(CloseSessionRequest(session))
+
+    assert await sessions.close_session(CloseSessionRequest(session)) == CloseSessionResponse()
+    for call in (
+        sessions.reset(ResetRequest(session)),
+        sessions.step(StepRequest(session, 1, UP)),
+        sessions.render(RenderRequest(session)),
+        sessions.snapshot(SnapshotRequest(session)),
+        sessions.restore(RestoreRequest(session, b"")),
+    ):
+        with pytest.raises(NotFound, match="no such session"):
+            await call
+
+
+@pytest.mark.fault("M7")
+async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: Sessions) -> None:
+    session = await begun(sessions)
+
+    closed, late = await asyncio.gather(
+        sessions.close_session(CloseSessionRequest(session)),
+        sessions.step(StepRequest(session, 1, UP)),
+        return_exceptions=True,
+    )
+
+    assert closed == CloseSessionResponse()
+    assert isinstance(late, NotFound)
+
+
+async def test_the_truth_is_for_the_privileged(sessions: Sessions) -> None:
+    plain, privileged = await begun(sessions), await begun(sessions, replace(ONE, privileged=True))
+
+    assert (await sessions.step(StepRequest(plain, 1, UP))).truth is None
+    told = await sessions.step(StepRequest(privileged, 1, UP))
+    assert told.truth is not None
+    assert told.truth.state.shape == (1, len(GRID.spec.state_names))
+    assert not told.reward.any()
+
+
+async def test_rendering_shows_what_the_last_step_left(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    stepped = await sessions.step(StepRequest(session, 1, DOWN, TOP))
+
+    rendered = await sessions.render(RenderRequest(session))
+
+    assert rendered.frames["top"].tobytes() == stepped.frames["top"].tobytes()
+
+
+@pytest.mark.fault("M10")
+async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: Sessions) -> None:
+    one, other = await begun(sessions), await begun(sessions, replace(ONE, seed=2))
+    for step_id in (1, 2):
+        await sessions.step(StepRequest(one, step_id, DOWN))
+    kept = await snapshot(sessions, one)
+
+    assert (await sessions.restore(RestoreRequest(other, kept))).step_id == 2
+
+    with pytest.raises(FailedPrecondition, match="must be 3"):
+        await sessions.step(StepRequest(other, 2, DOWN))  # it was another's
+    assert_same(
+        await sessions.step(StepRequest(other, 3, DOWN, TOP)), await sessions.step(StepRequest(one, 3, DOWN, TOP))
+    )
+
+
+@pytest.mark.fault("M10")
+async def test_a_snapshot_that_is_none_changes_nothing(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    before = await snapshot(sessions, session)
+
+    with pytest.raises(InvalidInput, match="hash"):
+        await sessions.restore(RestoreRequest(session, before[:-1]))
+    two = await begun(sessions, replace(ONE, num_envs=2))
+    with pytest.raises(FailedPrecondition, match="of 1 environments"):
+        await sessions.restore(RestoreRequest(session, await snapshot(sessions, two)))
+
+    assert await snapshot(sessions, session) == before
+
+
+async def test_demonstrations_come_in_order_and_resume_where_they_were_left(sessions: Sessions) -> None:
+    request = DemonstrateRequest("grid", "expert", count=6, seed=3)
+
+    whole = [each async for each in sessions.demonstrate(request)]
+    rest = [each async for each in sessions.demonstrate(replace(request, first=4))]
+
+    assert [each.index for each in whole] == list(range(6))
+    assert [each.trajectory.actions.tobytes() for each in rest] == [
+        each.trajectory.actions.tobytes() for each in whole[4:]
+    ]
+    assert [each async for each in sessions.demonstrate(replace(request, first=6))] == []
+
+
+async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(sessions: Sessions) -> None:
+    stream = sessions.demonstrate(DemonstrateRequest("grid", "random", count=100_000))
+    await anext(stream)
+    next_one = asyncio.ensure_future(anext(stream))
+    await asyncio.sleep(0)
+
+    next_one.cancel()
+    await asyncio.wait([next_one])
+    await stream.aclose()
+
+    assert [each.index async for each in sessions.demonstrate(DemonstrateRequest("grid", "random"))] == [0]
+
+
+async def test_a_demonstration_leaves_sessions_in_peace(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    stream = sessions.demonstrate(DemonstrateRequest("blocks", "expert", count=2, min_skills=4, height=128, width=128))
+    made = asyncio.ensure_future(anext(stream))
+    await asyncio.sleep(0)
+
+    for step_id in range(1, 21):
+        await sessions.step(StepRequest(session, step_id, UP))
+
+    assert not made.done()
+    assert (await made).index == 0
+    await stream.aclose()
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"count": 0}, InvalidInput),
+        ({"count": 100_001}, InvalidInput),
+        ({"first": 3}, InvalidInput),
+        ({"height": 300}, InvalidInput),
+        ({"skills": ("fly",)}, InvalidInput),
+        ({"task": "nothing"}, NotFound),
+        ({"task": "blocks", "cameras": ("front", "left", "tilt"), "height": 256, "width": 256}, InvalidInput),
+    ],
+)
+async def test_demonstrations_out_of_bounds_are_refused(
+    sessions: Sessions, change: dict[str, object], error: type[ServiceError]
+) -> None:
+    with pytest.raises(error):
+        await anext(sessions.demonstrate(replace(DemonstrateRequest("grid", "expert", count=2), **change)))
+
+
+@pytest.mark.fault("M8")
+async def test_a_session_that_nobody_touches_ends_with_its_lease(start: StartSessions, clock: Clock) -> None:
+    sessions, _ = await start(max_sessions=1)
+    session = await begun(sessions, replace(ONE, lease_s=10))
+    clock.now_s += 9.9
+    await sessions.step(StepRequest(session, 1, UP))  # renews it
+    clock.now_s += 9.9
+    sessions.reap()
+    assert len(sessions) == 1
+
+    clock.now_s += 10
+
+    with pytest.raises(NotFound, match="lease has ended"):
+        await sessions.step(StepRequest(session, 2, UP))
+    async with asyncio.timeout(5):
+        while len(sessions):  # the reaper runs by itself
+            await asyncio.sleep(0.05)
+    assert await begun(sessions)
+
+
+@pytest.mark.fault("M8")
+async def test_no_more_sessions_are_open_than_may_be(start: StartSessions) -> None:
+    sessions, _ = await start(max_sessions=2)
+
+    attempts = await asyncio.gather(*(sessions.create_session(ONE) for _ in range(5)), return_exceptions=True)
+
+    refused = [attempt for attempt in attempts if isinstance(attempt, Overloaded)]
+    assert len(refused) == 3
+    assert all(error.retry_after_s for error in refused)
+    assert len(sessions) == 2
+    await sessions.close_session(CloseSessionRequest(attempts[0].session))
+    assert await sessions.create_session(ONE)
+
+
+@pytest.mark.fault("M8")
+async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions) -> None:
+    sessions, workers = await start()
+    processes = [psutil.Process(), *workers]
+    for _ in range(30):
+        await sessions.close_session(CloseSessionRequest(await begun(sessions)))
+    files = [process.num_fds() for process in processes]
+    memory = [process.memory_info().rss for process in processes]
+
+    for _ in range(300):
+        session = await begun(sessions, replace(ONE, num_envs=4, idempotency_key="mine"))
+        await sessions.step(StepRequest(session, 1, np.zeros((4, 1), np.int64), TOP))
+        await sessions.close_session(CloseSessionRequest(session))
+
+    assert len(sessions) == 0
+    assert [process.num_fds() for process in processes] == files
+    for process, before in zip(processes, memory, strict=True):
+        assert process.memory_info().rss < 1.05 * before
+
+
+@pytest.mark.fault("M6")
+async def test_a_worker_that_dies_takes_its_own_sessions_only(start: StartSessions) -> None:
+    sessions, workers = await start(workers=2, max_sessions=2)
+    one, other = await begun(sessions), await begun(sessions)
+    victim = workers[0]
+
+    victim.kill()
+    victim.wait()
+    steps = [sessions.step(StepRequest(session, 1, UP)) for session in (one, other)]
+    outcomes = dict(zip((one, other), await asyncio.gather(*steps, return_exceptions=True), strict=True))
+
+    (lost,) = (session for session, outcome in outcomes.items() if isinstance(outcome, WorkerLost))
+    (kept,) = (session for session, outcome in outcomes.items() if isinstance(outcome, StepResponse))
+    with pytest.raises(NotFound):
+        await sessions.step(StepRequest(lost, 1, UP))
+    assert await sessions.close_session(CloseSessionRequest(lost)) == CloseSessionResponse()
+    assert await begun(sessions)  # in the place of the lost one
+    assert (await sessions.step(StepRequest(kept, 2, UP))).step_id == 2
+
+
+async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothing(start: StartSessions) -> None:
+    sessions, _ = await start()
+    session = await begun(sessions)
+    stream = sessions.demonstrate(DemonstrateRequest("grid", "random", count=2))
+    await anext(stream)
+    step = asyncio.create_task(sessions.step(StepRequest(session, 1, UP)))
+    await asyncio.sleep(0)
+
+    await sessions.drain()
+
+    assert step.done()
+    for begin in (sessions.create_session(ONE), anext(stream)):
+        with pytest.raises(Unavailable, match="about to stop"):
+            await begin
+    assert await snapshot(sessions, session)
+
+
+async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
+    files, processes = psutil.Process().num_fds(), set(children())
+    sessions = Sessions(Pool(workers=2))
+    await sessions.start()
+    await begun(sessions)
+
+    await sessions.close()
+
+    assert set(children()) == processes
+    assert psutil.Process().num_fds() == files
+    assert len(sessions) == 0

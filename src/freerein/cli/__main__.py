@@ -1,10 +1,9 @@
 """`freerein`: run services, record demonstrations, train, label, look after datasets and models."""
 
-import importlib.util
-
 import typer
 
 from freerein.cli import dataset, fit, models, segment, sim
+from freerein.cli.demo import demo
 from freerein.cli.doctor import doctor
 from freerein.cli.up import up
 
@@ -15,16 +14,12 @@ app = typer.Typer(
 )
 app.command()(up)
 app.command()(doctor)
+app.command()(demo)
 app.command()(segment.segment)
 app.add_typer(sim.app, name="sim")
 app.add_typer(fit.app, name="fit")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(models.app, name="models")
-
-if importlib.util.find_spec("freerein.cli.demo"):
-    from freerein.cli.demo import demo
-
-    app.command()(demo)
 
 
 def main() -> None:

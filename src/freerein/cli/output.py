@@ -13,25 +13,30 @@ from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 P = ParamSpec("P")
 
+_ENDLESS = 1000
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
 
 
 def verb(run: Callable[P, None]) -> Callable[P, None]:
-    """Decorates a verb: an error of ours is printed as a sentence and how to mend it, and the exit code is 1."""
+    """Decorates a verb: an error of ours is printed as a sentence and how to mend it, and the exit code is 1.
+
+    The exit has no error for its context: a gRPC channel that lives on in a traceback when the interpreter ends may
+    abort the process.
+    """
 
     @functools.wraps(run)
     def reporting(*args: P.args, **kwargs: P.kwargs) -> None:
+        as_json = bool(kwargs.get("as_json"))
         try:
             run(*args, **kwargs)
         except ServiceError as error:
-            failure: ServiceError = error
+            print_error(error, as_json=as_json)
         except OSError as error:
-            failure = FailedPrecondition(
-                f"A file or a port was to be used; the system refused: {error}", hint="`freerein doctor` may say more."
-            )
+            sentence = f"A file or a port was to be used; the system refused: {error}"
+            print_error(FailedPrecondition(sentence, hint="`freerein doctor` may say more."), as_json=as_json)
         else:
             return
-        print_error(failure, as_json=bool(kwargs.get("as_json")))
         raise typer.Exit(1)
 
     return reporting
@@ -60,15 +65,19 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Prints plain text in columns."""
+    """Prints plain text in columns, whole: wrapped on a terminal, on one line for each row elsewhere."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(*columns, box=None, header_style="bold", pad_edge=False)
+    for column in table.columns:
+        column.overflow = "fold"
+    table.columns[0].no_wrap = True
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    Console().print(table)
+    console = Console(width=None if sys.stdout.isatty() else _ENDLESS)
+    console.print(table)
 
 
 @contextmanager

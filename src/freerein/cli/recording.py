@@ -62,9 +62,9 @@ async def _find_task(client: SimClient, name: str) -> Task:
     tasks = {task.name: task for task in (await client.list_tasks(ListTasksRequest())).tasks}
     if name not in tasks:
         raise NotFound(
-            f"The task must be one of {', '.join(tasks)}; got another name.",
+            f"The task must be one of the {len(tasks)} that the sim service has; got another name.",
             field="task",
-            hint="`freerein sim tasks` describes them.",
+            hint="`freerein sim tasks` names them.",
         )
     return tasks[name]
 

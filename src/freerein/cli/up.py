@@ -1,6 +1,7 @@
 """`freerein up`: the services as child processes, with a live table of how they stand."""
 
 import asyncio
+import json
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, verb
+from freerein.cli.output import AsJson, verb
 from freerein.errors import FailedPrecondition
 
 if TYPE_CHECKING:
@@ -65,20 +66,21 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
         with Live(console=console, auto_refresh=False) as live:
             yield lambda statuses: live.update(_table(statuses), refresh=True)
         return
-    shown: dict[str, Status] = {}
+    shown: dict[str, str] = {}
 
     def show_changes(statuses: tuple["Status", ...]) -> None:
         for status in statuses:
-            if shown.get(status.service) != status:
-                shown[status.service] = status
-                print_json(asdict(status)) if as_json else console.print(_line(status), soft_wrap=True)
+            line = json.dumps(asdict(status)) if as_json else _line(status)
+            if shown.get(status.service) != line:
+                shown[status.service] = line
+                typer.echo(line)
 
     yield show_changes
 
 
 def _line(status: "Status") -> str:
     doors = f"REST {status.rest_url}  gRPC {status.grpc_address}" if status.state == "ready" else status.reason
-    return f"{status.service:<13} {status.state:<13} {doors}"
+    return f"{status.service:<13} {status.state:<13} {doors}".rstrip()
 
 
 def _table(statuses: tuple["Status", ...]) -> "Table":

@@ -10,10 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from freerein.data import episodes, layout
-from freerein.data.durable import WriterLock, write_durably
 from freerein.data.episodes import Row
+from freerein.data.lock import WriterLock
 from freerein.data.spec import DatasetSpec, dumps, loads
 from freerein.data.trajectory_file import read_footer
+from freerein.durable import write_durably
 from freerein.errors import FailedPrecondition, InvalidInput
 
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)

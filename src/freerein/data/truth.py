@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from freerein.data import layout
-from freerein.data.durable import write_durably
 from freerein.data.rows import refusing_corruption
+from freerein.durable import write_durably
 from freerein.errors import NotFound
 
 _FOLDER = "truth"

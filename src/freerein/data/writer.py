@@ -10,11 +10,12 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from freerein.data import episodes, layout, meta, truth
-from freerein.data.durable import UNFINISHED, WriterLock, sync_folder, write_durably
 from freerein.data.episodes import Row
+from freerein.data.lock import WriterLock
 from freerein.data.rows import Actions
 from freerein.data.spec import DatasetSpec
 from freerein.data.trajectory_file import encode
+from freerein.durable import UNFINISHED, sync_folder, write_durably
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import Trajectory
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError
+from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError, Unavailable
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
@@ -21,6 +21,7 @@ I = TypeVar("I")  # noqa: E741  # item
 O = TypeVar("O")  # noqa: E741  # output
 
 _FAULTS_UNTIL_NOT_READY = 5
+_LAST_BATCH_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Done(Generic[O]):
     batch_size: int
 
 
-@dataclass
+@dataclass(eq=False)
 class _Waiting(Generic[I, O]):
     item: I
     key: Hashable
@@ -90,11 +91,14 @@ class Batcher(Generic[I, O]):
             Overloaded: The queue is full.
             DeadlineExceeded: The time was up before the model could begin.
             ModelFault: The model raised on this item.
+            Unavailable: The batcher is closed.
             ServiceError: Whatever the model returned in the item's place.
         """
         future: asyncio.Future[Done[O]] = asyncio.get_running_loop().create_future()
         waiting = _Waiting(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
         with self._wake:
+            if self._closed:
+                raise _closed()
             if len(self._waiting) >= self._queue:
                 raise Overloaded(
                     f"At most {self._queue} items may wait for the model; the queue is full.",
@@ -103,14 +107,29 @@ class Batcher(Generic[I, O]):
             self._waiting.append(waiting)
             self._metrics.queued.set(len(self._waiting))
             self._wake.notify()
-        return await future
+        try:
+            return await future
+        except asyncio.CancelledError:
+            self._withdraw(waiting)
+            raise
 
     def close(self) -> None:
-        """Ends the thread after the batch in work; what waits is answered by ModelFault."""
+        """Ends the thread after the batch in work, or leaves it behind when that hangs; what waits is refused."""
         with self._wake:
             self._closed = True
+            for waiting in self._waiting:
+                _settle(waiting.future, _closed())
+            self._waiting.clear()
+            self._metrics.queued.set(0)
             self._wake.notify()
-        self._thread.join()
+        self._thread.join(_LAST_BATCH_S)
+
+    def _withdraw(self, waiting: "_Waiting[I, O]") -> None:
+        """Frees the place of an item whose caller is gone."""
+        with self._wake:
+            if waiting in self._waiting:
+                self._waiting.remove(waiting)
+                self._metrics.queued.set(len(self._waiting))
 
     def _work(self) -> None:
         while batch := self._next_batch():
@@ -153,6 +172,10 @@ class Batcher(Generic[I, O]):
             return [ModelFault("The model failed on this input; the log says more.", hint="Report it.")]
         self._faults = 0
         return outputs
+
+
+def _closed() -> Unavailable:
+    return Unavailable("The model must be running; the service is stopping.", hint="Call another replica.")
 
 
 def _still_wanted(waiting: "_Waiting[I, O]") -> bool:

@@ -11,7 +11,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from freerein.errors import MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
+from freerein.errors import Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
 from freerein.serving import auth, problems
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
@@ -59,6 +59,13 @@ class Edge:
             except ServiceError as error:
                 scope["freerein.code"] = error.code
                 await reply.problem(error)
+            except Exception as error:  # every other exception is a bug
+                scope["freerein.code"] = Internal.code
+                _log.exception("bug", extra={"route": scope["path"] if scope["path"] in self._paths else "other"})
+                if reply.status:
+                    raise
+                bug = Internal("A bug of ours; the log says more.", hint="Report it with the request id.")
+                await reply.problem(bug)
             finally:
                 self._record(scope, reply.status, time.perf_counter() - started)
 

@@ -36,9 +36,10 @@ class FitRecords:
         for path in sorted(
             root.glob("*/events.jsonl"), key=lambda found: (found.parent / "request.json").stat().st_mtime
         ):
-            request = json.loads((path.parent / "request.json").read_bytes())
-            self._requests[path.parent.name] = StartFitRequest(**request)
-            self._events[path.parent.name] = _read_events(path)
+            if events := _read_events(path):  # without one the fit was never acknowledged
+                request = json.loads((path.parent / "request.json").read_bytes())
+                self._requests[path.parent.name] = StartFitRequest(**request)
+                self._events[path.parent.name] = events
 
     def all(self) -> tuple[Fit, ...]:
         """Returns all fits, oldest first."""
@@ -92,9 +93,10 @@ class FitRecords:
             self._changed.notify_all()
 
     async def wait_beyond(self, fit_id: str, count: int) -> bool:
-        """Returns True when a fit has more than `count` events."""
+        """Returns True when a fit has more than `count` events, or has ended."""
+        events = self._events[fit_id]
         async with self._changed:
-            await self._changed.wait_for(lambda: len(self._events[fit_id]) > count)
+            await self._changed.wait_for(lambda: len(events) > count or events[-1].ended)
         return True
 
 

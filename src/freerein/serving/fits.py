@@ -8,6 +8,7 @@ again cannot help. It ends when its standard input closes: then its parent is go
 import asyncio
 import json
 import logging
+import math
 import sys
 import uuid
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -15,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from freerein.errors import AlreadyExists
+from freerein.errors import AlreadyExists, Overloaded
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.health import Health
 from freerein.serving.models import DEFAULT_NAME, ModelStore
@@ -38,6 +39,7 @@ _log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SAVE_S = 5.0
 _CRASHES = 3
+_WAITING = 64
 HOPELESS = 2
 """Exit code of a child that cannot succeed however often it is started."""
 
@@ -80,14 +82,12 @@ class Fits:
         for fit in self._records.all():
             if not fit.ended:
                 self._queue.put_nowait(fit.id)
-        self._runner = asyncio.create_task(self._run_all())
+        self._runner = asyncio.create_task(self._run_until_draining())
 
     async def close(self) -> None:
-        """Stops the child, which saves first; the next start goes on with its fit."""
+        """Waits, on drain, for the end of the child, which saves first; the next start goes on with its fit."""
         if self._runner is not None:
-            self._runner.cancel()
-            await asyncio.gather(self._runner, return_exceptions=True)
-        await self._stop_child()
+            await self._runner
 
     async def start_fit(self, request: StartFitRequest) -> StartFitResponse:
         """Queues a fit.
@@ -96,6 +96,7 @@ class Fits:
             NotFound: There is no such dataset.
             InvalidInput: The configuration or a name is wrong.
             AlreadyExists: The idempotency key belongs to another request.
+            Overloaded: Too many fits wait already.
         """
         check_name(request.dataset, field="dataset")
         if request.idempotency_key:
@@ -109,6 +110,8 @@ class Fits:
                     hint="Choose a new key for a new fit.",
                 )
             return StartFitResponse(known[1])
+        if self._queue.qsize() >= _WAITING:
+            raise Overloaded(f"At most {_WAITING} fits may wait; they do.", hint="Cancel one, or wait for one to end.")
         config = self._resolve(request.dataset, request.config)
         fit = Fit(uuid.uuid4().hex, "queued", request.dataset, name, config, steps=config["steps"])
         await self._records.add(fit, request)
@@ -149,6 +152,10 @@ class Fits:
                 await self._stop_child()
         return CancelFitResponse(fit)
 
+    async def _run_until_draining(self) -> None:
+        await self._health.unless_draining(self._run_all())
+        await self._stop_child()
+
     async def _run_all(self) -> None:
         while True:
             fit_id = await self._queue.get()
@@ -156,6 +163,7 @@ class Fits:
                 await self._run(fit_id)
             except Exception:  # one fit's bug must not end all fits
                 _log.exception("a fit failed", extra={"fit": fit_id})
+                await self._stop_child()
                 await self._fail(fit_id, "A bug of ours; the log says more.")
 
     async def _run(self, fit_id: str) -> None:
@@ -183,6 +191,8 @@ class Fits:
             self._child = await asyncio.create_subprocess_exec(
                 sys.executable, "-m", self._module, str(work), stdin=asyncio.subprocess.PIPE, stdout=log, stderr=log
             )
+        if self._records.fit(fit_id).ended:  # cancelled while the process was being started
+            await self._stop_child()
         ended = asyncio.ensure_future(self._child.wait())
         while not ended.done():
             await asyncio.wait({ended}, timeout=_POLL_S)
@@ -196,13 +206,16 @@ class Fits:
         metrics = json.loads(line)
         step = metrics.pop("step")
         if step != fit.step:
-            await self._records.change(replace(fit, step=step, metrics=metrics))
+            finite = {name: value for name, value in metrics.items() if math.isfinite(value)}
+            await self._records.change(replace(fit, step=step, metrics=finite))
 
     async def _succeed(self, fit_id: str) -> None:
+        name, folder = self._records.fit(fit_id).model_name, self._records.work(fit_id) / "model"
+        ref = await asyncio.to_thread(self._store.publish, name, folder)
         fit = self._records.fit(fit_id)
-        ref = await asyncio.to_thread(self._store.publish, fit.model_name, self._records.work(fit_id) / "model")
-        self._store.activate(ref)
-        await self._records.change(replace(fit, state="succeeded", model=ref))
+        if not fit.ended:  # it may have been cancelled meanwhile
+            self._store.activate(ref)
+            await self._records.change(replace(fit, state="succeeded", model=ref))
 
     async def _fail(self, fit_id: str, reason: str) -> None:
         await self._records.change(replace(self._records.fit(fit_id), state="failed", error=reason))

@@ -1,12 +1,14 @@
 """uvicorn with what it lacks: a deadline for receiving a request, one for reading a reply, and an exit code of 0."""
 
 import asyncio
+import uuid
 from typing import Any
 
+import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from freerein.errors import MalformedRequest
+from freerein.errors import MalformedRequest, ServiceError
 from freerein.serving import problems
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -25,45 +27,68 @@ def protocol_class(limits: Limits) -> type[asyncio.Protocol]:
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's
             super().connection_made(transport)
-            self._receipt = self.loop.call_later(limits.receipt_s, transport.abort)
+            self._await_request()
 
         def data_received(self, data: bytes) -> None:
-            if self._receipt is None:
-                self._receipt = self.loop.call_later(limits.receipt_s, self.transport.abort)
+            self._await_request()
             super().data_received(data)
 
         def handle_events(self) -> None:
             super().handle_events()
-            if self.cycle is not None and not self.cycle.more_body:
+            if self.conn.their_state is h11.SEND_BODY:
+                self._await_request()
+            elif self.conn.their_state is not h11.IDLE:  # a whole request is there
                 _cancel(self._receipt)
                 self._receipt = None
 
         def pause_writing(self) -> None:
             super().pause_writing()
-            self._write = self._write or self.loop.call_later(limits.write_s, self.transport.abort)
+            self._await_reader()
 
         def resume_writing(self) -> None:
             super().resume_writing()
             _cancel(self._write)
             self._write = None
 
+        def on_response_complete(self) -> None:
+            super().on_response_complete()
+            self._await_reader()
+
         def connection_lost(self, exc: Exception | None) -> None:
             _cancel(self._receipt)
-            _cancel(self._write)
             super().connection_lost(exc)
+            _cancel(self._write)
 
         def send_400_response(self, msg: str) -> None:
             error = MalformedRequest(
-                "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not."
+                "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not.",
+                hint="Let an HTTP client write them.",
             )
-            body = problems.document(error, "")
-            self.transport.write(
-                b"HTTP/1.1 400 Bad Request\r\ncontent-type: %s\r\ncontent-length: %d\r\nconnection: close\r\n\r\n%s"
-                % (problems.MEDIA_TYPE.encode(), len(body), body)
-            )
+            if self.cycle is None or self.cycle.response_complete or not self.cycle.response_started:
+                self.transport.write(_response(error))
             self.transport.close()
 
+        def _await_request(self) -> None:
+            self._receipt = self._receipt or self.loop.call_later(limits.receipt_s, self.transport.abort)
+
+        def _await_reader(self) -> None:
+            self._write = self._write or self.loop.call_later(limits.write_s, self._end_unread)
+
+        def _end_unread(self) -> None:
+            self._write = None
+            if self.transport.get_write_buffer_size():
+                self.transport.abort()
+
     return DeadlineProtocol
+
+
+def _response(error: ServiceError) -> bytes:
+    """Returns the bytes of a reply to what is no request."""
+    request_id = uuid.uuid4().hex
+    headers = {**problems.headers(error, request_id), "connection": "close"}
+    body = problems.document(error, request_id)
+    lines = [f"HTTP/1.1 {error.http_status} ", *(f"{key}: {value}" for key, value in headers.items())]
+    return "\r\n".join([*lines, f"content-length: {len(body)}", "", ""]).encode() + body
 
 
 class Server(uvicorn.Server):

@@ -30,6 +30,7 @@ from freerein.serving.settings import ServiceSettings
 _log = logging.getLogger(__name__)
 S = TypeVar("S", bound=ServiceSettings)
 CONFIGURATION_ERROR = 3
+_BACKLOG = 2048
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> int:
 
 
 async def _serve(settings: S, build: Build[S]) -> int:
-    limits = Limits(receipt_s=settings.receipt_s, queue=settings.queue)
+    limits = Limits(receipt_s=settings.receipt_s, write_s=settings.write_s, queue=settings.queue)
     metrics, token = Metrics(), settings.token_text
     core: list[Service] = []
     health = Health(lambda: core[0].not_ready() if core else "It is starting.")
@@ -85,17 +86,18 @@ async def _serve(settings: S, build: Build[S]) -> int:
         grpc_port = _bind(door, settings)
     except (OSError, RuntimeError):
         return _complain(
-            f"Ports {settings.http_port} and {settings.grpc_port} of {settings.host} must be free; one is taken. "
-            "Set FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT to others, or stop what holds them."
+            f"{settings.host} must be an address of this machine, and its ports {settings.http_port} and "
+            f"{settings.grpc_port} free; one could not be bound. "
+            "Set FREEREIN_HOST, FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT to others, or stop what holds the ports."
         )
     cert, key = (str(path) if path else None for path in (settings.tls_cert, settings.tls_key))
     server = http.make_server(app, limits=limits, health=health, cert=cert, key=key)
+    rest = asyncio.create_task(server.serve(sockets=[listener]))
     await door.server.start()
     http_port = listener.getsockname()[1]
     _log.info("listening", extra={"host": settings.host, "http_port": http_port, "grpc_port": grpc_port})
     sys.stdout.write(json.dumps({"service": service.name, "http_port": http_port, "grpc_port": grpc_port}) + "\n")
     sys.stdout.flush()
-    rest = asyncio.create_task(server.serve(sockets=[listener]))
     reporter = asyncio.create_task(door.report_health())
     warm_up = asyncio.create_task(_warm_up(service, server, health))
     await health.wait_for_drain()
@@ -125,6 +127,7 @@ def _listen(host: str, port: int) -> socket.socket:
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.bind((host, port))
+    listener.listen(_BACKLOG)  # before the port is made known
     return listener
 
 

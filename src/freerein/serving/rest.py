@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from freerein import __version__, wire
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, InvalidInput, NotFound, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, Overloaded, ServiceError
 from freerein.serving import body, problems
 from freerein.serving.edge import Edge
 from freerein.serving.health import Health
@@ -75,14 +75,14 @@ def make_app(
         token: Bearer token that calls must carry; empty for none.
     """
     served = [method for method in methods if not method.descriptor.client_streaming]
-    app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None)
+    app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
+    streams = asyncio.Semaphore(limits.streams)
     for method in served:
-        answer = _stream(method, health) if method.descriptor.server_streaming else _unary(method, limits)
+        answer = _stream(method, health, streams) if method.descriptor.server_streaming else _unary(method, limits)
         app.add_route(method.path, answer, methods=["GET"] if method.reads else ["POST"], include_in_schema=False)
     _add_operations(app, health, metrics)
     app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
-    app.add_exception_handler(Exception, _answer_bug)
     app.openapi = lambda: _openapi(app, served)  # type: ignore[method-assign]  # FastAPI's documented way
     app.add_middleware(Edge, metrics=metrics, limits=limits, token=token, paths={method.path for method in served})
     return app
@@ -100,28 +100,35 @@ def _unary(method: Method, limits: Limits) -> Callable[[Request], Awaitable[Resp
     return answer
 
 
-def _stream(method: Method, health: Health) -> Callable[[Request], Awaitable[Response]]:
+def _stream(method: Method, health: Health, streams: asyncio.Semaphore) -> Callable[[Request], Awaitable[Response]]:
     """Server-sent events: the id of each is its `sequence`; `Last-Event-ID` resumes after it."""
 
     async def answer(request: Request) -> Response:
         message = body.read_query(request, method.request)
         if (last := request.headers.get("last-event-id", "")).isdecimal():
             message = type(message)(**{**vars(message), "from_sequence": int(last[:18]) + 1})
+        if streams.locked():
+            raise Overloaded("As many streams as may be open are open.", hint="Close one first.")
         events = method.call(message)
-        first = await anext(events, None)  # so that an unknown id is a 404, not a broken stream
-        return StreamingResponse(_events(first, events, health), media_type="text/event-stream")
+        async with streams:
+            # before the reply begins, so that an unknown id is a 404, not a broken stream
+            first = await _unless_disconnected(request, anext(events, None), None)
+        return StreamingResponse(_events(first, events, health, streams), media_type="text/event-stream")
 
     return answer
 
 
-async def _events(first: Any, events: AsyncIterator[Any], health: Health) -> AsyncIterator[bytes]:
+async def _events(
+    first: Any, events: AsyncIterator[Any], health: Health, streams: asyncio.Semaphore
+) -> AsyncIterator[bytes]:
     event = first
-    while event is not None:
-        yield b"id: %d\ndata: %s\n\n" % (event.sequence, orjson.dumps(wire.to_json(event)))
-        event = await health.unless_draining(anext(events, None))
+    async with streams:
+        while event is not None:
+            yield b"id: %d\ndata: %s\n\n" % (event.sequence, orjson.dumps(wire.to_json(event)))
+            event = await health.unless_draining(anext(events, None))
 
 
-async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float) -> Any:
+async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float | None) -> Any:
     """Awaits a call; cancels it when its caller goes away or the time is up."""
     work = asyncio.ensure_future(call)
     gone = asyncio.ensure_future(_disconnected(request))
@@ -130,6 +137,7 @@ async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s
         if work.done():
             return work.result()
         if gone.done():
+            gone.result()  # raises when there is more to the request than may be
             raise Cancelled("The caller went away before the answer.")
         raise DeadlineExceeded(
             f"An answer was due within {timeout_s:g} s; it was not ready.", hint="Send less per call."
@@ -188,10 +196,6 @@ async def _answer_http_exception(request: Request, error: Exception) -> Response
     if status == 404:
         return _respond(request, NotFound("There is nothing at this path.", hint="GET /openapi.json lists the paths."))
     return _respond(request, InvalidInput("The request could not be read.", hint="See /openapi.json."))
-
-
-async def _answer_bug(request: Request, error: Exception) -> Response:
-    return _respond(request, Internal("A bug of ours; the log says more.", hint="Report it with the request id."))
 
 
 class _MethodNotAllowed(ServiceError):

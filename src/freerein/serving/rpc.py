@@ -5,16 +5,17 @@ import logging
 import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import grpc
 import structlog
+from google.protobuf.message import DecodeError
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_health.v1.health import aio as health_aio
 from grpc_reflection.v1alpha import reflection
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, Overloaded, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, Overloaded, ServiceError
 from freerein.serving import auth, grpc_errors
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -24,6 +25,7 @@ from freerein.serving.metrics import Metrics
 _log = logging.getLogger(__name__)
 _HEALTH = "/grpc.health.v1.Health/"
 _Context = grpc.aio.ServicerContext[Any, Any]
+T = TypeVar("T")
 
 
 class GrpcDoor:
@@ -82,28 +84,25 @@ class GrpcDoor:
         await self._health_servicer.enter_graceful_shutdown()
 
     def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
-        codec = {
-            "request_deserializer": wire.message_type(method.request).FromString,
-            "response_serializer": lambda message: message.SerializeToString(),
-        }
+        """Returns what grpc calls, with the bytes as they came: what cannot be read is answered by an error of ours."""
         if method.descriptor.client_streaming:
-            return grpc.stream_stream_rpc_method_handler(self._streaming(method), **codec)
+            return grpc.stream_stream_rpc_method_handler(self._streaming(method))
         if method.descriptor.server_streaming:
-            return grpc.unary_stream_rpc_method_handler(self._streaming(method), **codec)
-        return grpc.unary_unary_rpc_method_handler(self._unary(method), **codec)
+            return grpc.unary_stream_rpc_method_handler(self._streaming(method))
+        return grpc.unary_unary_rpc_method_handler(self._unary(method))
 
-    def _unary(self, method: Method) -> Callable[[Any, _Context], Awaitable[Any]]:
-        async def answer(message: Any, context: _Context) -> Any:
-            async def work() -> Any:
+    def _unary(self, method: Method) -> Callable[[bytes, _Context], Awaitable[bytes]]:
+        async def answer(message: bytes, context: _Context) -> bytes:
+            async def work() -> bytes:
                 if self._health.draining:
                     raise self._health.error()
                 try:
                     async with asyncio.timeout(_seconds(context, self._limits.unary_s)):
-                        return wire.pack(await method.call(wire.unpack(message, method.request)))
+                        return wire.pack(await method.call(_read(message, method.request))).SerializeToString()
                 except TimeoutError:
                     raise DeadlineExceeded("The answer was not ready in time.", hint="Send less per call.") from None
 
-            return await self._guarded(method, context, work())
+            return cast(bytes, await self._guarded(method, context, work()))
 
         return answer
 
@@ -115,9 +114,9 @@ class GrpcDoor:
                     if method.descriptor.client_streaming:
                         request: Any = _requests(incoming, method.request)
                     else:
-                        request = wire.unpack(incoming, method.request)
+                        request = _read(incoming, method.request)
                     async for response in method.call(request):
-                        await context.write(wire.pack(response))
+                        await context.write(wire.pack(response).SerializeToString())
                 finally:
                     self._streams -= 1
 
@@ -191,11 +190,21 @@ def _refusal(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
     return grpc.stream_stream_rpc_method_handler(refuse)
 
 
-async def _requests(messages: AsyncIterator[Any], cls: type[Any]) -> AsyncIterator[Any]:
+def _read(message: bytes, cls: type[T]) -> T:
+    try:
+        return wire.unpack(wire.message_type(cls).FromString(message), cls)
+    except DecodeError:
+        raise MalformedRequest(
+            f"The bytes must be a {cls.__name__} message; they could not be read as one.",
+            hint="Generate the client from the .proto files, or ask the reflection service.",
+        ) from None
+
+
+async def _requests(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
     """Yields each message as its dataclass, or as the `ServiceError` that says why it is none."""
     async for message in messages:
         try:
-            request = wire.unpack(message, cls)
+            request = _read(message, cls)
         except ServiceError as error:
             yield error
         else:

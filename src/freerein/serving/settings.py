@@ -1,5 +1,6 @@
 """What an operator may change, read once from the environment by `__main__`."""
 
+import ssl
 from pathlib import Path
 from typing import Self
 
@@ -22,6 +23,7 @@ class ServiceSettings(BaseSettings):
         insecure: Says aloud that a bind beyond loopback needs neither token nor TLS.
         data_dir: Where datasets, models and fits lie.
         receipt_s: Seconds that a client has to send a whole request.
+        write_s: Seconds that a client may leave a reply unread.
         queue: Items that may wait for the model.
     """
 
@@ -36,6 +38,7 @@ class ServiceSettings(BaseSettings):
     insecure: bool = False
     data_dir: Path = Path("var")
     receipt_s: float = Field(default=10.0, gt=0, le=600)
+    write_s: float = Field(default=30.0, gt=0, le=600)
     queue: int = Field(default=256, ge=1, le=65536)
 
     @model_validator(mode="after")
@@ -47,6 +50,22 @@ class ServiceSettings(BaseSettings):
                 "a bind beyond loopback needs FREEREIN_TOKEN or FREEREIN_TLS_CERT and FREEREIN_TLS_KEY; "
                 "set FREEREIN_INSECURE=1 to serve without either on a network that you trust"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _refuse_unusable_files(self) -> Self:
+        if self.data_dir.exists() and not self.data_dir.is_dir():
+            raise ValueError("FREEREIN_DATA_DIR must be a folder, or a name for a new one; it is a file")
+        if self.tls_cert is not None and self.tls_key is not None:
+            try:
+                ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(
+                    self.tls_cert, self.tls_key, password=""
+                )
+            except OSError:
+                raise ValueError(
+                    "FREEREIN_TLS_CERT and FREEREIN_TLS_KEY must be readable PEM files that belong together, "
+                    "the key without a password"
+                ) from None
         return self
 
     @property

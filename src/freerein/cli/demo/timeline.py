@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_FILM = 14
+_FILM = 9
 _INK, _PAPER, _FAINT = "#1f2430", "#ffffff", "#8b93a3"
 _PALETTE = {
     "red": "#d63a3a",
@@ -58,7 +58,7 @@ def draw(path: Path, labelled: Labelled, *, title: str) -> None:
     _band(rows[2], "predicted", labelled.labels, labelled.skills)
     _confidence(rows[3], labelled)
     figure.text(0.085, 0.93, title, fontsize=16, fontweight="bold", color=_INK)
-    note = f"{labelled.accuracy:.1%} of {len(labelled.truth)} timesteps right; trained on the set of skills per trajectory only"
+    note = f"{labelled.accuracy:.1%} of {len(labelled.truth)} timesteps right, learned from the set of skills per trajectory"
     figure.text(0.085, 0.885, note, fontsize=11, color=_FAINT)
     _legend(figure, labelled)
     figure.savefig(path)
@@ -77,7 +77,7 @@ def _film(axes: Any, frames: npt.NDArray[np.uint8]) -> None:
     strip = np.full((height, _FILM * (width + gap) - gap, 3), 255, np.uint8)
     for place, pick in enumerate(picks):
         strip[:, place * (width + gap) : place * (width + gap) + width] = frames[pick]
-    axes.imshow(strip, aspect="auto", interpolation="nearest")
+    axes.imshow(strip, interpolation="nearest")
     axes.axis("off")
 
 
@@ -86,7 +86,9 @@ def _band(axes: Any, name: str, labels: npt.NDArray[np.int64], skills: tuple[str
     ends = np.append(starts[1:], len(labels))
     for start, end in zip(starts, ends, strict=True):
         skill = int(labels[start])
-        axes.barh(0, end - start, left=start, height=1, color=colour(skills[skill], skill), edgecolor=_PAPER, linewidth=1.5)
+        axes.barh(
+            0, end - start, left=start, height=1, color=colour(skills[skill], skill), edgecolor=_PAPER, linewidth=1.5
+        )
     axes.set(xlim=(0, len(labels)), ylim=(-0.5, 0.5), yticks=[], xticks=[])
     axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, color=_INK)
     axes.spines[:].set_visible(False)

@@ -1,4 +1,4 @@
-"""Files that are whole or absent after a crash, and the lock that keeps a dataset to one writer."""
+"""The lock that keeps a dataset to one writer."""
 
 import fcntl
 import os
@@ -7,36 +7,6 @@ from types import TracebackType
 from typing import Self
 
 from freerein.errors import FailedPrecondition
-
-UNFINISHED = ".tmp"
-
-
-def write_durably(path: Path, data: bytes) -> None:
-    """Writes a file so that it survives a crash whole, or not at all: beside it, fsync, rename, fsync of the folder."""
-    _make_folder(path.parent)
-    unfinished = path.with_name(path.name + UNFINISHED)
-    with unfinished.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Makes renames and deletions in a folder durable."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _make_folder(folder: Path) -> None:
-    if not folder.is_dir():
-        _make_folder(folder.parent)
-        folder.mkdir(exist_ok=True)
-        sync_folder(folder.parent)
 
 
 class WriterLock:

@@ -1,0 +1,102 @@
+"""The REST door of a service, called as a user would with curl, every first call shown as one would type it."""
+
+import base64
+import json
+from collections.abc import AsyncGenerator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+import numpy as np
+import numpy.typing as npt
+
+from freerein import tensors
+from freerein.cli.demo.screen import Screen
+from freerein.errors import Internal, by_code
+
+_TIMEOUT_S = 60.0
+
+
+class Door:
+    """Calls one service over REST.
+
+    Args:
+        url: The service's address.
+        requests: Folder where the first body of each path is kept, for the reader to send again.
+        screen: Where the calls are shown.
+    """
+
+    def __init__(self, url: str, *, requests: Path, screen: Screen) -> None:
+        self._url = url
+        self._requests = requests
+        self._screen = screen
+        self._shown: set[str] = set()
+        self._client = httpx.AsyncClient(base_url=url, timeout=_TIMEOUT_S, trust_env=False)
+
+    async def __aenter__(self) -> Self:
+        """Opens the connection."""
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Closes it."""
+        await self._client.aclose()
+
+    async def post(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        """Returns the answer to a call.
+
+        Raises:
+            ServiceError: The service refused.
+        """
+        self._show(path, json.dumps(body))
+        return _answer(await self._client.post(path, json=body))
+
+    async def segment(self, model: str, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> dict[str, Any]:
+        """Returns the labels of a trajectory, frames uint8 (T, H, W, C), as the service's JSON."""
+        body = {"model": {"name": model}, "frames": _tensor(frames), "actions": _tensor(actions), "smoothing": 1.0}
+        text = json.dumps(body)
+        if "/v1/segment" not in self._shown:
+            self._requests.mkdir(exist_ok=True)
+            path = self._requests / f"segment-{model}.json"
+            path.write_text(text)
+            self._show("/v1/segment", f"@{path}")
+        headers = {"content-type": "application/json"}
+        return _answer(await self._client.post("/v1/segment", content=text, headers=headers))
+
+    async def events(self, path: str, **query: str) -> AsyncGenerator[dict[str, Any], None]:
+        """Yields the server-sent events of a stream.
+
+        Raises:
+            ServiceError: The service refused.
+        """
+        words = "&".join(f"{name}={value}" for name, value in query.items())
+        self._screen.call(f'curl -N "{self._url}{path}?{words}"')
+        async with self._client.stream("GET", path, params=query) as response:
+            if response.is_error:
+                await response.aread()
+                _answer(response)
+            async for line in response.aiter_lines():
+                if line.startswith("data: "):
+                    yield json.loads(line.removeprefix("data: "))
+
+    def _show(self, path: str, body: str) -> None:
+        if path not in self._shown:
+            self._shown.add(path)
+            self._screen.call(f"curl {self._url}{path} --json '{body}'")
+
+
+def _tensor(array: npt.NDArray[Any]) -> dict[str, Any]:
+    datatype, shape, raw = tensors.encode(array)
+    return {"datatype": datatype, "shape": shape, "raw": base64.b64encode(raw).decode("ascii")}
+
+
+def _answer(response: httpx.Response) -> dict[str, Any]:
+    try:
+        answer: dict[str, Any] = response.json()
+    except ValueError:
+        raise Internal("The service must answer with JSON; it did not.", hint="Read its log.") from None
+    if response.is_error:
+        raise by_code(answer["code"])(answer["detail"], field=answer["field"], hint=answer["hint"])
+    return answer
