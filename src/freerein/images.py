@@ -5,7 +5,6 @@ is under the cap, and there is one frame. Error messages are ours, never the dec
 """
 
 import io
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -22,6 +21,7 @@ MAX_REQUEST_PIXELS = 64_000_000
 
 _RAW_CHANNELS: dict[Encoding, int] = {"raw_rgb8": 3, "raw_gray8": 1}
 _PILLOW_FORMATS: dict[Encoding, str] = {"png": "PNG", "jpeg": "JPEG", "webp": "WEBP"}
+_PNG_BIT_DEPTH = 24  # where a PNG's header says it; Pillow cuts 16-bit colour down without a word
 _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
     (0, b"\x89PNG\r\n\x1a\n", "png"),
     (0, b"\xff\xd8\xff", "jpeg"),
@@ -139,7 +139,9 @@ def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
 def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
     with _open(image, field) as opened:
         upright = PIL.ImageOps.exif_transpose(opened) if image.encoding == "jpeg" else opened
-        pixels = np.asarray(upright.convert("L" if opened.mode in ("1", "L", "LA") else "RGB"))
+        if "transparency" in upright.info:  # Pillow warns of converting it in one step
+            upright = upright.convert("LA" if upright.mode in ("1", "L") else "RGBA")
+        pixels = np.asarray(upright.convert("L" if upright.mode in ("1", "L", "LA") else "RGB"))
     return pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
 
 
@@ -147,28 +149,26 @@ def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
 def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
     """Opens a file lazily behind the gates; whatever a decoder raises becomes one sentence of ours."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
-                _check_pixels(opened.height, opened.width, field)
-                _check_kind(opened, field)
-                yield opened
+        with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
+            _check_pixels(opened.height, opened.width, field)
+            _check_kind(opened, image, field)
+            yield opened
     except ServiceError:
         raise
-    except PIL.Image.DecompressionBombWarning:
+    except (PIL.Image.DecompressionBombError, PIL.Image.DecompressionBombWarning):
         raise _too_many_pixels(field) from None
     except Exception:  # decoders of untrusted files raise whatever they like, and their texts may leak memory addresses
         raise _corrupt(field) from None
 
 
-def _check_kind(opened: PIL.Image.Image, field: str) -> None:
+def _check_kind(opened: PIL.Image.Image, image: Image, field: str) -> None:
     if getattr(opened, "n_frames", 1) != 1:
         raise InvalidInput(
             f"`{field}` must be still images; got {getattr(opened, 'n_frames', 1)} frames in one file.",
             field=field,
             hint="Send one image per timestep.",
         )
-    if opened.mode in ("I", "F") or opened.mode.startswith("I;"):
+    if image.encoding == "png" and image.data[_PNG_BIT_DEPTH] > 8:
         raise InvalidInput(
             f"`{field}` must have 8 bits per channel; got more.",
             field=field,

@@ -32,6 +32,7 @@ from freerein.errors import InvalidInput
 
 T = TypeVar("T")
 
+_MAX_DEPTH = 30  # of a `Struct`: protobuf itself reads 100 messages deep, which is 33 levels
 _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.learning": learning_pb2,
@@ -229,26 +230,37 @@ def _enum(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> str:
 
 def _finite(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> float:
     if not math.isfinite(value):
-        raise InvalidInput(
-            f"`{path}` must be a finite number; got NaN or an infinity.", field=path, hint="Send a finite number."
-        )
+        raise _not_finite(path)
     return float(value)
+
+
+def _not_finite(path: str) -> InvalidInput:
+    return InvalidInput(
+        f"`{path}` must be a finite number; got NaN or an infinity.", field=path, hint="Send a finite number."
+    )
 
 
 def _struct(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> dict[str, Any]:
     if isinstance(value, struct_pb2.Struct):
-        value = json_format.MessageToDict(value)
-    return {key: _whole(item) for key, item in cast(Mapping[str, Any], value).items()}
+        try:
+            value = json_format.MessageToDict(value)
+        except ValueError:  # its numbers may be NaN and infinite; JSON's may not
+            raise _not_finite(path) from None
+    return {key: _whole(item, path, 1) for key, item in cast(Mapping[str, Any], value).items()}
 
 
-def _whole(value: Any) -> Any:
+def _whole(value: Any, path: str, depth: int) -> Any:
     """Returns whole floats as ints, all through: a `Struct` knows only doubles."""
+    if depth > _MAX_DEPTH:
+        raise InvalidInput(
+            f"`{path}` may be nested {_MAX_DEPTH} levels deep; it is deeper.", field=path, hint="Flatten it."
+        )
     if isinstance(value, float):
         return int(value) if value.is_integer() else value
     if isinstance(value, list):
-        return [_whole(item) for item in value]
+        return [_whole(item, path, depth + 1) for item in value]
     if isinstance(value, dict):
-        return {key: _whole(item) for key, item in value.items()}
+        return {key: _whole(item, path, depth + 1) for key, item in value.items()}
     return value
 
 

@@ -1,10 +1,11 @@
 """What every call of every client does, against a peer that speaks gRPC and nothing of ours."""
+# ruff: noqa: N802 -- gRPC names the methods
 
 import asyncio
 import inspect
 import re
 import subprocess
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -148,17 +149,21 @@ UNAVAILABLE = refusal("unavailable", grpc.StatusCode.UNAVAILABLE)
 
 
 @asynccontextmanager
-async def serving(peer: Peer, credentials: grpc.ServerCredentials | None = None) -> AsyncIterator[str]:
+async def serving(
+    peer: Peer, *, credentials: grpc.ServerCredentials | None = None, port: int = 0
+) -> AsyncIterator[str]:
     server = aio.server(options=[("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1)])
     segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(Segmentation(peer), server)
     sim_pb2_grpc.add_SimServiceServicer_to_server(Sim(peer), server)
     learning_pb2_grpc.add_FitServiceServicer_to_server(Fits(peer), server)
     learning_pb2_grpc.add_ModelServiceServicer_to_server(Models(peer), server)
-    secure = credentials is not None
-    port = server.add_secure_port("localhost:0", credentials) if secure else server.add_insecure_port("127.0.0.1:0")
+    if credentials is None:
+        address = f"127.0.0.1:{server.add_insecure_port(f'127.0.0.1:{port}')}"
+    else:
+        address = f"localhost:{server.add_secure_port(f'localhost:{port}', credentials)}"
     await server.start()
     try:
-        yield f"localhost:{port}" if secure else f"127.0.0.1:{port}"
+        yield address
     finally:
         await server.stop(None)
 
@@ -246,14 +251,14 @@ async def test_a_reason_of_a_later_version_is_internal(channel: Channel, peer: P
 async def test_a_status_with_unreadable_details_counts_by_its_code(channel: Channel, peer: Peer) -> None:
     status = rpc_status.to_status(status_pb2.Status(code=grpc.StatusCode.NOT_FOUND.value[0], message="gone"))
     peer.refusals = [status._replace(trailing_metadata=(("grpc-status-details-bin", b"\xff\xff\xff"),))]
-    with pytest.raises(errors.NotFound, match="ListSkills at .* failed: gone"):
+    with pytest.raises(errors.NotFound, match=r"ListSkills at .* failed: gone"):
         await SegmentationClient(channel).list_skills(SKILLS)
 
 
 async def test_nobody_listening_is_unavailable_and_the_address_is_named(unused_tcp_port: int) -> None:
-    async with SegmentationClient(Channel(f"127.0.0.1:{unused_tcp_port}")) as client:
-        with pytest.raises(errors.Unavailable, match=f"127.0.0.1:{unused_tcp_port}") as caught:
-            await client.list_skills(SKILLS, timeout_s=3.0)
+    async with SimClient(Channel(f"127.0.0.1:{unused_tcp_port}")) as client:
+        with pytest.raises(errors.Unavailable, match=f"Reset at 127.0.0.1:{unused_tcp_port}") as caught:
+            await client.reset(sim.ResetRequest(SESSION))
     assert caught.value.hint
 
 
@@ -361,7 +366,7 @@ async def test_a_stream_begins_again_only_before_its_first_message(channel: Chan
 async def test_a_stream_that_breaks_gives_what_came_and_then_raises(channel: Channel) -> None:
     demonstrations = SimClient(channel).demonstrate(sim.DemonstrateRequest("push", "expert", count=2, seed=1))
     assert [(await anext(demonstrations)).index for _ in range(2)] == [0, 1]
-    with pytest.raises(errors.ServiceError, match="Demonstrate at .* the worker is gone"):
+    with pytest.raises(errors.ServiceError, match=r"Demonstrate at .* the worker is gone"):
         await anext(demonstrations)
 
 
@@ -392,35 +397,30 @@ async def test_a_stepping_stream_answers_message_by_message(channel: Channel) ->
 
 
 @pytest.fixture(scope="module")
-def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[bytes, bytes]]:
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
     folder: Path = tmp_path_factory.mktemp("tls")
     command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
     files = ["-addext", "subjectAltName=DNS:localhost", "-keyout", "key.pem", "-out", "cert.pem"]
     subprocess.run([*command.split(), *files], cwd=folder, check=True, capture_output=True)
-    yield (folder / "key.pem").read_bytes(), (folder / "cert.pem").read_bytes()
+    return (folder / "key.pem").read_bytes(), (folder / "cert.pem").read_bytes()
 
 
 async def test_with_root_certificates_the_call_is_over_tls(peer: Peer, certificate: tuple[bytes, bytes]) -> None:
     key, chain = certificate
-    async with serving(peer, grpc.ssl_server_credentials([(key, chain)])) as address:
+    async with serving(peer, credentials=grpc.ssl_server_credentials([(key, chain)])) as address:
         async with SegmentationClient(Channel(address, root_certificates=chain)) as client:
             assert (await client.list_skills(SKILLS)).height == 2
-        async with SegmentationClient(Channel(address)) as client:
+        async with SimClient(Channel(address)) as client:
             with pytest.raises(errors.Unavailable):
-                await client.list_skills(SKILLS)
+                await client.reset(sim.ResetRequest(SESSION))
 
 
 async def test_a_service_that_comes_back_is_found_again(peer: Peer, unused_tcp_port: int) -> None:
-    address = f"127.0.0.1:{unused_tcp_port}"
-    async with SegmentationClient(Channel(address)) as client:
-        with pytest.raises(errors.Unavailable):
-            await client.list_skills(SKILLS)
-        server = aio.server()
-        segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(Segmentation(peer), server)
-        server.add_insecure_port(address)
-        await server.start()
+    channel = Channel(f"127.0.0.1:{unused_tcp_port}")
+    with pytest.raises(errors.Unavailable):
+        await SimClient(channel).reset(sim.ResetRequest(SESSION))
+    async with serving(peer, port=unused_tcp_port), SegmentationClient(channel) as client:
         assert (await client.list_skills(SKILLS)).height == 2
-        await server.stop(None)
 
 
 async def test_clients_of_one_address_share_a_channel(channel: Channel, peer: Peer) -> None:

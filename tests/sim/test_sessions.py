@@ -390,17 +390,21 @@ async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(s
     assert [each.index async for each in sessions.demonstrate(DemonstrateRequest("grid", "random"))] == [0]
 
 
-async def test_a_demonstration_leaves_sessions_in_peace(sessions: Sessions) -> None:
-    session = await begun(sessions)
-    stream = sessions.demonstrate(DemonstrateRequest("blocks", "expert", count=2, min_skills=4, height=128, width=128))
+async def test_no_session_waits_for_a_demonstration(start: StartSessions) -> None:
+    sessions, _ = await start()
+    session, others = await begun(sessions), children()
+    stream = sessions.demonstrate(DemonstrateRequest("grid", "expert", count=2))
+    await anext(stream)
+    (demonstrator,) = (child for child in children() if child not in others)
+    stop(demonstrator)
     made = asyncio.ensure_future(anext(stream))
-    await asyncio.sleep(0)
 
-    for step_id in range(1, 21):
+    for step_id in (1, 2):
         await sessions.step(StepRequest(session, step_id, UP))
 
     assert not made.done()
-    assert (await made).index == 0
+    demonstrator.resume()
+    assert (await made).index == 1
     await stream.aclose()
 
 
@@ -438,7 +442,7 @@ async def test_a_session_that_nobody_touches_ends_with_its_lease(start: StartSes
     with pytest.raises(NotFound, match="lease has ended"):
         await sessions.step(StepRequest(session, 2, UP))
     async with asyncio.timeout(5):
-        while len(sessions):  # the reaper runs by itself
+        while len(sessions):  # noqa: ASYNC110  the reaper runs by itself, and tells nobody
             await asyncio.sleep(0.05)
     assert await begun(sessions)
 

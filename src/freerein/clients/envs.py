@@ -18,12 +18,12 @@ from gymnasium.vector.utils import batch_space
 from freerein.clients.channel import Channel
 from freerein.clients.pixel_session import Observation, Pixels, PixelSession, row, truth_info
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.sim import CreateSessionRequest, Frames, StepResponse, Task
+from freerein.types.sim import CreateSessionRequest, Frames, StepResponse
 
 LEASE_S = 600.0
 """Seconds that a learner may spend between two calls; then the service ends the session."""
 
-_RENDER_MODES = ("rgb_array",)
+_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
 class RemoteEnv(gymnasium.Env[Observation, Any]):
@@ -50,6 +50,8 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
         ServiceError: As every method: the service refused, could not be reached or did not answer in time.
     """
 
+    metadata = _METADATA
+
     def __init__(
         self,
         task: str,
@@ -71,7 +73,7 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
             cameras=cameras,
         )
         self.task = self._session.task
-        self.metadata = _metadata(self.task)
+        self.metadata = type(self).metadata | {"render_fps": 1.0 / self.task.control_dt_s}
         self.observation_space = self._session.observation_space
         self.action_space = self._session.action_space
         self._latest: dict[str, Pixels] | None = None
@@ -137,6 +139,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
         ServiceError: As every method: the service refused, could not be reached or did not answer in time.
     """
 
+    metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
+
     def __init__(
         self,
         task: str,
@@ -160,7 +164,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
             cameras=cameras,
         )
         self.task = self._session.task
-        self.metadata = _metadata(self.task) | {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.metadata = type(self).metadata | {"render_fps": 1.0 / self.task.control_dt_s}
         self.single_observation_space = self._session.observation_space
         self.single_action_space = self._session.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -216,17 +220,13 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
 
 
 def _checked_render_mode(render_mode: str | None) -> str | None:
-    if render_mode is not None and render_mode not in _RENDER_MODES:
+    if render_mode not in (None, "rgb_array"):
         raise InvalidInput(
-            f"`render_mode` must be None or one of {', '.join(_RENDER_MODES)}; got another one.",
+            "`render_mode` must be None or rgb_array; got another one.",
             field="render_mode",
             hint="Ask for rgb_array.",
         )
     return render_mode
-
-
-def _metadata(task: Task) -> dict[str, Any]:
-    return {"render_modes": list(_RENDER_MODES), "render_fps": 1.0 / task.control_dt_s}
 
 
 def _reward(reply: StepResponse) -> npt.NDArray[np.float64]:

@@ -34,7 +34,9 @@ class Synchronous:
 
     def __init__(self, client: Client) -> None:
         started: Future[_Started] = Future()
-        thread = threading.Thread(target=asyncio.run, args=(_serve(client, started),), daemon=True)
+        thread = threading.Thread(
+            target=asyncio.run, args=(_serve(client, started),), name=type(client).__name__, daemon=True
+        )
         thread.start()
         self._client = client
         self._loop, stop = started.result()

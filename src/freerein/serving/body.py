@@ -14,13 +14,14 @@ from typing import Any, TypeVar, cast
 import orjson
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from pydantic import ValidationError
-from starlette.datastructures import UploadFile
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect, Request
 
 from freerein import images, wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
-from freerein.serving.schemas import schema_of
+from freerein.serving.schemas import STRUCT, schema_of
 
 T = TypeVar("T")
 
@@ -35,18 +36,20 @@ async def read(request: Request, cls: type[T]) -> T:
     """Returns the dataclass that a request's body holds, in whichever of the two media types it came.
 
     Raises:
-        UnsupportedMedia: Neither `application/json` nor `multipart/form-data`.
+        UnsupportedMedia: Neither `application/json` nor `multipart/form-data`, or another charset than UTF-8.
         MalformedRequest: The multipart framing is broken.
         InvalidInput: The content is not what `cls` says.
         TooLarge: Over the body limit.
     """
-    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type == "application/json":
+    media_type, parameters = parse_options_header(request.headers.get("content-type", ""))
+    if parameters.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"utf8"):
+        raise UnsupportedMedia("The body must be in UTF-8; its Content-Type names another charset.", hint="Leave it out.")
+    if media_type == b"application/json":
         body = await _receive(request)
         parse = _parse_json if len(body) <= _INLINE_BYTES else _parse_json_in_thread
         result = parse(body, cls)
         return cast(T, await result if asyncio.iscoroutine(result) else result)
-    if media_type == "multipart/form-data":
+    if media_type == b"multipart/form-data":
         return await _read_multipart(request, cls)
     raise UnsupportedMedia(
         "The body must be application/json or multipart/form-data; its Content-Type names another, or none.",
@@ -108,14 +111,14 @@ def _count_pairs(value: object) -> int:
 
 
 async def _read_multipart(request: Request, cls: type[T]) -> T:
-    parser = MultiPartParser(
+    parser = _WholeMultiPartParser(
         request.headers, request.stream(), max_files=_PARTS, max_fields=_PARTS, max_part_size=_PART_BYTES
     )
     try:
         form = await parser.parse()
     except ClientDisconnect:
         raise Cancelled("The caller went away before the body was complete.") from None
-    except (MultiPartException, KeyError, LookupError, UnicodeError):
+    except (MultiPartException, UnicodeError):
         raise MalformedRequest(
             f"The body must be well-formed multipart/form-data of at most {_PARTS} parts; it is not.",
             hint="Let your HTTP client write the boundary: with curl, -F field=value.",
@@ -125,6 +128,22 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
     finally:
         await form.close()
     return await asyncio.to_thread(_from_parts, parts, cls)
+
+
+class _WholeMultiPartParser(MultiPartParser):
+    """Starlette's parser, which by itself takes a body that breaks off before its last boundary for a whole one."""
+
+    _ended = False
+
+    def on_end(self) -> None:
+        self._ended = True
+
+    async def parse(self) -> FormData:
+        form = await super().parse()
+        if not self._ended:
+            await form.close()
+            raise MultiPartException("The last boundary is missing.")
+        return form
 
 
 async def _content(part: UploadFile | str) -> bytes | str:
@@ -138,25 +157,32 @@ def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
         node, message = tree, wire.descriptor_of(cls)
         *parents, last = name.split(".")
         for parent in parents:
-            message = _field(message, parent, name).message_type or _no_such_field(name)
+            field = _field(message, parent)
+            if field.message_type is None or field.is_repeated or field.message_type.full_name == STRUCT:
+                raise _no_such_field()
+            message = field.message_type
             node = node.setdefault(parent, {})
-        _put(node, _field(message, last, name), content, name)
+            if not isinstance(node, dict):
+                raise _repeated(field)
+        _put(node, _field(message, last), content)
     return _validated(tree, cls, strict=False)
 
 
-def _put(node: dict[str, Any], field: FieldDescriptor, content: bytes | str, name: str) -> None:
-    value = _part_value(field, content, name)
-    if field.is_repeated and (isinstance(content, bytes) or field.message_type is None):
-        node.setdefault(field.name, []).append(value)
-    elif field.name in node:
-        raise InvalidInput(
-            f"`{field.name}` must be there once; it is repeated.", field=field.name, hint="Send it once."
-        )
+def _put(node: dict[str, Any], field: FieldDescriptor, content: bytes | str) -> None:
+    value = _part_value(field, content)
+    if field.name not in node:
+        node[field.name] = [value] if _appends(field, content) else value
+    elif _appends(field, content) and isinstance(node[field.name], list):
+        node[field.name].append(value)
     else:
-        node[field.name] = value
+        raise _repeated(field)
 
 
-def _part_value(field: FieldDescriptor, content: bytes | str, name: str) -> Any:
+def _appends(field: FieldDescriptor, content: bytes | str) -> bool:
+    return field.is_repeated and (isinstance(content, bytes) or field.message_type is None)
+
+
+def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
     if isinstance(content, bytes):
         return {"encoding": images.sniff(content, field=field.name), "data": content}
     if field.message_type is None:
@@ -171,12 +197,19 @@ def _part_value(field: FieldDescriptor, content: bytes | str, name: str) -> Any:
         ) from None
 
 
-def _field(message: Descriptor, name: str, path: str) -> FieldDescriptor:
-    return message.fields_by_name.get(name) or _no_such_field(path)
+def _field(message: Descriptor, name: str) -> FieldDescriptor:
+    field = message.fields_by_name.get(name)
+    if field is None:
+        raise _no_such_field()
+    return field
 
 
-def _no_such_field(path: str) -> Any:
-    raise InvalidInput(
+def _repeated(field: FieldDescriptor) -> InvalidInput:
+    return InvalidInput(f"`{field.name}` must be there once; it is repeated.", field=field.name, hint="Send it once.")
+
+
+def _no_such_field() -> InvalidInput:
+    return InvalidInput(
         "Every part or parameter must be named like a field of the request; one is not.",
         hint="Dots lead into messages: model.name. GET /openapi.json lists the fields.",
     )

@@ -11,7 +11,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from freerein.errors import Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
+from freerein.errors import Cancelled, Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
 from freerein.serving import auth, problems
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
@@ -59,7 +59,7 @@ class Edge:
             except ServiceError as error:
                 scope["freerein.code"] = error.code
                 await reply.problem(error)
-            except Exception as error:  # every other exception is a bug
+            except Exception:  # every other exception is a bug
                 scope["freerein.code"] = Internal.code
                 _log.exception("bug", extra={"route": scope["path"] if scope["path"] in self._paths else "other"})
                 if reply.status:
@@ -112,13 +112,20 @@ class Edge:
 
     def _record(self, scope: Scope, status: int, seconds: float) -> None:
         path = scope["path"] if scope["path"] in self._paths else "other"
-        code = scope.get("freerein.code", "ok" if status < 400 else "other")
+        code = scope.get("freerein.code", _code(status))
         self._metrics.calls.labels("rest", path, code).inc()
         self._metrics.latency.labels("rest", path).observe(seconds)
         if code == "cancelled":
             self._metrics.cancelled.labels("rest").inc()
         if path != "other":
             _log.info("request", extra=_fields(scope["method"], path, status, seconds))
+
+
+def _code(status: int) -> str:
+    """Returns the code of a reply that no `ServiceError` gave; status 0 is none: the server stopped first."""
+    if not status:
+        return Cancelled.code
+    return "ok" if status < 400 else "other"
 
 
 def _fields(method: str, path: str, status: int, seconds: float) -> dict[str, Any]:

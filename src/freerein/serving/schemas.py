@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, Js
 from freerein import tensors, wire
 from freerein.api.common.v1 import common_pb2
 
-_STRUCT = "google.protobuf.Struct"
+STRUCT = "google.protobuf.Struct"
 _INTEGERS = {
     FieldDescriptor.TYPE_UINT32: (0, 2**32 - 1),
     FieldDescriptor.TYPE_UINT64: (0, 2**64 - 1),
@@ -73,14 +73,14 @@ def _field(field: FieldDescriptor) -> Any:
         return Annotated[list[_type(field)], FailFast()], []  # type: ignore[misc]  # a type made at run time
     if field.enum_type is not None:
         return _type(field), ...
-    if field.has_presence and (message is None or message.full_name != _STRUCT):
+    if field.has_presence and (message is None or message.full_name != STRUCT):
         return _type(field) | None, None
     return _type(field), {} if message is not None else field.default_value
 
 
 def _type(field: FieldDescriptor) -> Any:
     if field.message_type is not None:
-        return dict[str, JsonValue] if field.message_type.full_name == _STRUCT else schema_of(field.message_type)
+        return dict[str, JsonValue] if field.message_type.full_name == STRUCT else schema_of(field.message_type)
     if field.enum_type is not None:
         return Literal[wire.enum_names(field.enum_type)]
     if field.type in _INTEGERS:

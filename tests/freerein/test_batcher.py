@@ -1,0 +1,194 @@
+"""Items and the thread that runs the model: nothing waits that need not, and nothing is computed for nobody."""
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from freerein.errors import DeadlineExceeded, InvalidInput, ModelFault, Overloaded, ServiceError, Unavailable
+from freerein.serving.batcher import Batcher, Done
+from freerein.serving.metrics import Metrics
+
+
+class Model:
+    """Doubles numbers, raises on 13, refuses 7, answers one item of several for 99; waits at a gate when told to."""
+
+    def __init__(self) -> None:
+        self.batches: list[list[int]] = []
+        self.begun = threading.Semaphore(0)
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def __call__(self, items: Sequence[int]) -> list[int | ServiceError]:
+        self.batches.append(list(items))
+        self.begun.release()
+        self.gate.wait(10)
+        if 13 in items:
+            raise ZeroDivisionError("13 at 0x7f0000000000")
+        if 99 in items:
+            return [0]
+        return [InvalidInput("No sevens.") if item == 7 else 2 * item for item in items]
+
+
+@pytest.fixture
+def model() -> Model:
+    return Model()
+
+
+@pytest.fixture
+async def batcher(model: Model) -> AsyncIterator[Batcher[int, int]]:
+    batcher = Batcher(model, queue=4, batch=3, metrics=Metrics())
+    yield batcher
+    model.gate.set()
+    batcher.close()
+
+
+async def busy(batcher: Batcher[int, int], model: Model) -> "asyncio.Task[Done[int]]":
+    """Returns the call that holds the model until the gate is opened."""
+    model.gate.clear()
+    call = asyncio.create_task(batcher.submit(0, timeout_s=10))
+    await asyncio.to_thread(model.begun.acquire)
+    return call
+
+
+async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "list[asyncio.Task[Done[int]]]":
+    calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=10)) for item in items]
+    await asyncio.sleep(0)
+    return calls
+
+
+async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) -> None:
+    done = await batcher.submit(21, timeout_s=10)
+    assert (done.output, done.batch_size) == (42, 1)
+    assert 0 <= done.queue_ns < 1e9
+    assert 0 < done.infer_ns < 1e9
+
+
+async def test_what_arrives_while_the_model_is_busy_shares_the_next_call(
+    batcher: Batcher[int, int], model: Model
+) -> None:
+    first = await busy(batcher, model)
+    calls = await waiting(batcher, 1, 2, 3, 4)
+    model.gate.set()
+    assert [(await call).output for call in (first, *calls)] == [0, 2, 4, 6, 8]
+    assert model.batches == [[0], [1, 2, 3], [4]]
+
+
+async def test_only_items_of_one_key_share_a_call(batcher: Batcher[int, int], model: Model) -> None:
+    await busy(batcher, model)
+    calls = [*await waiting(batcher, 1, 2, key="a"), *await waiting(batcher, 3, key="b")]
+    model.gate.set()
+    await asyncio.gather(*calls)
+    assert model.batches[1:] == [[1, 2], [3]]
+
+
+async def test_one_more_than_may_wait_is_refused_and_told_when_to_come_back(
+    batcher: Batcher[int, int], model: Model
+) -> None:
+    await busy(batcher, model)
+    calls = await waiting(batcher, 1, 2, 3, 4)
+    with pytest.raises(Overloaded, match="At most 4") as error:
+        await batcher.submit(5, timeout_s=10)
+    assert error.value.retry_after_s
+    model.gate.set()
+    assert [done.output for done in await asyncio.gather(*calls)] == [2, 4, 6, 8]
+
+
+async def test_an_item_whose_caller_is_gone_frees_its_place_and_never_reaches_the_model(
+    batcher: Batcher[int, int], model: Model
+) -> None:
+    await busy(batcher, model)
+    calls = await waiting(batcher, 1, 2, 3, 4)
+    for call in calls[:3]:
+        call.cancel()
+    await asyncio.gather(*calls[:3], return_exceptions=True)
+    calls += await waiting(batcher, 5, 6, 7)
+    model.gate.set()
+    assert (await calls[3]).output == 8
+    await asyncio.gather(*calls, return_exceptions=True)
+    assert model.batches[1:] == [[4, 5, 6], [7]]
+
+
+async def test_an_item_that_waited_too_long_is_dropped(batcher: Batcher[int, int], model: Model) -> None:
+    await busy(batcher, model)
+    call = asyncio.create_task(batcher.submit(1, timeout_s=0))
+    await asyncio.sleep(0)
+    model.gate.set()
+    with pytest.raises(DeadlineExceeded):
+        await call
+    assert model.batches == [[0]]
+
+
+async def test_one_poisonous_item_fails_alone(batcher: Batcher[int, int], model: Model) -> None:
+    await busy(batcher, model)
+    calls = await waiting(batcher, 1, 13, 7)
+    model.gate.set()
+    results = await asyncio.gather(*calls, return_exceptions=True)
+    assert results[0] == Done(2, results[0].queue_ns, results[0].infer_ns, 3)  # type: ignore[union-attr]
+    assert isinstance(results[1], ModelFault)
+    assert "0x" not in results[1].detail
+    assert type(results[2]) is InvalidInput
+
+
+async def test_an_answer_for_fewer_items_is_a_fault_of_the_model(batcher: Batcher[int, int], model: Model) -> None:
+    await busy(batcher, model)
+    calls = await waiting(batcher, 99, 1)
+    model.gate.set()
+    first, second = await asyncio.gather(*calls)
+    assert (first.output, second.output) == (0, 2)
+
+
+async def test_five_failures_in_a_row_make_it_not_ready_until_a_call_succeeds(batcher: Batcher[int, int]) -> None:
+    for _ in range(5):
+        assert not batcher.not_ready()
+        with pytest.raises(ModelFault):
+            await batcher.submit(13, timeout_s=10)
+    assert batcher.not_ready()
+    await batcher.submit(1, timeout_s=10)
+    assert not batcher.not_ready()
+
+
+async def test_closed_it_refuses_what_waits_and_what_comes(batcher: Batcher[int, int], model: Model) -> None:
+    first = await busy(batcher, model)
+    calls = await waiting(batcher, 1)
+    closing = asyncio.create_task(asyncio.to_thread(batcher.close))
+    with pytest.raises(Unavailable):
+        await calls[0]
+    model.gate.set()
+    assert (await first).output == 0
+    await closing
+    with pytest.raises(Unavailable):
+        await batcher.submit(1, timeout_s=10)
+
+
+@settings(max_examples=30)
+@given(
+    items=st.lists(st.tuples(st.integers(0, 12), st.sampled_from("ab"), st.booleans()), max_size=30),
+    queue=st.integers(1, 30),
+    batch=st.integers(1, 5),
+)
+def test_whatever_is_cancelled_each_caller_gets_its_own_answer(
+    items: list[tuple[int, str, bool]], queue: int, batch: int
+) -> None:
+    async def scenario() -> None:
+        metrics, model = Metrics(), Model()
+        batcher = Batcher(model, queue=queue, batch=batch, metrics=metrics)
+        calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=10)) for item, key, _ in items]
+        await asyncio.sleep(0)
+        for call, (_, _, cancelled) in zip(calls, items, strict=True):
+            if cancelled:
+                call.cancel()
+        results = await asyncio.gather(*calls, return_exceptions=True)
+        for (item, _, cancelled), result in zip(items, results, strict=True):
+            if isinstance(result, Done):
+                assert result.output == 2 * item
+            else:
+                assert isinstance(result, (asyncio.CancelledError, Overloaded)) or (item == 7 and not cancelled)
+        assert all(len(items) <= batch for items in model.batches)
+        assert metrics.registry.get_sample_value("freerein_queued_items") == 0
+        batcher.close()
+
+    asyncio.run(scenario())

@@ -1,0 +1,363 @@
+"""Gymnasium environments over a sim service: here a toy that speaks gRPC and nothing of ours."""
+# ruff: noqa: N802 -- gRPC names the methods
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import grpc
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+
+from freerein import wire
+from freerein.api.sim.v1 import sim_pb2_grpc
+from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
+from freerein.types.sim import (
+    ActionSpec,
+    Camera,
+    CloseSessionResponse,
+    CreateSessionRequest,
+    CreateSessionResponse,
+    ResetRequest,
+    ResetResponse,
+    StepRequest,
+    StepResponse,
+    Task,
+    Truth,
+)
+
+STEPS = 4
+CAMERAS = (Camera("front", 40, 44, 3), Camera("wrist", 36, 36, 1))
+TASKS = {
+    name: Task(name, "line", "", CAMERAS, action, 0.1, (), STEPS, False)
+    for name, action in (
+        ("slide", ActionSpec(2, 0, ("along", "stop"))),
+        ("hop", ActionSpec(1, 3, ("stay", "go", "stop"))),
+    )
+}
+
+
+@dataclass
+class Line:
+    """A point on a line, seen as the brightness of its frames; an action that says stop ends the episode."""
+
+    rng: np.random.Generator
+    position: int = 0
+    steps: int = 0
+
+    def reset(self) -> None:
+        self.position, self.steps = int(self.rng.integers(100)), 0
+
+    def step(self, action: npt.NDArray[np.generic]) -> tuple[bool, bool]:
+        self.steps += 1
+        self.position += 1 + int(action[0] > 0.5)
+        return bool(action[-1] > (0.9 if len(action) > 1 else 1)), self.steps == STEPS
+
+
+@dataclass
+class Session:
+    request: CreateSessionRequest
+    lines: list[Line]
+    steps: int = 0
+    last: StepResponse | None = None
+
+    def frames(self, cameras: tuple[str, ...], lines: list[Line]) -> dict[str, npt.NDArray[np.uint8]]:
+        sizes = {c.name: (self.request.height or c.height, self.request.width or c.width, c.channels) for c in CAMERAS}
+        return {
+            camera: np.array([np.full(sizes[camera], line.position, np.uint8) for line in lines]) for camera in cameras
+        }
+
+    def truth(self) -> Truth | None:
+        position = np.array([[line.position] for line in self.lines], np.float64)
+        truth = Truth(position, position[:, 0].astype(np.float32), position[:, 0] > 100)
+        return truth if self.request.privileged else None
+
+
+def lines(seed: int, count: int) -> list[Line]:
+    return [Line(np.random.default_rng(child)) for child in np.random.SeedSequence(seed).spawn(count)]
+
+
+@dataclass
+class Sim(sim_pb2_grpc.SimServiceServicer):
+    """`failures`: statuses with which the next steps end after they were made."""
+
+    sessions: dict[str, Session] = field(default_factory=dict)
+    calls: list[str] = field(default_factory=list)
+    failures: list[grpc.StatusCode] = field(default_factory=list)
+
+    def CreateSession(self, message, context):
+        request = wire.unpack(message, CreateSessionRequest)
+        if request.task not in TASKS:
+            context.abort(grpc.StatusCode.NOT_FOUND, "no such task")
+        count, name = request.num_envs or 1, f"{len(self.sessions):032x}"
+        self.sessions[name] = Session(request, lines(7, count))
+        return wire.pack(CreateSessionResponse(name, 7, count, TASKS[request.task], request.lease_s))
+
+    def Reset(self, message, context):
+        self.calls.append("Reset")
+        request = wire.unpack(message, ResetRequest)
+        session = self.sessions[request.session]
+        if request.seed is not None:
+            session.lines = lines(request.seed, len(session.lines))
+        for index in request.envs or range(len(session.lines)):
+            session.lines[index].reset()
+        return wire.pack(ResetResponse(session.frames(request.cameras, session.lines), session.truth()))
+
+    def Step(self, message, context):
+        self.calls.append("Step")
+        request = wire.unpack(message, StepRequest)
+        session = self.sessions[request.session]
+        if request.step_id not in (session.steps, session.steps + 1):
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "wrong step_id")
+        if np.abs(request.actions).max() > 2 or request.actions.shape[0] != len(session.lines):
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, "action out of range")
+        if request.step_id > session.steps:
+            session.steps, session.last = request.step_id, self._step(session, request)
+        if self.failures:
+            context.abort(self.failures.pop(), "the reply is lost")
+        return wire.pack(session.last)
+
+    def CloseSession(self, message, context):
+        self.sessions.pop(message.session)
+        return wire.pack(CloseSessionResponse())
+
+    @staticmethod
+    def _step(session: Session, request: StepRequest) -> StepResponse:
+        ends = np.array([line.step(action) for line, action in zip(session.lines, request.actions, strict=True)])
+        ended = [line for line, end in zip(session.lines, ends, strict=True) if end.any()]
+        truth, final = session.truth(), session.frames(request.cameras, ended) if ended else {}
+        for line in ended:
+            line.reset()
+        zeros = np.zeros(len(ends), np.float32)
+        frames = session.frames(request.cameras, session.lines)
+        return StepResponse(session.steps, frames, zeros, ends[:, 0], ends[:, 1], zeros > 0, final, truth)
+
+
+@pytest.fixture
+def service() -> Sim:
+    return Sim()
+
+
+@pytest.fixture
+def address(service: Sim) -> Iterator[str]:
+    server = grpc.server(ThreadPoolExecutor(2))
+    sim_pb2_grpc.add_SimServiceServicer_to_server(service, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    yield f"127.0.0.1:{port}"
+    server.stop(None).wait()
+
+
+GO = np.zeros(2, np.float32)
+STOP = np.ones(2, np.float32)
+
+
+def test_an_observation_is_the_one_cameras_frame_or_a_dict_of_several(address: str) -> None:
+    with RemoteEnv("slide", address) as env:
+        assert env.observation_space == gymnasium.spaces.Box(0, 255, (40, 44, 3), np.uint8)
+        assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    with RemoteEnv("hop", address, cameras=("front", "wrist"), height=20) as env:
+        shapes = {camera: space.shape for camera, space in env.observation_space.spaces.items()}
+        assert shapes == {"front": (20, 44, 3), "wrist": (20, 36, 1)}
+        assert env.action_space == gymnasium.spaces.Discrete(3)
+
+
+@pytest.mark.parametrize("privileged", [False, True], ids=["unprivileged", "privileged"])
+@pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
+    gymnasium.register("freerein/Toy-v0", RemoteEnv, disable_env_checker=True, order_enforce=False)
+    kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged}
+    try:
+        with gymnasium.make("freerein/Toy-v0", **kwargs).unwrapped as env:
+            check_env(env)
+    finally:
+        gymnasium.registry.pop("freerein/Toy-v0")
+
+
+def test_the_last_frame_is_the_old_episodes_and_reset_takes_up_the_one_already_begun(
+    address: str, service: Sim
+) -> None:
+    with RemoteEnv("slide", address, render_mode="rgb_array") as env:
+        first, _ = env.reset(seed=3)
+        last, _, terminated, truncated, _ = env.step(STOP)
+        assert (terminated, truncated) == (True, False)
+        assert last.max() == first.max() + 2
+        assert env.render().max() == last.max()
+        fresh, _ = env.reset()
+        [session] = service.sessions.values()
+        assert fresh.max() == env.render().max() == session.lines[0].position
+        env.step(GO)
+        assert service.calls == ["Reset", "Step", "Step"]
+
+
+def test_reset_begins_another_episode_when_seeded_or_in_the_middle_of_one(address: str, service: Sim) -> None:
+    with RemoteEnv("slide", address) as env:
+        first, _ = env.reset(seed=3)
+        env.step(STOP)
+        again, _ = env.reset(seed=3)
+        np.testing.assert_array_equal(first, again)
+        env.step(GO)
+        env.reset()
+        assert service.calls == ["Reset", "Step", "Reset", "Step", "Reset"]
+
+
+def test_a_step_after_the_end_is_refused_until_reset(address: str) -> None:
+    with RemoteEnv("hop", address) as env:
+        env.reset()
+        ends = [env.step(0)[2:4] for _ in range(STEPS)]
+        assert ends == [(False, False)] * (STEPS - 1) + [(False, True)]
+        with pytest.raises(FailedPrecondition, match="has ended"):
+            env.step(0)
+
+
+def test_rewards_and_truth_are_the_oracles_only_when_privileged(address: str) -> None:
+    with RemoteEnv("slide", address) as env, RemoteEnv("slide", address, privileged=True) as judge:
+        env.reset(seed=1)
+        _, reset_info = judge.reset(seed=1)
+        _, reward, *_, info = env.step(GO)
+        _, oracle_reward, *_, oracle_info = judge.step(GO)
+    assert (reward, info) == (0.0, {"diverged": False})
+    assert oracle_reward == oracle_info["truth"]["reward"] == reset_info["truth"]["state"][0] + 1
+    assert oracle_info["truth"]["success"] is False
+
+
+def test_what_is_returned_belongs_to_the_caller(address: str) -> None:
+    with RemoteEnv("slide", address) as env:
+        observation, _ = env.reset()
+        observation[:] = 0
+
+
+def test_a_lost_reply_is_fetched_again_and_no_step_is_made_twice(address: str, service: Sim) -> None:
+    with RemoteEnv("slide", address) as env:
+        first, _ = env.reset()
+        service.failures = [grpc.StatusCode.UNAVAILABLE] * 2
+        second, *_ = env.step(GO)
+    assert second.max() == first.max() + 1
+    assert service.calls == ["Reset", "Step", "Step", "Step"]
+
+
+def test_a_refused_action_is_no_step_and_a_step_of_unknown_fate_is_one(address: str, service: Sim) -> None:
+    with RemoteEnv("slide", address) as env:
+        first, _ = env.reset()
+        with pytest.raises(InvalidInput):
+            env.step(3 * STOP)
+        service.failures = [grpc.StatusCode.INTERNAL]
+        with pytest.raises(ServiceError, match="the reply is lost"):
+            env.step(GO)
+        third, *_ = env.step(GO)
+    assert third.max() == first.max() + 2
+
+
+def test_close_ends_the_session_once_and_needs_no_service(address: str, service: Sim) -> None:
+    env = RemoteEnv("slide", address)
+    assert len(service.sessions) == 1
+    env.close()
+    env.close()
+    assert service.sessions == {}
+    lost = RemoteEnv("slide", address)
+    service.sessions.clear()
+    lost.close()
+
+
+def test_what_cannot_be_made_leaves_nothing_behind(address: str, service: Sim) -> None:
+    threads = {thread.name for thread in threading.enumerate()}
+    with pytest.raises(NotFound, match="no such task"):
+        RemoteEnv("fly", address)
+    with pytest.raises(InvalidInput, match="among front, wrist"):
+        RemoteEnv("slide", address, cameras=("top",))
+    with pytest.raises(InvalidInput, match="rgb_array"):
+        RemoteEnv("slide", address, render_mode="human")
+    assert service.sessions == {}
+    assert "SimClient" not in {thread.name for thread in threading.enumerate()} - threads
+
+
+# --- vectors
+
+
+@pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_vector_of_one_is_what_gymnasium_makes_of_one_environment(
+    address: str, task: str, cameras: tuple[str, ...]
+) -> None:
+    def make() -> RemoteEnv:
+        return RemoteEnv(task, address, cameras=cameras, privileged=True)
+
+    ours = RemoteVectorEnv(task, address, num_envs=1, cameras=cameras, privileged=True)
+    theirs = SyncVectorEnv([make], autoreset_mode=AutoresetMode.SAME_STEP)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    assert ours.metadata == theirs.metadata
+    assert data_equivalence(ours.reset(seed=5), theirs.reset(seed=5), exact=True)
+    ours.action_space.seed(5)
+    for _ in range(3 * STEPS):
+        actions = ours.action_space.sample()
+        assert data_equivalence(ours.step(actions), theirs.step(actions), exact=True)
+    ours.close()
+    theirs.close()
+
+
+def test_where_an_episode_ends_the_next_begins_and_the_final_observation_is_in_info(address: str) -> None:
+    with_stop = np.stack([GO, STOP, GO])
+    envs = RemoteVectorEnv("slide", address, num_envs=3, privileged=True, render_mode="rgb_array")
+    first, _ = envs.reset(seed=2)
+    second, reward, terminated, truncated, info = envs.step(with_stop)
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert info["_final_obs"].tolist() == info["_final_info"].tolist() == [False, True, False]
+    assert info["final_obs"][1].max() == reward[1] == first[1].max() + 2
+    assert info["final_info"]["truth"]["state"][1, 0] == reward[1]
+    assert info["_truth"].tolist() == [True, False, True]
+    assert [frame.max() for frame in envs.render()] == second.max(axis=(1, 2, 3)).tolist()
+    envs.close()
+
+
+def test_environments_of_a_vector_draw_from_spawned_seeds_and_a_mask_resets_some(address: str) -> None:
+    envs = RemoteVectorEnv("hop", address, num_envs=3)
+    first, _ = envs.reset(seed=11)
+    expected = [np.random.default_rng(child).integers(100, size=2) for child in np.random.SeedSequence(11).spawn(3)]
+    assert first[:, 0, 0, 0].tolist() == [draws[0] for draws in expected]
+    some, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert some[:, 0, 0, 0].tolist() == [expected[0][0], expected[1][1], expected[2][0]]
+    with pytest.raises(InvalidInput, match=r"bool \(3,\)"):
+        envs.reset(options={"reset_mask": np.zeros(3, np.bool_)})
+    envs.close()
+
+
+def test_gymnasiums_wrappers_fit(address: str) -> None:
+    envs = DictInfoToList(RecordEpisodeStatistics(RemoteVectorEnv("hop", address, num_envs=2, privileged=True)))
+    envs.reset(seed=0)
+    for _ in range(STEPS):
+        *_, infos = envs.step(np.zeros(2, np.int64))
+    assert [info["episode"]["l"] for info in infos] == [STEPS, STEPS]
+    assert all(info["final_info"]["truth"]["state"].shape == (1,) for info in infos)
+    envs.close()
+
+
+# --- learners that know nothing of us
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cameras", [("front",), ("front", "wrist")], ids=["box", "dict"])
+@pytest.mark.parametrize("task", TASKS)
+def test_stable_baselines_trains_on_environments_as_they_are(address: str, task: str, cameras: tuple[str, ...]) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
+    from stable_baselines3.common.env_util import make_vec_env
+
+    policy, width = ("CnnPolicy", "features_dim") if len(cameras) == 1 else ("MultiInputPolicy", "cnn_output_dim")
+    small = {"features_extractor_kwargs": {width: 8}}
+    with RemoteEnv(task, address, cameras=cameras) as env:
+        check_for_stable_baselines(env)
+        sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs=small).learn(8)
+    envs = make_vec_env(lambda: RemoteEnv(task, address, cameras=cameras), n_envs=2, seed=0)
+    learner = sb3.PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs=small)
+    assert learner.learn(16).num_timesteps == 16
+    envs.close()

@@ -1,0 +1,294 @@
+"""Untrusted image files: documented pixels, or an error of ours."""
+
+import io
+import struct
+import threading
+import warnings
+import zlib
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from freerein import images
+from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
+from freerein.types.common import Encoding, Image
+
+FILES: tuple[Encoding, ...] = ("png", "jpeg", "webp")
+
+
+def save(image: PIL.Image.Image, file_format: str, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, file_format, **options)
+    return buffer.getvalue()
+
+
+def file(encoding: Encoding, data: bytes) -> Image:
+    return Image(encoding, 0, 0, data)
+
+
+def png(width: int, height: int, *, depth: int, colour: int, raw: bytes) -> bytes:
+    """Returns a PNG written by hand: Pillow writes no 16-bit colour and no lying headers."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    )
+
+
+def gray_jpeg(pixels: npt.NDArray[np.uint8], orientation: int) -> bytes:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = orientation
+    return save(PIL.Image.fromarray(pixels), "JPEG", exif=exif, quality=100)
+
+
+# --- what is documented to work
+
+
+@pytest.mark.parametrize("encoding", ["png", "raw_rgb8"])
+def test_colour_comes_back_as_it_went(encoding: Encoding) -> None:
+    pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    np.testing.assert_array_equal(images.decode(images.encode(pixels, encoding=encoding)), pixels)
+
+
+@pytest.mark.parametrize("encoding", ["png", "raw_gray8"])
+def test_gray_stays_gray(encoding: Encoding) -> None:
+    pixels = np.arange(6, dtype=np.uint8).reshape(2, 3, 1)
+    np.testing.assert_array_equal(images.decode(images.encode(pixels, encoding=encoding)), pixels)
+
+
+@pytest.mark.parametrize("encoding", ["jpeg", "webp"])
+def test_a_lossy_file_is_close_to_what_went(encoding: Encoding) -> None:
+    pixels = np.full((16, 16, 3), (200, 100, 50), np.uint8)
+    back = images.decode(images.encode(pixels, encoding=encoding))
+    assert back.shape == pixels.shape
+    assert np.abs(back.astype(int) - pixels).max() <= 4
+
+
+QUADRANTS = np.kron(np.array([[0, 80], [160, 240]], np.uint8), np.ones((16, 16), np.uint8))
+UPRIGHT = {  # EXIF's table: which way the stored rows and columns run
+    1: QUADRANTS,
+    2: QUADRANTS[:, ::-1],
+    3: QUADRANTS[::-1, ::-1],
+    4: QUADRANTS[::-1],
+    5: QUADRANTS.T,
+    6: np.rot90(QUADRANTS, -1),
+    7: QUADRANTS[::-1, ::-1].T,
+    8: np.rot90(QUADRANTS),
+}
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_exif_orientation_is_applied_once(orientation: int) -> None:
+    pixels = images.decode(file("jpeg", gray_jpeg(QUADRANTS, orientation)))
+    assert np.abs(pixels[:, :, 0].astype(int) - UPRIGHT[orientation]).max() <= 2
+
+
+def test_a_turned_file_is_as_high_as_it_is_wide_on_disk() -> None:
+    tall = gray_jpeg(np.zeros((8, 24), np.uint8), 6)
+    assert images.decode(file("jpeg", tall)).shape == (24, 8, 1)
+
+
+@pytest.mark.parametrize(
+    ("mode", "colour", "expected"),
+    [
+        ("CMYK", (0, 255, 255, 0), [255, 0, 0]),
+        ("CMYK", (0, 0, 0, 255), [0, 0, 0]),
+        ("L", 90, [90]),
+    ],
+)
+def test_the_colours_of_a_jpeg_become_rgb_or_stay_gray(
+    mode: str, colour: int | tuple[int, ...], expected: list[int]
+) -> None:
+    data = save(PIL.Image.new(mode, (16, 16), colour), "JPEG", quality=100)
+    assert np.abs(images.decode(file("jpeg", data))[8, 8].astype(int) - expected).max() <= 3
+
+
+@pytest.mark.parametrize(
+    ("mode", "colour", "expected"),
+    [
+        ("1", 1, [255]),
+        ("LA", (90, 10), [90]),
+        ("RGBA", (10, 20, 30, 0), [10, 20, 30]),
+        ("RGB", (10, 20, 30), [10, 20, 30]),
+    ],
+)
+def test_alpha_is_dropped_and_bits_become_bytes(
+    mode: str, colour: int | tuple[int, ...], expected: list[int]
+) -> None:
+    data = save(PIL.Image.new(mode, (2, 2), colour), "PNG")
+    assert images.decode(file("png", data))[0, 0].tolist() == expected
+
+
+@pytest.mark.parametrize("transparency", [None, 0, b"\x00\x80"])
+def test_a_palette_becomes_rgb_whatever_of_it_is_transparent(transparency: int | bytes | None) -> None:
+    palette = PIL.Image.new("P", (2, 1))
+    palette.putpalette([10, 20, 30, 40, 50, 60])
+    palette.putpixel((1, 0), 1)
+    data = save(palette, "PNG", **({} if transparency is None else {"transparency": transparency}))
+    assert images.decode(file("png", data)).tolist() == [[[10, 20, 30], [40, 50, 60]]]
+
+
+def test_a_gray_png_with_a_transparent_level_stays_gray() -> None:
+    data = save(PIL.Image.new("L", (1, 1), 7), "PNG", transparency=7)
+    assert images.decode(file("png", data)).tolist() == [[[7]]]
+
+
+def test_one_pixel_and_one_long_row_are_images() -> None:
+    assert images.decode(file("png", save(PIL.Image.new("L", (1, 1)), "PNG"))).shape == (1, 1, 1)
+    assert images.decode(file("png", save(PIL.Image.new("RGB", (100_000, 1)), "PNG"))).shape == (1, 100_000, 3)
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(("colour", "channels"), [(0, 1), (2, 3), (4, 2), (6, 4)])
+def test_more_than_eight_bits_per_channel_are_refused(colour: int, channels: int) -> None:
+    data = png(1, 1, depth=16, colour=colour, raw=b"\0" + b"\x12\x34" * channels)
+    with pytest.raises(InvalidInput, match="8 bits"):
+        images.decode(file("png", data))
+
+
+@pytest.mark.parametrize("encoding", ["png", "webp"])
+def test_an_animation_is_refused(encoding: Encoding) -> None:
+    frames = [PIL.Image.new("RGB", (4, 4), colour) for colour in ("red", "green", "blue")]
+    data = save(frames[0], encoding, save_all=True, append_images=frames[1:], duration=10)
+    with pytest.raises(InvalidInput, match="3 frames"):
+        images.decode(file(encoding, data))
+
+
+@pytest.mark.parametrize(("width", "height"), [(4_001, 4_000), (13_000, 13_000), (20_000, 20_000), (2**31 - 1, 1)])
+def test_too_many_pixels_are_refused_by_the_header_alone(width: int, height: int) -> None:
+    bomb = file("png", png(width, height, depth=8, colour=0, raw=b"\0"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+        for read in (images.decode, images.pixel_count):
+            with pytest.raises(InvalidInput, match="at most 16000000 pixels"):
+                read(bomb)
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 0), (0, 5), (5, 0)])
+def test_an_image_without_pixels_is_refused(width: int, height: int) -> None:
+    for image in (
+        file("png", png(width, height, depth=8, colour=0, raw=b"\0")),
+        Image("raw_gray8", height, width, b""),
+    ):
+        with pytest.raises(InvalidInput):
+            images.decode(image)
+
+
+@pytest.mark.parametrize("other", ["GIF", "TIFF", "PPM", "BMP", "ICO", "PDF", "EPS"])
+@pytest.mark.parametrize("claimed", FILES)
+def test_a_format_that_is_not_served_is_refused_whatever_it_claims_to_be(other: str, claimed: Encoding) -> None:
+    data = save(PIL.Image.new("RGB", (16, 16)), other)
+    with pytest.raises(UnsupportedMedia):
+        images.decode(file(claimed, data))
+
+
+@pytest.mark.parametrize("other", ["GIF", "TIFF", "PPM", "BMP", "PDF", "EPS"])
+@pytest.mark.parametrize("claimed", FILES)
+def test_a_signature_in_front_of_another_format_does_not_reach_its_decoder(other: str, claimed: Encoding) -> None:
+    own = save(PIL.Image.new("RGB", (16, 16)), claimed)[:12]
+    with pytest.raises(InvalidInput, match="corrupt"):
+        images.decode(file(claimed, own + save(PIL.Image.new("RGB", (16, 16)), other)))
+
+
+def test_an_encoding_that_is_not_the_files_is_refused() -> None:
+    with pytest.raises(UnsupportedMedia, match="jpeg"):
+        images.decode(file("jpeg", save(PIL.Image.new("L", (2, 2)), "PNG")))
+
+
+def test_a_size_that_is_not_the_files_is_refused() -> None:
+    data = save(PIL.Image.new("L", (2, 3)), "PNG")
+    assert images.decode(Image("png", 3, 2, data)).shape == (3, 2, 1)
+    with pytest.raises(InvalidInput, match="2 x 2"):
+        images.decode(Image("png", 2, 2, data))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.binary(max_size=12))
+def test_a_raw_image_is_exactly_as_long_as_it_says(height: int, width: int, data: bytes) -> None:
+    try:
+        pixels = images.decode(Image("raw_rgb8", height, width, data))
+    except InvalidInput:
+        assert height * width * 3 != len(data) or not data
+    else:
+        assert pixels.tobytes() == data
+
+
+# --- what is broken
+
+WHOLE = {
+    encoding: save(PIL.Image.fromarray(np.arange(8 * 8 * 3, dtype=np.uint8).reshape(8, 8, 3)), encoding)
+    for encoding in FILES
+}
+
+
+@pytest.mark.parametrize("encoding", FILES)
+def test_a_file_cut_at_any_byte_is_an_error_of_ours(encoding: Encoding) -> None:
+    pixels = images.decode(file(encoding, WHOLE[encoding]))
+    for cut in range(len(WHOLE[encoding])):
+        try:  # what follows the last row may be missing
+            assert images.decode(file(encoding, WHOLE[encoding][:cut])).shape == pixels.shape
+        except ServiceError as error:
+            assert "images" in error.detail
+            assert error.http_status in (415, 422)
+
+
+@pytest.mark.parametrize("encoding", FILES)
+@given(data=st.data())
+def test_a_corrupt_file_is_pixels_or_an_error_with_a_text_of_ours(encoding: Encoding, data: st.DataObject) -> None:
+    corrupt = bytearray(WHOLE[encoding])
+    for _ in range(data.draw(st.integers(1, 4))):
+        corrupt[data.draw(st.integers(0, len(corrupt) - 1))] = data.draw(st.integers(0, 255))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            assert images.decode(file(encoding, bytes(corrupt))).dtype == np.uint8
+        except ServiceError as error:
+            assert error.detail.startswith("`images` m")
+
+
+def test_a_corrupt_orientation_does_not_spoil_the_pixels() -> None:
+    data = gray_jpeg(QUADRANTS, 6).replace(b"Exif\0\0II*\0", b"Exif\0\0II*\xff").replace(b"Exif\0\0MM", b"Exif\0\0XX")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert images.decode(file("jpeg", data)).shape == (32, 32, 1)
+
+
+def test_decoding_on_many_threads_leaves_the_warning_filters_alone() -> None:
+    before = list(warnings.filters)
+    image = file("png", WHOLE["png"])
+
+    def decode_many() -> None:
+        for _ in range(100):
+            images.decode(image)
+
+    threads = [threading.Thread(target=decode_many) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert list(warnings.filters) == before
+
+
+# --- encoding
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [np.zeros((2, 2, 3), np.float32), np.zeros((3, 2, 2), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((2, 2, 4), np.uint8)],
+)
+def test_only_8_bit_gray_or_colour_with_channels_last_is_encoded(pixels: npt.NDArray[np.uint8]) -> None:
+    with pytest.raises(InvalidInput, match="got"):
+        images.encode(pixels)
+
+
+def test_a_raw_encoding_must_fit_the_channels() -> None:
+    with pytest.raises(InvalidInput, match="raw_rgb8 holds 3"):
+        images.encode(np.zeros((2, 2, 1), np.uint8), encoding="raw_rgb8")
