@@ -351,6 +351,16 @@ async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: S
 
 
 @pytest.mark.fault("M10")
+async def test_a_restored_session_has_no_last_step(sessions: Sessions) -> None:
+    session = await begun(sessions)
+    await sessions.step(StepRequest(session, 1, DOWN))
+    await sessions.restore(RestoreRequest(session, await snapshot(sessions, session)))
+
+    with pytest.raises(FailedPrecondition, match="must be 2"):
+        await sessions.step(StepRequest(session, 1, DOWN))
+
+
+@pytest.mark.fault("M10")
 async def test_a_snapshot_that_is_none_changes_nothing(sessions: Sessions) -> None:
     session = await begun(sessions)
     before = await snapshot(sessions, session)
@@ -484,7 +494,8 @@ async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions)
 @pytest.mark.fault("M6")
 async def test_a_worker_that_dies_takes_its_own_sessions_only(start: StartSessions) -> None:
     sessions, workers = await start(workers=2, max_sessions=2)
-    one, other = await begun(sessions), await begun(sessions)
+    await sessions.close_session(CloseSessionRequest(await begun(sessions, replace(ONE, num_envs=64))))
+    one, other = await begun(sessions), await begun(sessions)  # one on each worker
     victim = workers[0]
 
     victim.kill()

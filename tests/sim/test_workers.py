@@ -48,7 +48,7 @@ from freerein_sim.workers.pool import Pool
 from freerein_sim.workers.worker import Worker
 from freerein_sim.worlds import blocks, grid
 from freerein_sim.worlds.grid import Grid
-from freerein_sim.worlds.world import Action, Behaviour, Decision, Outcome, Task
+from freerein_sim.worlds.world import Action, Behaviour, Decision, Outcome, Task, World
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 ORPHANED = """
@@ -305,6 +305,24 @@ def test_a_bug_in_a_world_ends_its_session_and_no_other() -> None:
         host.answer(StepRequest(bad, 1, up))
     assert host.answer(StepRequest(good, 1, up)).step_id == 1
     assert host.answer(CloseSessionRequest(good)) == CloseSessionResponse()
+
+
+def test_what_ends_frees_its_worlds() -> None:
+    closed: list[World] = []
+
+    class Counted(Grid):
+        def close(self) -> None:
+            closed.append(self)
+
+    host = Host({"counted": Task("counted", "grid", "", grid.SPEC, lambda: Counted(indicator=True))})
+    request = CreateSessionRequest("counted", num_envs=2, seed=0)
+    one, _ = host.answer(request), host.answer(request)
+    host.answer(DemonstrateRequest("counted", "expert"))
+
+    host.answer(CloseSessionRequest(one.session))
+    assert len(closed) == 2
+    host.close()
+    assert len(closed) == 5
 
 
 def demonstrated(task: str, **request: object) -> list[DemonstrateResponse]:

@@ -96,13 +96,13 @@ class Sessions:
         self._reaper = asyncio.create_task(self._reap_for_ever())
 
     async def drain(self) -> None:
-        """Refuses new sessions and demonstrations from now on, and returns when what is in flight has finished.
+        """Refuses new sessions and demonstrations from now on, and returns when what is now in flight has finished.
 
         Open sessions go on, so that their clients can take a snapshot and leave.
         """
         self._draining = True
-        while self._in_flight:
-            await asyncio.wait(self._in_flight)
+        if self._in_flight:
+            await asyncio.wait(set(self._in_flight))
 
     async def close(self) -> None:
         """Drains, then ends the workers and all sessions with them."""

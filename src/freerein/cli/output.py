@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, ParamSpec
+from typing import Annotated, ParamSpec, Protocol
 
 import typer
 
@@ -15,15 +15,19 @@ P = ParamSpec("P")
 
 _ENDLESS = 1000
 
+
+class Advance(Protocol):
+    """Moves a progress bar: to `done` of `total`, both counts, with a note beside it."""
+
+    def __call__(self, done: int, note: str = "", total: int | None = None) -> None:
+        """Moves it; a total of None stays as it is."""
+
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
 
 
 def verb(run: Callable[P, None]) -> Callable[P, None]:
-    """Decorates a verb: an error of ours is printed as a sentence and how to mend it, and the exit code is 1.
-
-    The exit has no error for its context: a gRPC channel that lives on in a traceback when the interpreter ends may
-    abort the process.
-    """
+    """Decorates a verb: an error of ours is printed as a sentence and how to mend it, and the exit code is 1."""
 
     @functools.wraps(run)
     def reporting(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -32,12 +36,13 @@ def verb(run: Callable[P, None]) -> Callable[P, None]:
             run(*args, **kwargs)
         except ServiceError as error:
             print_error(error, as_json=as_json)
+            raise typer.Exit(1) from None
+        except BrokenPipeError:
+            raise  # nobody reads on, as with `| head`
         except OSError as error:
-            sentence = f"A file or a port was to be used; the system refused: {error}"
+            sentence = f"A file or a port was to be used; the system refused: {error}."
             print_error(FailedPrecondition(sentence, hint="`freerein doctor` may say more."), as_json=as_json)
-        else:
-            return
-        raise typer.Exit(1)
+            raise typer.Exit(1) from None
 
     return reporting
 
@@ -81,8 +86,8 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[..., None]]:
-    """Yields `advance(done, note="")`, which moves a bar on stderr; nothing is shown where nobody looks."""
+def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Advance]:
+    """Yields what moves a bar on stderr; nothing is shown where nobody looks."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -97,7 +102,7 @@ def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[
     with Progress(*columns, console=console, disable=not (is_shown and console.is_terminal)) as progress:
         bar = progress.add_task(name, total=total, note="")
 
-        def advance(done: int, note: str = "", total: int = total) -> None:
+        def advance(done: int, note: str = "", total: int | None = None) -> None:
             progress.update(bar, completed=done, total=total, note=note)
 
         yield advance

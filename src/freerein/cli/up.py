@@ -23,17 +23,20 @@ if TYPE_CHECKING:
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
 
 _Services = Annotated[list[str] | None, typer.Argument(help="Which; all that are installed when none is named.")]
+_FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on any free ports, not on the usual ones.")]
 _Show = Callable[[tuple["Status", ...]], None]
 
 
 @verb
-def up(services: _Services = None, as_json: AsJson = False) -> None:
+def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
     """Run the services until Ctrl-C, and start again what crashes."""
-    from freerein.cli.services import choose
+    from freerein.cli import services as known
     from freerein.cli.settings import CliSettings
     from freerein.cli.supervisor import Stack
 
-    stack = Stack(choose(services or ()), data_dir=CliSettings().data_dir, environ=os.environ)
+    chosen = known.choose(services or ())
+    ports = known.free_ports(chosen) if free_ports else None
+    stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
     with _display(as_json=as_json) as show:
         asyncio.run(_run(stack, show))
 

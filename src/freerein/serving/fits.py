@@ -75,19 +75,19 @@ class Fits:
         self._queue: asyncio.Queue[str] = asyncio.Queue()
         self._child: asyncio.subprocess.Process | None = None
         self._running = ""
-        self._runner: asyncio.Task[None] | None = None
+        self._stopping: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Goes on with the fits that had not ended when the service last stopped, oldest first."""
         for fit in self._records.all():
             if not fit.ended:
                 self._queue.put_nowait(fit.id)
-        self._runner = asyncio.create_task(self._run_until_draining())
+        self._stopping = asyncio.create_task(self._stop_on_drain(asyncio.create_task(self._run_all())))
 
     async def close(self) -> None:
         """Waits, on drain, for the end of the child, which saves first; the next start goes on with its fit."""
-        if self._runner is not None:
-            await self._runner
+        if self._stopping is not None:
+            await self._stopping
 
     async def start_fit(self, request: StartFitRequest) -> StartFitResponse:
         """Queues a fit.
@@ -152,8 +152,10 @@ class Fits:
                 await self._stop_child()
         return CancelFitResponse(fit)
 
-    async def _run_until_draining(self) -> None:
-        await self._health.unless_draining(self._run_all())
+    async def _stop_on_drain(self, runner: "asyncio.Task[None]") -> None:
+        await self._health.wait_for_drain()
+        runner.cancel()
+        await asyncio.gather(runner, return_exceptions=True)
         await self._stop_child()
 
     async def _run_all(self) -> None:

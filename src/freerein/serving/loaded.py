@@ -82,7 +82,8 @@ class LoadedModels(Generic[M]):
             NotFound: There is no such model.
             FailedPrecondition: Its files changed, or another version is active than expected.
         """
-        ref = ModelRef(check_name(request.name or DEFAULT_NAME, field="name"), request.version)
+        name = check_name(request.name or DEFAULT_NAME, field="name")
+        ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)
         self._store.activate(ref, expected_current=request.expected_current)
         return ActivateModelResponse(next(model for model in self._store.models() if model.ref == ref))

@@ -5,6 +5,7 @@ import signal
 import socket
 import sys
 
+from freerein.serving import logs
 from freerein_sim.workers.host import Host, serve
 from freerein_sim.worlds.tasks import tasks
 
@@ -13,7 +14,8 @@ def main() -> None:
     """Serves the socket until its other end closes: by the service's wish, or because the service is dead."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # sent to the whole group by a terminal: the service decides
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    logging.basicConfig(level=logging.INFO)
+    logs.configure("sim")
+    logging.getLogger().setLevel(logging.WARNING)
     host = Host(tasks())
     with socket.socket(fileno=int(sys.argv[1])) as connection:
         serve(connection, host)

@@ -29,6 +29,11 @@ class Envs:
         width: Width of frames, in pixels; 0 means the cameras' own.
         privileged: Whether replies hold `Truth`.
 
+    Attributes:
+        task: The task.
+        num_envs: N.
+        step_id: Steps made since the beginning; resets do not change it, `restore` does.
+
     Raises:
         InvalidInput: A camera cannot render that size.
     """

@@ -66,18 +66,18 @@ class Host:
         return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        task = self._task(request.task)
-        envs = Envs(
+        """Makes a session; the service has filled in the request's defaults."""
+        task, seed = self._task(request.task), request.seed or 0
+        session = uuid4().hex
+        self._sessions[session] = Envs(
             task,
             num_envs=request.num_envs,
-            seed=request.seed or 0,
+            seed=seed,
             height=request.height,
             width=request.width,
             privileged=request.privileged,
         )
-        session = uuid4().hex
-        self._sessions[session] = envs
-        return sim.CreateSessionResponse(session, request.seed or 0, request.num_envs, task.describe(), request.lease_s)
+        return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
 
     def _reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
         return self._envs(request.session).reset(request.envs, request.seed, cameras=request.cameras)

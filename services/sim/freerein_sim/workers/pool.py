@@ -110,7 +110,6 @@ class _Place:
     async def _start(self) -> Worker:
         try:
             worker = await Worker.start(stuck_s=self._stuck_s)
-            await worker.call(ListTasksRequest(), ListTasksResponse)
         finally:
             self._filling = None
         self._worker = worker

@@ -8,10 +8,12 @@ import subprocess
 import sys
 from typing import TypeVar
 
+from freerein.types.sim import ListTasksRequest, ListTasksResponse
 from freerein_sim.workers import framing
 from freerein_sim.workers.connection import Connection, worker_lost
 
 _LOG = logging.getLogger(__name__)
+_START_S = 60.0
 _EXIT_S = 1.0
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}  # of BLAS and of Mesa, where the operator says nothing
 
@@ -34,16 +36,21 @@ class Worker:
 
     @classmethod
     async def start(cls, *, stuck_s: float) -> "Worker":
-        """Starts a child. It answers when it has imported the tasks.
+        """Starts a child, and returns when it answers.
 
         Args:
             stuck_s: A child that leaves a call unanswered for so long hangs, and is killed.
+
+        Raises:
+            WorkerLost: It died before it answered.
         """
         ours, theirs = socket.socketpair()
         with theirs:
             process = _spawn(theirs)
         _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
-        return cls(process, connection, stuck_s=stuck_s)
+        worker = cls(process, connection, stuck_s=stuck_s)
+        await worker._call(ListTasksRequest(), ListTasksResponse, within_s=_START_S)
+        return worker
 
     @property
     def pid(self) -> int:
@@ -66,14 +73,7 @@ class Worker:
             WorkerLost: The child is dead, or hung and was killed.
             ServiceError: The child refused.
         """
-        try:
-            async with asyncio.timeout(self._stuck_s):
-                message = await self._connection.ask(request)
-        except TimeoutError:
-            _LOG.error("worker %d hangs and is killed", self._process.pid)
-            self._process.kill()
-            raise worker_lost() from None
-        return framing.decode(message, response)
+        return await self._call(request, response, within_s=self._stuck_s)
 
     async def wait_ended(self) -> None:
         """Returns when the child has exited."""
@@ -83,6 +83,16 @@ class Worker:
         """Ends the child: it exits when its socket closes, or is killed."""
         self._connection.close()
         await self.wait_ended()
+
+    async def _call(self, request: object, response: type[Response], *, within_s: float) -> Response:
+        try:
+            async with asyncio.timeout(within_s):
+                message = await self._connection.ask(request)
+        except TimeoutError:
+            _LOG.error("worker %d hangs and is killed", self._process.pid)
+            self._process.kill()
+            raise worker_lost() from None
+        return framing.decode(message, response)
 
     async def _reap(self) -> None:
         await self._connection.lost.wait()

@@ -1,0 +1,1 @@
+"""What learned services share of training: encoders, checkpoints, the resumable loop. The only home of torch in freerein."""

@@ -1,0 +1,123 @@
+"""Checkpoints that a crash, at any instruction, leaves either whole or absent.
+
+    <folder>/step-000000400/state.safetensors   tensors
+                            state.json          everything else
+                            manifest.json       sha256 of both
+             step-000000500/ ...                the last three are kept
+
+A checkpoint is written beside its place, synced, renamed, and the folder synced. What is read is checked against the
+manifest; when the newest is damaged, the one before it serves.
+"""
+
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from torch import Tensor
+
+from freerein.durable import UNFINISHED, sync_folder, write_durably
+from freerein.errors import InvalidInput
+from freerein.learning import tensor_files
+
+KEPT = 3
+JSON: TypeAlias = None | bool | int | float | str | list["JSON"] | dict[str, "JSON"]
+
+_TENSORS, _DOCUMENT, _MANIFEST = "state.safetensors", "state.json", "manifest.json"
+_MAX_JSON_BYTES = 1 << 20
+_NAME = re.compile(r"step-(\d{9})")
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """The whole state of a training between two updates.
+
+    Attributes:
+        step: Updates made.
+        tensors: Weights, optimiser, generators, by name.
+        document: The rest.
+    """
+
+    step: int
+    tensors: Mapping[str, Tensor]
+    document: Mapping[str, JSON]
+
+
+def save(folder: Path, checkpoint: Checkpoint) -> None:
+    """Writes a checkpoint, then deletes all but the newest `KEPT`.
+
+    Raises:
+        OSError: The disk is full or broken; the checkpoints before are untouched.
+    """
+    target = folder / f"step-{checkpoint.step:09d}"
+    unfinished = target.with_name(target.name + UNFINISHED)
+    shutil.rmtree(unfinished, ignore_errors=True)
+    try:
+        _write(unfinished, checkpoint)
+        if target.exists():  # left there by a damaged save that was passed over
+            shutil.rmtree(target)
+        unfinished.rename(target)
+        sync_folder(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    for _, path in _newest_first(folder)[KEPT:]:
+        shutil.rmtree(path)
+
+
+def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoint | None:
+    """Returns the newest checkpoint that is whole, None when there is none.
+
+    Args:
+        folder: Where `save` wrote.
+        on_corrupt: Told the step of each damaged checkpoint that was passed over, and what is wrong with it.
+    """
+    for step, path in _newest_first(folder):
+        try:
+            return _read(path, step)
+        except (InvalidInput, OSError) as error:
+            on_corrupt(step, error.detail if isinstance(error, InvalidInput) else "A file cannot be read.")
+    return None
+
+
+def _write(path: Path, checkpoint: Checkpoint) -> None:
+    path.mkdir(parents=True)
+    document = json.dumps(dict(checkpoint.document), allow_nan=False).encode()
+    write_durably(path / _DOCUMENT, document)
+    tensors = tensor_files.write(path / _TENSORS, checkpoint.tensors)
+    hashes = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
+    write_durably(path / _MANIFEST, json.dumps({"files": hashes}).encode())
+
+
+def _read(path: Path, step: int) -> Checkpoint:
+    """Every byte is hashed before it is parsed, and parsed from the same read: nothing can change in between."""
+    hashes = _object(_read_json(path / _MANIFEST)).get("files")
+    document, tensors = _read_json(path / _DOCUMENT), (path / _TENSORS).read_bytes()
+    found = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
+    if hashes != found:
+        raise InvalidInput("A checkpoint's files must have the sha256 of its manifest; one has another.")
+    return Checkpoint(step, tensor_files.parse(tensors), _object(document))
+
+
+def _read_json(path: Path) -> bytes:
+    if path.stat().st_size > _MAX_JSON_BYTES:
+        raise InvalidInput(f"A checkpoint's JSON may have {_MAX_JSON_BYTES} bytes; got {path.stat().st_size}.")
+    return path.read_bytes()
+
+
+def _object(data: bytes) -> dict[str, JSON]:
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInput("A checkpoint's JSON cannot be parsed.") from error
+    if not isinstance(value, dict):
+        raise InvalidInput("A checkpoint's JSON must be an object; got something else.")
+    return value
+
+
+def _newest_first(folder: Path) -> list[tuple[int, Path]]:
+    found = [(int(match[1]), path) for path in folder.glob("step-*") if (match := _NAME.fullmatch(path.name))]
+    return sorted(found, reverse=True)

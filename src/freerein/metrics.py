@@ -1,0 +1,101 @@
+"""How well labels agree with the truth. For evaluation only: nothing here may choose what is trained."""
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+
+Labels: TypeAlias = npt.NDArray[np.integer[Any]]
+
+
+def run_starts(labels: Labels) -> npt.NDArray[np.int64]:
+    """Returns the first timestep of each maximal run of equal labels, int64 (S,), for labels (T,)."""
+    changes = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    return np.concatenate([np.zeros(min(len(labels), 1), np.int64), changes.astype(np.int64)])
+
+
+def frame_accuracy(predicted: Labels, truth: Labels) -> float:
+    """Returns the share of timesteps whose label is right, in [0, 1], for labels (T,) each.
+
+    Raises:
+        InvalidInput: The two have different lengths, or none.
+    """
+    _check_pair(predicted, truth)
+    return float(np.mean(predicted == truth))
+
+
+def random_cls_accuracy(truth: Labels) -> float:
+    """Returns what guessing uniformly among the skills that occur would score: one over their number (Random-Cls).
+
+    Raises:
+        InvalidInput: There are no timesteps.
+    """
+    _check_pair(truth, truth)
+    return 1.0 / len(np.unique(truth))
+
+
+def edit_score(predicted: Labels, truth: Labels) -> float:
+    """Returns how alike the two orders of segments are, whatever their lengths: 1 is equal, 0 nothing in common.
+
+    One minus the Levenshtein distance of the sequences of segment labels over the longer one's length.
+
+    Raises:
+        InvalidInput: The two have different lengths, or none.
+    """
+    _check_pair(predicted, truth)
+    ours, theirs = predicted[run_starts(predicted)], truth[run_starts(truth)]
+    return 1.0 - _levenshtein(ours.tolist(), theirs.tolist()) / max(len(ours), len(theirs))
+
+
+def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
+    """Returns the F1 score over segments, in [0, 1]; a segment is found when its overlap is large enough.
+
+    A predicted segment is right when it and a true segment of its label, not found before, have an intersection over
+    union of at least `overlap`; each takes the true segment that it overlaps most. F1@50 is `overlap=0.5`.
+
+    Raises:
+        InvalidInput: The two have different lengths, or none, or `overlap` is not in (0, 1].
+    """
+    _check_pair(predicted, truth)
+    if not 0.0 < overlap <= 1.0:
+        raise InvalidInput(f"`overlap` must be in (0, 1]; got {overlap:g}.", field="overlap", hint="F1@50 has 0.5.")
+    ours, theirs = _spans(predicted), _spans(truth)
+    found: set[int] = set()
+    for start, end, label in ours:
+        scores = [
+            (min(end, true_end) - max(start, true_start)) / (max(end, true_end) - min(start, true_start))
+            if label == true_label
+            else -1.0
+            for true_start, true_end, true_label in theirs
+        ]
+        best = int(np.argmax(scores))
+        if scores[best] >= overlap and best not in found:
+            found.add(best)
+    return 2 * len(found) / (len(ours) + len(theirs))
+
+
+def _check_pair(predicted: Labels, truth: Labels) -> None:
+    if predicted.ndim != 1 or predicted.shape != truth.shape or len(truth) == 0:
+        raise InvalidInput(
+            f"Predicted and true labels must both be of shape (T,), T at least 1; got {predicted.shape}, {truth.shape}.",
+            field="labels",
+            hint="Compare the labels of one trajectory at a time.",
+        )
+
+
+def _spans(labels: Labels) -> list[tuple[int, int, int]]:
+    starts = run_starts(labels)
+    ends = [*starts[1:].tolist(), len(labels)]
+    return list(zip(starts.tolist(), ends, labels[starts].tolist(), strict=True))
+
+
+def _levenshtein(ours: Sequence[int], theirs: Sequence[int]) -> int:
+    row = list(range(len(theirs) + 1))
+    for i, mine in enumerate(ours, start=1):
+        diagonal, row[0] = row[0], i
+        for j, yours in enumerate(theirs, start=1):
+            diagonal, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, diagonal + (mine != yours))
+    return row[-1]

@@ -1,0 +1,89 @@
+"""`freerein up` with the real sim service, and demonstrations recorded from it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from freerein.cli.__main__ import app
+from freerein.data import Dataset
+
+pytestmark = pytest.mark.e2e
+
+
+@dataclass(frozen=True)
+class Up:
+    """A running `freerein up sim`: the process, and the last status that it printed."""
+
+    process: "subprocess.Popen[str]"
+    status: dict[str, object]
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    """The sim service, run by `freerein up`, ready."""
+    environ = {**os.environ, "FREEREIN_DATA_DIR": str(tmp_path_factory.mktemp("up")), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "freerein.cli", "up", "sim", "--free-ports", "--json"]
+    with subprocess.Popen(command, env=environ, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        status = next(status for line in process.stdout if (status := json.loads(line))["state"] == "ready")
+        yield Up(process, status)
+        process.kill()
+
+
+@pytest.fixture
+def recorder(up: Up, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The datasets' folder of a data directory, to which verbs record from the running service."""
+    monkeypatch.setenv("FREEREIN_SIM_ADDRESS", str(up.status["grpc_address"]))
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    return tmp_path / "datasets"
+
+
+def _demonstrate(*words: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["sim", "demonstrate", "grid", "--json", "--max-skills", "2", *words])
+    return result.exit_code, result.stdout or result.stderr
+
+
+def test_the_tasks_are_listed(recorder: Path) -> None:
+    document = json.loads(CliRunner().invoke(app, ["sim", "tasks", "--json"]).stdout)
+
+    assert "grid" in [task["name"] for task in document["tasks"]]
+
+
+def test_a_recording_gone_on_with_is_the_recording_made_at_once(recorder: Path) -> None:
+    _demonstrate("--out", "begun", "--count", "2", "--truth")
+    code, printed = _demonstrate("--out", "begun", "--count", "5", "--truth")
+    _demonstrate("--out", "whole", "--count", "5", "--truth")
+
+    assert (code, json.loads(printed)) == (0, {"dataset": "begun", "trajectories": 5})
+    assert Dataset(recorder / "begun").fingerprint == Dataset(recorder / "whole").fingerprint
+
+
+def test_a_recording_is_not_gone_on_with_by_another_request(recorder: Path) -> None:
+    _demonstrate("--out", "demos", "--count", "1", "--seed", "1")
+
+    code, printed = _demonstrate("--out", "demos", "--count", "2", "--seed", "2")
+
+    assert (code, json.loads(printed)["error"]["code"]) == (1, "failed_precondition")
+
+
+def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
+    result = CliRunner().invoke(app, ["sim", "demonstrate", "nothing", "--out", "demos"])
+
+    assert result.exit_code == 1
+    assert not recorder.exists()
+
+
+def test_a_signal_drains_the_services_and_the_exit_code_is_0(up: Up) -> None:
+    up.process.send_signal(signal.SIGTERM)
+
+    assert up.process.stdout is not None
+    assert json.loads(up.process.stdout.readlines()[-1])["state"] == "stopped"
+    assert up.process.wait(15) == 0

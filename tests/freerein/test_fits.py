@@ -1,0 +1,331 @@
+"""Fits: what was acknowledged is never lost, whoever dies, and every fit ends as what it is."""
+
+import asyncio
+import json
+import os
+import textwrap
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded
+from freerein.serving import fits as fits_module
+from freerein.serving.fit_records import FitRecords
+from freerein.serving.fits import Fits
+from freerein.serving.health import Health
+from freerein.serving.models import ModelStore
+from freerein.types.learning import (
+    CancelFitRequest,
+    Fit,
+    GetFitRequest,
+    ListFitsRequest,
+    StartFitRequest,
+    WatchFitRequest,
+)
+
+CHILD = textwrap.dedent(
+    """
+    import json, os, signal, sys, time
+    from pathlib import Path
+
+    work = Path(sys.argv[1])
+    config = json.loads((work / "config.json").read_text())["config"]
+    runs = work / "runs.txt"
+    runs.write_text((runs.read_text() if runs.exists() else "") + f"{os.getpid()}\\n")
+    behaviour = config["behaviour"]
+    with (work / "metrics.jsonl").open("a") as metrics:
+        step = 2 if behaviour == "crash" else 2 * len(runs.read_text().split())
+        metrics.write(f'{{"step": {step}, "train_loss": 0.5, "validation_loss": NaN}}\\n')
+    if behaviour == "crash once" and len(runs.read_text().split()) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "crash":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "hopeless":
+        sys.stderr.write("The dataset must hold two skills; it holds one.\\n")
+        sys.exit(2)
+    if behaviour == "broken metrics":
+        with (work / "metrics.jsonl").open("a") as metrics:
+            metrics.write("not JSON\\n")
+    if behaviour in ("wait", "broken metrics"):
+        sys.stdin.read()
+        sys.exit(1)
+    (work / "model").mkdir()
+    (work / "model" / "card.json").write_text(json.dumps({"steps": config["steps"]}))
+    """
+)
+
+
+def resolve(dataset: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    if dataset != "demos":
+        raise NotFound("No such dataset.", field="dataset")
+    if unknown := set(config) - {"behaviour"}:
+        raise InvalidInput(f"{len(unknown)} unknown.", field="config")
+    return {"behaviour": "succeed", "steps": 5, **config}
+
+
+class Bench:
+    """One service's fits, which can be left behind and started again on the same disk."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.store = ModelStore(root / "models")
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Fits]:
+        health = Health()
+        fits = Fits(
+            FitRecords(self.root / "fits"), module="child", store=self.store, resolve=resolve, health=health
+        )
+        await fits.start()
+        try:
+            yield fits
+        finally:
+            health.drain()
+            await fits.close()
+
+    def work(self, fit: Fit) -> Path:
+        return self.root / "fits" / fit.id / "work"
+
+    def runs(self, fit: Fit) -> list[int]:
+        return [int(line) for line in (self.work(fit) / "runs.txt").read_text().split()]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    (tmp_path / "child.py").write_text(CHILD)
+    monkeypatch.chdir(tmp_path)  # `python -m` finds the child there
+    return Bench(tmp_path)
+
+
+async def begin(fits: Fits, behaviour: str = "succeed", key: str = "") -> Fit:
+    return (await fits.start_fit(StartFitRequest("demos", "", {"behaviour": behaviour}, key))).fit
+
+
+async def when(fits: Fits, fit: Fit, condition: Callable[[Fit], object]) -> Fit:
+    """Returns the fit at its first event that meets a condition."""
+    async for event in fits.watch_fit(WatchFitRequest(fit.id)):
+        if condition(event.fit):
+            return event.fit
+    pytest.fail(f"the fit ended as {(await fits.get_fit(GetFitRequest(fit.id))).fit}")
+
+
+async def end(fits: Fits, fit: Fit) -> Fit:
+    return await when(fits, fit, lambda now: now.ended)
+
+
+# --- how fits end
+
+
+async def test_a_fit_that_succeeds_makes_a_model_that_is_active(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits))
+    assert fit.state == "succeeded"
+    assert fit.model is not None
+    assert fit.metrics == {"train_loss": 0.5}  # NaN is no figure
+    assert bench.store.active_version("default") == fit.model.version
+    assert bench.store.models()[0].card == {"steps": 5}
+
+
+async def test_a_child_that_dies_is_started_again(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits, "crash once"))
+    assert fit.state == "succeeded"
+    assert len(bench.runs(fit)) == 2
+
+
+async def test_a_child_that_always_dies_is_given_up(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits, "crash"))
+    assert (fit.state, len(bench.runs(fit))) == ("failed", 3)
+    assert fit.error == "Its process ended with code -9, 3 times without progress."
+
+
+async def test_a_child_that_says_there_is_no_hope_is_believed(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits, "hopeless"))
+    assert (fit.state, fit.error) == ("failed", "The dataset must hold two skills; it holds one.")
+    assert len(bench.runs(fit)) == 1
+
+
+async def test_a_bug_ends_one_fit_and_its_child_and_not_the_next(bench: Bench) -> None:
+    async with bench.running() as fits:
+        first, second = await begin(fits, "broken metrics"), await begin(fits)
+        assert (await end(fits, first)).state == "failed"
+        assert (await end(fits, second)).state == "succeeded"
+        assert not psutil.pid_exists(bench.runs(first)[0])
+
+
+async def test_fits_run_one_after_the_other_and_are_listed_newest_first(bench: Bench) -> None:
+    async with bench.running() as fits:
+        first, second = await begin(fits, "wait"), await begin(fits)
+        await when(fits, first, lambda fit: fit.step == 2)
+        assert [fit.id for fit in (await fits.list_fits(ListFitsRequest())).fits] == [second.id, first.id]
+        assert (await fits.get_fit(GetFitRequest(second.id))).fit.state == "queued"
+        await fits.cancel_fit(CancelFitRequest(first.id))
+        assert (await end(fits, second)).state == "succeeded"
+
+
+# --- cancelling
+
+
+async def test_cancelling_ends_the_child_and_stays_final(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait")
+        await when(fits, fit, lambda now: now.step == 2)
+        assert (await fits.cancel_fit(CancelFitRequest(fit.id))).fit.state == "cancelled"
+        assert not psutil.pid_exists(bench.runs(fit)[0])
+        assert (await fits.cancel_fit(CancelFitRequest(fit.id))).fit.state == "cancelled"
+        assert (await end(fits, fit)).state == "cancelled"
+
+
+async def test_cancelled_before_its_turn_a_fit_never_starts(bench: Bench) -> None:
+    async with bench.running() as fits:
+        first, second = await begin(fits, "wait"), await begin(fits)
+        await when(fits, first, lambda fit: fit.step == 2)
+        await fits.cancel_fit(CancelFitRequest(second.id))
+        await fits.cancel_fit(CancelFitRequest(first.id))
+        third = await begin(fits)
+        await end(fits, third)
+    assert not bench.work(second).joinpath("runs.txt").exists()
+
+
+async def test_cancelled_at_the_moment_its_child_is_started_a_fit_ends_too(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait")
+        await when(fits, fit, lambda now: now.state == "running")  # the event before the process
+        await fits.cancel_fit(CancelFitRequest(fit.id))
+        second = await begin(fits)
+        assert (await end(fits, second)).state == "succeeded"
+        assert (await fits.get_fit(GetFitRequest(fit.id))).fit.state == "cancelled"
+
+
+# --- what is kept
+
+
+async def test_after_a_drain_the_next_start_goes_on_with_what_had_not_ended(bench: Bench) -> None:
+    async with bench.running() as fits:
+        ended = await end(fits, await begin(fits))
+        open_fit = await begin(fits, "wait")
+        await when(fits, open_fit, lambda fit: fit.step == 2)
+    assert not psutil.pid_exists(bench.runs(open_fit)[0])
+    async with bench.running() as fits:
+        kept = (await fits.list_fits(ListFitsRequest())).fits
+        assert [fit.id for fit in kept] == [open_fit.id, ended.id]
+        assert kept[1] == ended
+        await when(fits, open_fit, lambda fit: fit.step == 4)
+        await fits.cancel_fit(CancelFitRequest(open_fit.id))
+
+
+async def test_a_line_torn_by_a_crash_is_cut_off_and_a_fit_without_one_was_never_there(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits))
+    with (bench.root / "fits" / fit.id / "events.jsonl").open("ab") as events:
+        events.write(b'{"id": "torn')
+    torn = bench.root / "fits" / ("0" * 32)
+    torn.mkdir()
+    (torn / "request.json").write_text('{"dataset": "demos"}')
+    (torn / "events.jsonl").write_bytes(b'{"id"')
+    assert FitRecords(bench.root / "fits").all() == (fit,)
+    assert FitRecords(bench.root / "fits").all() == (fit,)
+
+
+async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_restart(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait", key="mine")
+        assert (await begin(fits, "wait", key="mine")).id == fit.id
+    async with bench.running() as fits:
+        assert (await begin(fits, "wait", key="mine")).id == fit.id
+        with pytest.raises(AlreadyExists):
+            await begin(fits, "succeed", key="mine")
+        assert (await begin(fits, "wait", key="yours")).id != fit.id
+
+
+# --- watching
+
+
+async def test_watchers_see_every_event_from_their_number_on_without_gaps(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits)
+        events = [event async for event in fits.watch_fit(WatchFitRequest(fit.id))]
+        assert [event.sequence for event in events] == list(range(len(events)))
+        assert [events[0].fit.state, events[-1].fit.state] == ["queued", "succeeded"]
+        resumed = [event async for event in fits.watch_fit(WatchFitRequest(fit.id, 2))]
+        assert resumed == events[2:]
+
+
+async def test_a_watcher_from_beyond_the_end_ends_with_the_fit(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits)
+        assert [event async for event in fits.watch_fit(WatchFitRequest(fit.id, 2**63))] == []
+        assert [event async for event in fits.watch_fit(WatchFitRequest(fit.id, 2**63))] == []
+
+
+async def test_watchers_end_on_drain(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait")
+        await when(fits, fit, lambda now: now.step == 2)
+        watcher = asyncio.create_task(anext(fits.watch_fit(WatchFitRequest(fit.id, 100)), None))
+        with suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.shield(watcher), 0.01)
+    assert await watcher is None
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("request_", "field"),
+    [
+        (StartFitRequest("../demos"), "dataset"),
+        (StartFitRequest(""), "dataset"),
+        (StartFitRequest("demos", "no/where"), "model_name"),
+        (StartFitRequest("demos", idempotency_key="a b"), "idempotency_key"),
+        (StartFitRequest("demos", config={"stepz": 1}), "config"),
+    ],
+)
+async def test_a_wrong_request_is_refused_by_its_field(bench: Bench, request_: StartFitRequest, field: str) -> None:
+    async with bench.running() as fits:
+        with pytest.raises(InvalidInput) as error:
+            await fits.start_fit(request_)
+        assert error.value.field == field
+        assert (await fits.list_fits(ListFitsRequest())).fits == ()
+
+
+@pytest.mark.parametrize(("fit_id", "error"), [("0" * 32, NotFound), ("../x", InvalidInput), ("", InvalidInput)])
+async def test_an_unknown_fit_is_not_found_and_a_path_is_no_id(
+    bench: Bench, fit_id: str, error: type[Exception]
+) -> None:
+    async with bench.running() as fits:
+        with pytest.raises(error):
+            await fits.get_fit(GetFitRequest(fit_id))
+        with pytest.raises(error):
+            await fits.cancel_fit(CancelFitRequest(fit_id))
+        with pytest.raises(error):
+            await anext(fits.watch_fit(WatchFitRequest(fit_id)))
+
+
+async def test_only_so_many_fits_may_wait(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fits_module, "_WAITING", 1)
+    async with bench.running() as fits:
+        running = await begin(fits, "wait")
+        await when(fits, running, lambda fit: fit.state == "running")
+        await begin(fits)
+        with pytest.raises(Overloaded):
+            await begin(fits)
+
+
+def test_a_fit_is_on_disk_before_it_is_acknowledged(bench: Bench) -> None:
+    async def scenario() -> Fit:
+        async with bench.running() as fits:
+            return await begin(fits, "wait")
+
+    fit = asyncio.run(scenario())
+    assert json.loads((bench.work(fit) / "config.json").read_text()) == {
+        "dataset": "demos",
+        "config": {"behaviour": "wait", "steps": 5},
+    }
+    assert os.fspath(bench.root) not in (bench.root / "fits" / fit.id / "events.jsonl").read_text()

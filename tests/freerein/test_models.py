@@ -1,0 +1,216 @@
+"""Models on disk and in memory: a version never changes, and what is broken is never loaded."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
+from freerein.types.learning import ActivateModelRequest, ListModelsRequest
+
+Publish = Callable[..., ModelRef]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ModelStore:
+    return ModelStore(tmp_path / "models", tmp_path / "shipped")
+
+
+@pytest.fixture
+def publish(tmp_path: Path, store: ModelStore) -> Publish:
+    def publish(weights: str, name: str = "", where: ModelStore = store) -> ModelRef:
+        folder = tmp_path / "unpublished"
+        folder.mkdir()
+        (folder / "weights").write_text(weights)
+        (folder / "card.json").write_text(json.dumps({"weights": weights}))
+        return where.publish(name, folder)
+
+    return publish
+
+
+class Loader:
+    """Loads a model as its text, and remembers what it loaded."""
+
+    def __init__(self) -> None:
+        self.loaded: list[str] = []
+
+    def __call__(self, folder: Path) -> str:
+        self.loaded.append((folder / "weights").read_text())
+        return self.loaded[-1]
+
+
+@pytest.fixture
+def loader() -> Loader:
+    return Loader()
+
+
+@pytest.fixture
+def models(store: ModelStore, loader: Loader) -> LoadedModels[str]:
+    return LoadedModels(store, loader, fit_command="freerein fit toy")
+
+
+# --- on disk
+
+
+def test_the_same_files_have_the_same_version_and_others_another(store: ModelStore, publish: Publish) -> None:
+    first, again, other = publish("a"), publish("a"), publish("b")
+    assert first == again != other
+    assert first.name == "default"
+    assert len(first.version) == 12
+    assert len(store.models()) == 2
+
+
+def test_what_is_published_is_gone_from_where_it_was_and_not_active_yet(
+    tmp_path: Path, store: ModelStore, publish: Publish
+) -> None:
+    ref = publish("a")
+    assert not (tmp_path / "unpublished").exists()
+    assert store.active_version("default") == ""
+    store.activate(ref)
+    assert store.active_version("default") == ref.version
+
+
+def test_models_are_listed_by_name_with_their_cards_and_which_is_active(store: ModelStore, publish: Publish) -> None:
+    store.activate(publish("a", "zebra"))
+    publish("b", "ape")
+    listed = [(model.ref.name, model.active, model.card) for model in store.models()]
+    assert listed == [("ape", False, {"weights": "b"}), ("zebra", True, {"weights": "a"})]
+
+
+def test_what_came_with_freerein_is_found_after_what_was_fitted(
+    tmp_path: Path, store: ModelStore, publish: Publish
+) -> None:
+    shipped = ModelStore(tmp_path / "shipped")
+    theirs = publish("theirs", where=shipped)
+    shipped.activate(theirs)
+    assert store.active_version("default") == theirs.version
+    ours = publish("ours")
+    store.activate(ours)
+    assert store.active_version("default") == ours.version
+    store.activate(theirs)
+    assert store.active_version("default") == theirs.version
+    assert not (tmp_path / "shipped" / "default" / ours.version).exists()
+
+
+@pytest.mark.parametrize("damage", ["flip", "shorten", "delete", "manifest", "no manifest"])
+def test_a_damaged_model_is_refused(store: ModelStore, publish: Publish, damage: str) -> None:
+    ref = publish("weights")
+    folder = store.folder(ref)
+    if damage == "flip":
+        (folder / "weights").write_text("Weights")
+    elif damage == "shorten":
+        (folder / "weights").write_text("weight")
+    elif damage == "delete":
+        (folder / "weights").unlink()
+    elif damage == "manifest":
+        (folder / "manifest.json").write_text('{"files": {}}')
+    else:
+        (folder / "manifest.json").unlink()
+    with pytest.raises(NotFound if damage == "no manifest" else FailedPrecondition) as error:
+        store.folder(ref)
+    assert str(folder) not in error.value.detail
+    with pytest.raises(type(error.value)):
+        store.activate(ref)
+
+
+@pytest.mark.parametrize("name", ["../x", "..", "", "/etc", "a/b", "A", "a\0b", "é", "a" * 65, ".hidden"])
+def test_a_name_is_no_path(store: ModelStore, name: str) -> None:
+    for ref in (ModelRef(name, "0" * 12), ModelRef("default", name)):
+        with pytest.raises(InvalidInput):
+            store.folder(ref)
+
+
+def test_another_version_than_expected_is_not_replaced(store: ModelStore, publish: Publish) -> None:
+    first, second, third = publish("a"), publish("b"), publish("c")
+    store.activate(first, expected_current="")
+    store.activate(second, expected_current=first.version)
+    with pytest.raises(FailedPrecondition, match=second.version):
+        store.activate(third, expected_current=first.version)
+    assert store.active_version("default") == second.version
+
+
+# --- in memory
+
+
+async def test_the_active_model_is_loaded_before_it_is_ready_and_once(
+    store: ModelStore, publish: Publish, models: LoadedModels[str], loader: Loader
+) -> None:
+    ref = publish("a")
+    publish("b")
+    store.activate(ref)
+    assert models.not_ready()
+    await models.start()
+    assert not models.not_ready()
+    assert await models.resolve(ModelRef()) == (ref, "a")
+    assert await models.resolve(ref) == (ref, "a")
+    assert loader.loaded == ["a"]
+
+
+async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: LoadedModels[str]) -> None:
+    await models.start()
+    assert not models.not_ready()
+    with pytest.raises(FailedPrecondition) as error:
+        await models.resolve(ModelRef())
+    assert error.value.hint == "Fit one: freerein fit toy"
+
+
+async def test_any_version_can_be_asked_for_by_name(publish: Publish, models: LoadedModels[str]) -> None:
+    first, second = publish("a", "x"), publish("b", "x")
+    assert [(await models.resolve(ref))[1] for ref in (first, second)] == ["a", "b"]
+    with pytest.raises(NotFound):
+        await models.resolve(ModelRef("x", "0" * 12))
+
+
+async def test_activating_swaps_what_answers_and_returns_it(publish: Publish, models: LoadedModels[str]) -> None:
+    first, second = publish("a"), publish("b")
+    await models.activate_model(ActivateModelRequest("", first.version))
+    assert (await models.resolve(ModelRef()))[1] == "a"
+    reply = await models.activate_model(ActivateModelRequest("", second.version, first.version))
+    assert (reply.model.ref, reply.model.active) == (second, True)
+    assert (await models.resolve(ModelRef()))[1] == "b"
+    assert [model.active for model in (await models.list_models(ListModelsRequest())).models].count(True) == 1
+
+
+async def test_a_damaged_model_is_not_activated_and_the_old_one_stays(
+    store: ModelStore, publish: Publish, models: LoadedModels[str]
+) -> None:
+    first, second = publish("a"), publish("b")
+    await models.activate_model(ActivateModelRequest("", first.version))
+    (store.folder(second) / "weights").write_text("c")
+    with pytest.raises(FailedPrecondition):
+        await models.activate_model(ActivateModelRequest("", second.version))
+    assert (await models.resolve(ModelRef()))[1] == "a"
+
+
+async def test_a_damaged_active_model_stops_the_start(
+    store: ModelStore, publish: Publish, models: LoadedModels[str]
+) -> None:
+    ref = publish("a")
+    store.activate(ref)
+    (store.folder(ref) / "weights").write_text("b")
+    with pytest.raises(FailedPrecondition, match=ref.version):
+        await models.start()
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "field"), [("", "", "version"), ("", "../x", "version"), ("../x", "0" * 12, "name")]
+)
+async def test_a_wrong_request_is_refused_by_its_field(
+    models: LoadedModels[str], name: str, version: str, field: str
+) -> None:
+    with pytest.raises(InvalidInput) as error:
+        await models.activate_model(ActivateModelRequest(name, version))
+    assert error.value.field == field
+
+
+async def test_only_the_models_used_last_are_kept(
+    publish: Publish, models: LoadedModels[str], loader: Loader
+) -> None:
+    refs = [publish(text) for text in "abcde"]
+    for ref in (*refs, refs[4], refs[0]):
+        await models.resolve(ref)
+    assert "".join(loader.loaded) == "abcdea"

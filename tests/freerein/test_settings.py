@@ -1,0 +1,106 @@
+"""What an operator may set, and what is refused before a door opens."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from freerein.serving.settings import ServiceSettings
+
+
+class Settings(ServiceSettings):
+    http_port: int = 8101
+    grpc_port: int = 9101
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for variable in ("TOKEN", "HOST", "HTTP_PORT", "GRPC_PORT", "DATA_DIR", "INSECURE"):
+        monkeypatch.delenv(f"FREEREIN_{variable}", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_defaults_are_loopback_without_a_token() -> None:
+    settings = Settings()
+    assert (settings.host, settings.token_text, settings.data_dir) == ("127.0.0.1", "", Path("var"))
+    assert (settings.receipt_s, settings.write_s, settings.queue) == (10.0, 30.0, 256)
+
+
+def test_the_environment_overrides_and_an_empty_variable_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_QUEUE", "4")
+    monkeypatch.setenv("FREEREIN_TOKEN", "")
+    monkeypatch.setenv("FREEREIN_UNKNOWN", "1")
+    settings = Settings()
+    assert (settings.queue, settings.token) == (4, None)
+
+
+def test_the_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_TOKEN", "secret")
+    settings = Settings()
+    assert settings.token_text == "secret"
+    assert "secret" not in f"{settings} {settings!r} {settings.model_dump_json()}"
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        ("HTTP_PORT", "65536"),
+        ("GRPC_PORT", "-1"),
+        ("HTTP_PORT", "http"),
+        ("RECEIPT_S", "0"),
+        ("RECEIPT_S", "nan"),
+        ("WRITE_S", "-1"),
+        ("QUEUE", "0"),
+        ("INSECURE", "perhaps"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_its_name(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:
+    monkeypatch.setenv(f"FREEREIN_{variable}", value)
+    with pytest.raises(ValidationError) as error:
+        Settings()
+    assert error.value.errors()[0]["loc"] == (variable.lower(),)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.1", "127.0.0.2", "example.org"])
+@pytest.mark.parametrize(("variable", "value"), [("TOKEN", "x"), ("INSECURE", "1")])
+def test_a_bind_beyond_loopback_needs_a_token_or_a_word_said_aloud(
+    monkeypatch: pytest.MonkeyPatch, host: str, variable: str, value: str
+) -> None:
+    monkeypatch.setenv("FREEREIN_HOST", host)
+    with pytest.raises(ValidationError, match="FREEREIN_INSECURE=1"):
+        Settings()
+    monkeypatch.setenv(f"FREEREIN_{variable}", value)
+    assert Settings().host == host
+
+
+def test_a_certificate_and_its_key_come_together_and_can_be_read(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("ours", "other"):
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
+            + ["-days", "1", "-subj", "/CN=localhost", "-keyout", f"{name}.key", "-out", f"{name}.crt"],
+            cwd=tmp_path,
+            check=True,
+            capture_output=True,
+        )
+    monkeypatch.setenv("FREEREIN_TLS_CERT", "ours.crt")
+    with pytest.raises(ValidationError, match="set together"):
+        Settings()
+    for key in ("other.key", "ours.crt", "missing"):
+        monkeypatch.setenv("FREEREIN_TLS_KEY", key)
+        with pytest.raises(ValidationError, match="belong together"):
+            Settings()
+    monkeypatch.setenv("FREEREIN_TLS_KEY", "ours.key")
+    monkeypatch.setenv("FREEREIN_HOST", "0.0.0.0")
+    assert Settings().tls_key == Path("ours.key")
+
+
+def test_a_data_directory_that_is_a_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("FREEREIN_DATA_DIR", "file")
+    with pytest.raises(ValidationError, match="must be a folder"):
+        Settings()
+    monkeypatch.setenv("FREEREIN_DATA_DIR", "new")
+    assert Settings().data_dir == Path("new")

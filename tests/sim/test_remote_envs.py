@@ -1,0 +1,131 @@
+"""Gymnasium environments over the real sim service, in a process of its own."""
+
+from collections.abc import Callable
+
+import grpc
+import gymnasium
+import numpy as np
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from gymnasium.utils.env_checker import check_env
+
+from freerein.clients import Channel, SimClient, Synchronous
+from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
+from freerein.errors import InvalidInput, NotFound, Unauthenticated
+from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
+from freerein_sim.workers.envs import Envs
+from freerein_sim.worlds import blocks, grid
+
+TOKEN = "secret"
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
+
+pytestmark = pytest.mark.e2e
+
+
+@pytest.fixture(scope="module")
+def address(start_module_service: Callable[..., object]) -> str:
+    service = start_module_service("freerein_sim", FREEREIN_TOKEN=TOKEN, FREEREIN_SIM_WORKERS="1")
+    with grpc.insecure_channel(service.address) as channel:
+        for reply in health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest(), timeout=30.0):
+            if reply.status == health_pb2.HealthCheckResponse.SERVING:
+                break
+    return service.address
+
+
+@pytest.mark.parametrize("privileged", [False, True], ids=["unprivileged", "privileged"])
+@pytest.mark.parametrize(
+    ("task", "cameras"), [("grid", ()), ("blocks", ()), ("blocks.red-left-of-blue", ("front", "left"))]
+)
+def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
+    gymnasium.register("freerein/Real-v0", RemoteEnv, disable_env_checker=True, order_enforce=False)
+    kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged, "token": TOKEN}
+    try:
+        with gymnasium.make("freerein/Real-v0", **kwargs).unwrapped as env:
+            check_env(env)
+    finally:
+        gymnasium.registry.pop("freerein/Real-v0")
+
+
+@pytest.mark.parametrize(("task", "steps"), [("grid", 200), ("blocks.red-left-of-blue", 105)])
+def test_a_remote_vector_is_bit_for_bit_the_one_in_process(address: str, task: str, steps: int) -> None:
+    camera = TASKS[task].spec.cameras[0].name
+    local = Envs(TASKS[task], num_envs=3, seed=0, privileged=True)
+    remote = RemoteVectorEnv(task, address, num_envs=3, privileged=True, token=TOKEN)
+    first, _ = remote.reset(seed=4)
+    np.testing.assert_array_equal(first, local.reset(seed=4, cameras=(camera,)).frames[camera])
+    remote.action_space.seed(4)
+    for _ in range(steps):
+        actions = remote.action_space.sample()
+        observation, reward, terminated, truncated, info = remote.step(actions)
+        expected = local.step(actions.reshape(3, -1), (camera,))
+        ended = expected.terminated | expected.truncated
+        np.testing.assert_array_equal(observation, expected.frames[camera])
+        np.testing.assert_array_equal(reward, expected.truth.reward)
+        np.testing.assert_array_equal(terminated | truncated, ended)
+        for final, index in zip(expected.final_frames[camera], np.flatnonzero(ended), strict=True):
+            np.testing.assert_array_equal(info["final_obs"][index], final)
+    remote.close()
+    local.close()
+
+
+def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
+    with RemoteEnv("grid", address, token=TOKEN) as env:
+        envs = RemoteVectorEnv("grid", address, num_envs=1, token=TOKEN)
+        observation, (observations, _) = env.reset(seed=9)[0], envs.reset(seed=9)
+        np.testing.assert_array_equal(observation, observations[0])
+        env.action_space.seed(9)
+        for _ in range(60):
+            action = env.action_space.sample()
+            observation, _, terminated, truncated, _ = env.step(action)
+            observations, *_, info = envs.step(np.array([action]))
+            if terminated or truncated:
+                np.testing.assert_array_equal(observation, info["final_obs"][0])
+                observation, _ = env.reset()
+            np.testing.assert_array_equal(observation, observations[0])
+        envs.close()
+
+
+def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None:
+    with RemoteEnv("grid", address, token=TOKEN) as env:
+        _, info = env.reset(seed=1)
+        assert info == {}
+        _, reward, _, _, info = env.step(0)
+        assert (reward, info) == (0.0, {"diverged": False})
+
+
+def test_errors_of_the_service_say_what_to_mend(address: str) -> None:
+    with pytest.raises(NotFound, match="no such task") as not_found:
+        RemoteEnv("fly", address, token=TOKEN)
+    assert not_found.value.hint
+    with pytest.raises(Unauthenticated):
+        RemoteEnv("grid", address, token="guess")
+    with RemoteEnv("blocks", address, token=TOKEN) as env:
+        env.reset()
+        with pytest.raises(InvalidInput) as invalid:
+            env.step(np.full(3, 2.0))
+        assert invalid.value.field == "actions"
+        env.step(np.zeros(3))
+
+
+def test_a_session_is_made_once_per_key_and_ends_when_it_is_closed(address: str) -> None:
+    with Synchronous(SimClient(Channel(address, token=TOKEN))) as sim:
+        made = sim.create_session(CreateSessionRequest("grid", idempotency_key="mine"))
+        assert sim.create_session(CreateSessionRequest("grid", idempotency_key="mine")).session == made.session
+        sim.reset(ResetRequest(made.session))
+        assert set(sim.render(RenderRequest(made.session)).frames) == {"top"}
+        sim.close_session(CloseSessionRequest(made.session))
+        with pytest.raises(NotFound):
+            sim.render(RenderRequest(made.session))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "policy"), [("grid", "MlpPolicy"), ("blocks.red-left-of-blue", "CnnPolicy")])
+def test_stable_baselines_trains_on_environments_as_they_are(address: str, task: str, policy: str) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.env_util import make_vec_env
+
+    with RemoteEnv(task, address, token=TOKEN) as env:
+        sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1).learn(8)
+    envs = make_vec_env(lambda: RemoteEnv(task, address, token=TOKEN), n_envs=2, seed=0)
+    assert sb3.PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1).learn(16).num_timesteps == 16
+    envs.close()
