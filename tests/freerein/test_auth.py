@@ -22,7 +22,16 @@ def test_where_no_token_is_asked_for_anything_opens(header: str) -> None:
 
 @pytest.mark.parametrize(
     "header",
-    ["", "Bearer", "Bearer ", "Bearer wrong", "Bearer correct horse ", "Bearer  correct horse", "Basic correct horse", TOKEN],
+    [
+        "",
+        "Bearer",
+        "Bearer ",
+        "Bearer wrong",
+        "Bearer correct horse ",
+        "Bearer  correct horse",
+        "Basic correct horse",
+        TOKEN,
+    ],
 )
 def test_anything_else_does_not_and_the_error_tells_nothing(header: str) -> None:
     with pytest.raises(Unauthenticated) as error:

@@ -77,9 +77,7 @@ class Bench:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Fits]:
         health = Health()
-        fits = Fits(
-            FitRecords(self.root / "fits"), module="child", store=self.store, resolve=resolve, health=health
-        )
+        fits = Fits(FitRecords(self.root / "fits"), module="child", store=self.store, resolve=resolve, health=health)
         await fits.start()
         try:
             yield fits

@@ -37,9 +37,7 @@ def png(width: int, height: int, *, depth: int, colour: int, raw: bytes) -> byte
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
-    )
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
 
 
 def gray_jpeg(pixels: npt.NDArray[np.uint8], orientation: int) -> bytes:
@@ -119,9 +117,7 @@ def test_the_colours_of_a_jpeg_become_rgb_or_stay_gray(
         ("RGB", (10, 20, 30), [10, 20, 30]),
     ],
 )
-def test_alpha_is_dropped_and_bits_become_bytes(
-    mode: str, colour: int | tuple[int, ...], expected: list[int]
-) -> None:
+def test_alpha_is_dropped_and_bits_become_bytes(mode: str, colour: int | tuple[int, ...], expected: list[int]) -> None:
     data = save(PIL.Image.new(mode, (2, 2), colour), "PNG")
     assert images.decode(file("png", data))[0, 0].tolist() == expected
 
@@ -229,15 +225,23 @@ WHOLE = {
 }
 
 
+def decoded(encoding: Encoding, data: bytes) -> npt.NDArray[np.uint8] | ServiceError:
+    try:
+        return images.decode(file(encoding, data))
+    except ServiceError as error:
+        return error
+
+
 @pytest.mark.parametrize("encoding", FILES)
 def test_a_file_cut_at_any_byte_is_an_error_of_ours(encoding: Encoding) -> None:
     pixels = images.decode(file(encoding, WHOLE[encoding]))
     for cut in range(len(WHOLE[encoding])):
-        try:  # what follows the last row may be missing
-            assert images.decode(file(encoding, WHOLE[encoding][:cut])).shape == pixels.shape
-        except ServiceError as error:
-            assert "images" in error.detail
-            assert error.http_status in (415, 422)
+        outcome = decoded(encoding, WHOLE[encoding][:cut])
+        if isinstance(outcome, ServiceError):
+            assert "images" in outcome.detail
+            assert outcome.http_status in (415, 422)
+        else:  # what follows the last row may be missing
+            assert outcome.shape == pixels.shape
 
 
 @pytest.mark.parametrize("encoding", FILES)
@@ -248,10 +252,8 @@ def test_a_corrupt_file_is_pixels_or_an_error_with_a_text_of_ours(encoding: Enco
         corrupt[data.draw(st.integers(0, len(corrupt) - 1))] = data.draw(st.integers(0, 255))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        try:
-            assert images.decode(file(encoding, bytes(corrupt))).dtype == np.uint8
-        except ServiceError as error:
-            assert error.detail.startswith("`images` m")
+        outcome = decoded(encoding, bytes(corrupt))
+    assert not isinstance(outcome, ServiceError) or outcome.detail.startswith("`images` m")
 
 
 def test_a_corrupt_orientation_does_not_spoil_the_pixels() -> None:
@@ -282,7 +284,12 @@ def test_decoding_on_many_threads_leaves_the_warning_filters_alone() -> None:
 
 @pytest.mark.parametrize(
     "pixels",
-    [np.zeros((2, 2, 3), np.float32), np.zeros((3, 2, 2), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((2, 2, 4), np.uint8)],
+    [
+        np.zeros((2, 2, 3), np.float32),
+        np.zeros((3, 2, 2), np.uint8),
+        np.zeros((2, 2), np.uint8),
+        np.zeros((2, 2, 4), np.uint8),
+    ],
 )
 def test_only_8_bit_gray_or_colour_with_channels_last_is_encoded(pixels: npt.NDArray[np.uint8]) -> None:
     with pytest.raises(InvalidInput, match="got"):

@@ -207,9 +207,7 @@ async def test_a_wrong_request_is_refused_by_its_field(
     assert error.value.field == field
 
 
-async def test_only_the_models_used_last_are_kept(
-    publish: Publish, models: LoadedModels[str], loader: Loader
-) -> None:
+async def test_only_the_models_used_last_are_kept(publish: Publish, models: LoadedModels[str], loader: Loader) -> None:
     refs = [publish(text) for text in "abcde"]
     for ref in (*refs, refs[4], refs[0]):
         await models.resolve(ref)

@@ -4,14 +4,16 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from freerein.serving.settings import ServiceSettings
 
+SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
+
 
 class Settings(ServiceSettings):
-    http_port: int = 8101
-    grpc_port: int = 9101
+    http_port: int = Field(default=8101, ge=0, le=65535)
+    grpc_port: int = Field(default=9101, ge=0, le=65535)
 
 
 @pytest.fixture(autouse=True)
@@ -79,8 +81,7 @@ def test_a_certificate_and_its_key_come_together_and_can_be_read(
 ) -> None:
     for name in ("ours", "other"):
         subprocess.run(
-            ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
-            + ["-days", "1", "-subj", "/CN=localhost", "-keyout", f"{name}.key", "-out", f"{name}.crt"],
+            [*SELF_SIGNED.split(), "-keyout", f"{name}.key", "-out", f"{name}.crt"],
             cwd=tmp_path,
             check=True,
             capture_output=True,

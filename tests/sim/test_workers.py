@@ -251,6 +251,25 @@ async def test_a_caller_that_goes_away_leaves_the_others_their_replies(start_poo
     assert calls[1].cancelled()
 
 
+async def test_a_demonstration_that_nobody_waits_for_any_more_is_not_made(start_pool: StartPool) -> None:
+    pool = await start_pool(workers=1)
+    others, request = children(), DemonstrateRequest("grid", "random")
+    await pool.demonstrate(request)
+    (demonstrator,) = (child for child in children() if child not in others)
+    stop(demonstrator)
+    calls = [asyncio.create_task(pool.demonstrate(request)) for _ in range(100)]
+    await asyncio.sleep(0)
+
+    for call in calls[:-1]:
+        call.cancel()
+    await asyncio.wait(calls[:-1])
+    before = demonstrator.io_counters().write_count
+    demonstrator.resume()
+
+    assert (await calls[-1]).index == 0
+    assert demonstrator.io_counters().write_count - before <= 4  # two replies: the one begun, the one awaited
+
+
 async def test_refusals_cross_the_socket_whole(start_pool: StartPool) -> None:
     pool = await start_pool(workers=1)
     worker = await pool.place(1)

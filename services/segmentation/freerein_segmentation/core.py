@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.errors import InvalidInput, OutputNotFinite, ServiceError
+from freerein.errors import InvalidInput, OutputNotFinite, ServiceError, TooLarge
 from freerein.serving.batcher import Batcher
 from freerein.serving.loaded import LoadedModels
 from freerein.types.common import Image, Timing
@@ -47,10 +47,8 @@ class SkillModel(Protocol):
     action_size: int
     action_choices: int
 
-    def probabilities(
-        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
-    ) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1: float32 (T, K), for frames (T, H, W, C) and actions (T, A), in bounded memory."""
+    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
+        """Returns P(y_t = k), eq. 2.1: float32 (T, K), of frames (T, H, W, C), actions (T, A); in bounded memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +63,7 @@ Probabilities = npt.NDArray[np.float32]
 
 def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
     """Returns for each trajectory its skills' probabilities, or why the model has none."""
-    return [_finite(item.model.probabilities(item.frames, item.actions)) for item in items]
+    return [_checked(item, item.model.probabilities(item.frames, item.actions)) for item in items]
 
 
 class Segmenter:
@@ -107,6 +105,7 @@ class Segmenter:
 
         Raises:
             InvalidInput: The trajectory is not what the model was trained on.
+            TooLarge: It is too long.
             NotFound: There is no such model.
             FailedPrecondition: None is active.
         """
@@ -118,8 +117,8 @@ class Segmenter:
         decoded_ns = time.perf_counter_ns()
         done = await self._batcher.submit(_Item(model, frames, request.actions), key=ref, timeout_s=self._timeout_s)
         answered_ns = time.perf_counter_ns()
-        labels, confidence, spans = decoding.decode(
-            done.output, smoothing=request.smoothing, min_segment=request.min_segment
+        labels, confidence, spans = await asyncio.to_thread(
+            decoding.decode, done.output, smoothing=request.smoothing, min_segment=request.min_segment
         )
         ended_ns = time.perf_counter_ns()
         return SegmentResponse(
@@ -139,7 +138,10 @@ class Segmenter:
         )
 
 
-def _finite(probabilities: Probabilities) -> Probabilities | ServiceError:
+def _checked(item: _Item, probabilities: Probabilities) -> Probabilities | ServiceError:
+    expected = (len(item.frames), len(item.model.skills))
+    if probabilities.shape != expected:
+        raise ValueError(f"the model answered {probabilities.shape} where {expected} is due")
     if np.isfinite(probabilities).all():
         return probabilities
     return OutputNotFinite(
@@ -180,7 +182,8 @@ async def _frames(request: SegmentRequest) -> npt.NDArray[np.uint8]:
 def _check_frames(frames: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
         raise InvalidInput(
-            f"`frames` must be UINT8 of shape (T, H, W, C), T at least 1 and C 1 or 3; got {frames.dtype} {frames.shape}.",
+            "`frames` must be UINT8 of shape (T, H, W, C), T at least 1 and C 1 or 3; "
+            f"got {frames.dtype} {frames.shape}.",
             field="frames",
             hint="Put channels last, and scale floats to 0..255.",
         )
@@ -216,11 +219,9 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
     return frames
 
 
-def _check_trajectory(
-    model: SkillModel, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
-) -> None:
+def _check_trajectory(model: SkillModel, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> None:
     if len(frames) > MAX_TIMESTEPS:
-        raise InvalidInput(
+        raise TooLarge(
             f"A trajectory may have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
             field="frames",
             hint="Send it in parts.",
@@ -228,7 +229,8 @@ def _check_trajectory(
     expected = (model.height, model.width, model.channels)
     if frames.shape[1:] != expected:
         raise InvalidInput(
-            f"Frames must be of height, width and channels {expected}, as the model was trained; got {frames.shape[1:]}.",
+            f"Frames must be of height, width and channels {expected}, as the model was trained on; "
+            f"got {frames.shape[1:]}.",
             field="frames",
             hint="Scale them, or name another model.",
         )

@@ -1,9 +1,11 @@
 """Gymnasium environments over the sim service: what learns from them sees pixels, and nothing else.
 
 An observation is a camera's frame, uint8 (H, W, C); a dict of them by camera where several are asked for. The reward
-is 0.0, for rewards come from reward models. Every call of an environment is one unary call of the service, not a
-message on its stream: that costs a fifth of a millisecond more per step, and gives each step a deadline, errors that
-say what to mend, and a retry when a reply was lost, which `step_id` makes harmless.
+is 0.0, for rewards come from reward models.
+
+Every step is a unary call of the service, not a message on its stream. That costs a third of a millisecond more (1.3
+instead of 1.0 ms for one small world, nothing that can be measured for sixteen rendered ones), and gives each step a
+deadline, and a retry when its reply was lost, which `step_id` makes harmless.
 """
 
 from collections.abc import Sequence
@@ -84,12 +86,12 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode; see the class. `options` are not used."""
         super().reset(seed=seed)
-        info: dict[str, Any] = {}
-        if self._begun is None or seed is not None:
+        begun, info = self._begun, dict[str, Any]()
+        if begun is None or seed is not None:
             reply = self._session.reset(seed=seed)
-            self._begun, info = row(reply.frames, 0), truth_info(reply.truth, 0)
-        self._latest, self._begun = self._begun, None
-        return self._session.observation(self._latest), info
+            begun, info = row(reply.frames, 0), truth_info(reply.truth, 0)
+        self._latest, self._begun = begun, None
+        return self._session.observation(begun), info
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes one action: float32 (A,) in [-1, 1], or a choice. `info["diverged"]`: the simulation gave up.

@@ -73,8 +73,8 @@ class PixelSession:
             actions: (N, A) in [-1, 1], or (N,) choices when the action is discrete.
 
         Raises:
-            ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made; it
-                counts as made, so that no later action can be taken for it.
+            ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
+                counts as made, so that no later action can be taken for it; was it not, later steps are refused.
         """
         request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self._cameras)
         self._step_id += 1

@@ -11,14 +11,15 @@ import asyncio
 import threading
 import weakref
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from freerein.clients.client import Client
-from freerein.errors import FailedPrecondition
+from freerein.errors import Cancelled, FailedPrecondition
 
 T = TypeVar("T")
+_END_S = 1.0
 _Started = tuple[asyncio.AbstractEventLoop, asyncio.Event]
 
 
@@ -72,6 +73,8 @@ class Synchronous:
         future = asyncio.run_coroutine_threadsafe(reply, self._loop)
         try:
             return future.result()
+        except CancelledError:
+            raise Cancelled("The client was closed while it waited for an answer.") from None
         except BaseException:  # an interrupt of this thread ends the call in the other one
             future.cancel()
             raise
@@ -92,6 +95,9 @@ async def _serve(client: Client, started: "Future[_Started]") -> None:
     started.set_result((asyncio.get_running_loop(), stop))
     await stop.wait()
     await client.close()
+    # gRPC hears of the end of the calls that this ended; a loop closed before would make it complain.
+    if unfinished := asyncio.all_tasks() - {asyncio.current_task()}:
+        await asyncio.wait(unfinished, timeout=_END_S)
 
 
 def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading.Thread) -> None:

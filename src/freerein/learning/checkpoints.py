@@ -86,8 +86,9 @@ def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoin
 def _write(path: Path, checkpoint: Checkpoint) -> None:
     path.mkdir(parents=True)
     document = json.dumps(dict(checkpoint.document), allow_nan=False).encode()
+    tensors = tensor_files.dump(checkpoint.tensors)
     write_durably(path / _DOCUMENT, document)
-    tensors = tensor_files.write(path / _TENSORS, checkpoint.tensors)
+    write_durably(path / _TENSORS, tensors)
     hashes = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
     write_durably(path / _MANIFEST, json.dumps({"files": hashes}).encode())
 

@@ -3,13 +3,11 @@
 import json
 import struct
 from collections.abc import Mapping
-from pathlib import Path
 
 import safetensors
 import safetensors.torch
 from torch import Tensor
 
-from freerein.durable import write_durably
 from freerein.errors import InvalidInput
 
 MAX_HEADER_BYTES = 1 << 20
@@ -18,20 +16,9 @@ _LENGTH = struct.Struct("<Q")
 _MEND = "Restore the file from a copy; convert weights of another format with safetensors.torch.save_file."
 
 
-def write(path: Path, tensors: Mapping[str, Tensor]) -> bytes:
-    """Writes tensors durably and returns the file's bytes, which are the same for the same tensors."""
-    data = safetensors.torch.save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()})
-    write_durably(path, data)
-    return data
-
-
-def read(path: Path) -> dict[str, Tensor]:
-    """Returns the tensors of a file, on the CPU.
-
-    Raises:
-        InvalidInput: The file is not safetensors, or its header is over a cap.
-    """
-    return parse(path.read_bytes())
+def dump(tensors: Mapping[str, Tensor]) -> bytes:
+    """Returns the bytes of a safetensors file; the same tensors give the same bytes, wherever they lie in memory."""
+    return safetensors.torch.save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()})
 
 
 def parse(data: bytes) -> dict[str, Tensor]:

@@ -8,7 +8,7 @@ appends; a part for a message is JSON, a file is an image, anything else is plai
 
 import asyncio
 import re
-from collections.abc import Iterable
+from collections.abc import AsyncGenerator, Iterable
 from typing import Any, TypeVar, cast
 
 import orjson
@@ -43,7 +43,9 @@ async def read(request: Request, cls: type[T]) -> T:
     """
     media_type, parameters = parse_options_header(request.headers.get("content-type", ""))
     if parameters.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"utf8"):
-        raise UnsupportedMedia("The body must be in UTF-8; its Content-Type names another charset.", hint="Leave it out.")
+        raise UnsupportedMedia(
+            "The body must be in UTF-8; its Content-Type names another charset.", hint="Leave it out."
+        )
     if media_type == b"application/json":
         body = await _receive(request)
         parse = _parse_json if len(body) <= _INLINE_BYTES else _parse_json_in_thread
@@ -111,7 +113,7 @@ def _count_pairs(value: object) -> int:
 
 
 async def _read_multipart(request: Request, cls: type[T]) -> T:
-    parser = _WholeMultiPartParser(
+    parser = _WholeParser(
         request.headers, request.stream(), max_files=_PARTS, max_fields=_PARTS, max_part_size=_PART_BYTES
     )
     try:
@@ -130,7 +132,7 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
     return await asyncio.to_thread(_from_parts, parts, cls)
 
 
-class _WholeMultiPartParser(MultiPartParser):
+class _WholeParser(MultiPartParser):
     """Starlette's parser, which by itself takes a body that breaks off before its last boundary for a whole one."""
 
     _ended = False
@@ -139,11 +141,14 @@ class _WholeMultiPartParser(MultiPartParser):
         self._ended = True
 
     async def parse(self) -> FormData:
-        form = await super().parse()
+        self.stream = self._to_its_end(self.stream)
+        return await super().parse()
+
+    async def _to_its_end(self, stream: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
+        async for chunk in stream:
+            yield chunk
         if not self._ended:
-            await form.close()
             raise MultiPartException("The last boundary is missing.")
-        return form
 
 
 async def _content(part: UploadFile | str) -> bytes | str:

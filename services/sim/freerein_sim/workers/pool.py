@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-from collections.abc import Sequence
 
 from freerein.errors import WorkerLost
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
@@ -27,7 +26,7 @@ class Pool:
     def __init__(self, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0) -> None:
         self.tasks: dict[str, Task] = {}
         self._hosts = [_Place(stuck_s) for _ in range(workers)]
-        self._demonstrators = [_Place(stuck_s) for _ in range(demonstrators)]
+        self._demonstrators = [_Demonstrator(stuck_s) for _ in range(demonstrators)]
 
     async def start(self) -> None:
         """Starts the workers that hold sessions, and waits until they answer.
@@ -49,27 +48,23 @@ class Pool:
         Raises:
             WorkerLost: A worker died, and the next one cannot start.
         """
-        worker = await _least_loaded(self._hosts).fill()
+        worker = await min(self._hosts, key=lambda place: place.load).fill()
         worker.load += num_envs
         return worker
 
     async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns the one trajectory at the request's `first`.
+        """Returns the one trajectory at the request's `first`. A caller cancelled before its turn costs nothing.
 
         Raises:
             WorkerLost: Its worker died.
             ServiceError: The request is refused.
         """
-        worker = await _least_loaded(self._demonstrators).fill()
-        worker.load += 1
-        try:
-            return await worker.call(request, DemonstrateResponse)
-        finally:
-            worker.load -= 1
+        return await min(self._demonstrators, key=lambda each: each.load).make(request)
 
     async def close(self) -> None:
         """Ends all workers."""
-        await asyncio.gather(*(place.close() for place in (*self._hosts, *self._demonstrators)))
+        hosts, demonstrators = self._hosts, self._demonstrators
+        await asyncio.gather(*(each.close() for each in hosts), *(each.close() for each in demonstrators))
 
 
 class _Place:
@@ -126,5 +121,32 @@ class _Place:
             _LOG.error("a worker died at its start; the next session starts another")
 
 
-def _least_loaded(places: Sequence[_Place]) -> _Place:
-    return min(places, key=lambda place: place.load)
+class _Demonstrator:
+    """A place whose worker makes one demonstration at a time: they are long, and many may be asked for at once."""
+
+    def __init__(self, stuck_s: float) -> None:
+        self.load = 0
+        self._place = _Place(stuck_s)
+        self._turn = asyncio.Lock()
+        self._making: asyncio.Task[DemonstrateResponse] | None = None
+
+    async def make(self, request: DemonstrateRequest) -> DemonstrateResponse:
+        """Returns a trajectory, made when those asked for earlier are."""
+        self.load += 1
+        try:
+            await self._turn.acquire()
+            self._making = asyncio.create_task(self._make(request))  # the turn lasts, whoever still waits
+            return await asyncio.shield(self._making)
+        finally:
+            self.load -= 1
+
+    async def close(self) -> None:
+        """Ends its worker."""
+        await self._place.close()
+
+    async def _make(self, request: DemonstrateRequest) -> DemonstrateResponse:
+        try:
+            worker = await self._place.fill()
+            return await worker.call(request, DemonstrateResponse)
+        finally:
+            self._turn.release()

@@ -1,0 +1,50 @@
+# Everything installs what it needs into .venv first; the second time that takes no time.
+BIN := .venv/bin
+PYTHON_SOURCES := src services tests benchmarks experiments tools
+
+.DEFAULT_GOAL := help
+.PHONY: help setup dev demo check test bench fuzz compat stubs stubs-fresh fmt
+
+help: ## List what can be made
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
+	  printf '  make %-8s %s\n' "$$name" "$$text"; done
+
+setup: ## Install what freerein needs to run; TORCH_INDEX= for a machine with a CUDA device
+	@tools/setup
+
+dev: ## Install what the tests and checks need, too
+	@tools/setup dev
+
+demo: setup ## Show all of it: demonstrations in, skill labels out, in a few minutes
+	@$(BIN)/freerein demo
+
+check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract and its stubs
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/buf lint proto
+
+test: dev ## Run the tests
+	$(BIN)/pytest
+
+bench: dev ## Measure freerein beside its peers
+	PYTHON=$(CURDIR)/$(BIN)/python benchmarks/run
+
+fuzz: dev ## Send generated requests to every REST door
+	PYTHON=$(CURDIR)/$(BIN)/python tests/fuzz/run
+
+compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
+	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run
+
+stubs: dev ## Write the Python stubs of proto/ anew
+	tools/stubs
+
+stubs-fresh: dev
+	@fresh=$$(mktemp -d) && trap 'rm -rf "$$fresh"' EXIT && tools/stubs "$$fresh" && \
+	  diff -r -x __init__.py -x __pycache__ "$$fresh/freerein/api" src/freerein/api || \
+	  { echo "The stubs in src/freerein/api are stale: run make stubs" >&2; exit 1; }
+
+fmt: dev ## Format the code and mend what ruff can
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format

@@ -1,0 +1,247 @@
+"""The training loop: it may be killed at any instruction and goes on to the same bits.
+
+    <folder>/checkpoints/step-...   the whole state, every `checkpoint_every` updates
+             metrics.jsonl          a row per `log_every` updates and per evaluation
+
+What is to be learnt comes as a `Problem`. The loop keeps the weights that did best on held-out data, by the training's
+own signal, and returns them. Bits depend on the problem, the plan (threads among it), torch's version and the device,
+which are written into each checkpoint and compared on resume; never on clocks, interruptions or logging.
+"""
+
+import math
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from threading import Event
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from freerein.errors import FailedPrecondition
+from freerein.learning import checkpoints
+from freerein.learning.checkpoints import JSON
+from freerein.learning.metric_rows import MetricRows
+from freerein.learning.progress import Best, Progress, TrainingState, from_checkpoint, to_checkpoint
+from freerein.learning.shuffle import Shuffle
+
+_SAVE_FAILURES = 3
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long to train, and how often to look.
+
+    Attributes:
+        steps: Updates.
+        batch_size: Items per update.
+        evaluate_every: Updates between evaluations on held-out data; the last update is always followed by one.
+        checkpoint_every: Updates between checkpoints.
+        log_every: Updates between rows of metrics.
+        seed: Of every random draw.
+        threads: Of torch on the CPU.
+    """
+
+    steps: int
+    batch_size: int
+    evaluate_every: int
+    checkpoint_every: int
+    log_every: int
+    seed: int
+    threads: int
+
+
+class Problem(Protocol):
+    """Something to be learnt, as the loop knows it."""
+
+    @property
+    def size(self) -> int:
+        """Items to learn from."""
+
+    @property
+    def identity(self) -> Mapping[str, JSON]:
+        """What, besides the plan, the result depends on: the configuration, the fingerprint of the data."""
+
+    def init(self, generator: torch.Generator) -> TrainingState:
+        """Returns the state before the first update."""
+
+    def update(self, state: TrainingState, items: npt.NDArray[np.int64]) -> tuple[TrainingState, Mapping[str, float]]:
+        """Returns the state after one update on some items, and its metrics, by the same names each time."""
+
+    def evaluate(self, state: TrainingState) -> float:
+        """Returns the loss on held-out data, by the training's own signal: never by labels of timesteps."""
+
+
+@dataclass(frozen=True)
+class FitEvent:
+    """Something worth a line in a log.
+
+    Attributes:
+        kind: What happened.
+        step: The update that it concerns.
+        detail: A sentence, or empty.
+    """
+
+    kind: Literal["resumed", "evaluated", "checkpoint_saved", "checkpoint_failed", "checkpoint_corrupt", "stopped"]
+    step: int
+    detail: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a training came to.
+
+    Attributes:
+        network: With the weights that did best on held-out data.
+        best_step: After how many updates they did.
+        validation_loss: Their loss there.
+    """
+
+    network: nn.Module
+    best_step: int
+    validation_loss: float
+
+
+@contextmanager
+def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
+    """Yields what tells whether SIGTERM has come, for `fit(stop=...)`; on the main thread only."""
+    asked = Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    try:
+        yield asked.is_set
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def fit(
+    problem: Problem,
+    plan: Plan,
+    folder: Path,
+    *,
+    stop: Callable[[], bool] = lambda: False,
+    on_event: Callable[[FitEvent], None] = lambda _: None,
+) -> Fitted | None:
+    """Trains, or goes on training, and returns the best weights; None when it was stopped before the end.
+
+    Sets torch's number of threads, and flushing of denormal numbers, for the whole process.
+
+    Args:
+        problem: What to learn.
+        plan: How long.
+        folder: Checkpoints and metrics; what is there already is gone on with.
+        stop: Asked after each update; once it says True the state is saved and the loop ends.
+        on_event: Told what happens, in order.
+
+    Raises:
+        FailedPrecondition: `folder` holds another training, the loss is not finite, or checkpoints cannot be written.
+    """
+    torch.set_num_threads(plan.threads)
+    torch.set_flush_denormal(True)
+    progress = _begin(problem, plan)
+    identity = _identity(problem, plan, progress.state)
+    saver = _Saver(folder / "checkpoints", identity, on_event)
+    progress = saver.resume(progress)
+    rows = MetricRows(folder / "metrics.jsonl", last_step=progress.state.step)
+    while progress.state.step < plan.steps and not stop():
+        progress = _advance(problem, plan, progress, rows, on_event)
+        if progress.state.step % plan.checkpoint_every == 0:
+            saver.save(progress)
+    saver.save(progress)
+    if progress.state.step < plan.steps:
+        on_event(FitEvent("stopped", progress.state.step))
+        return None
+    progress.state.network.load_state_dict(progress.best.weights)
+    return Fitted(progress.state.network, progress.best.step, progress.best.loss)
+
+
+def _begin(problem: Problem, plan: Plan) -> Progress:
+    """Weights and the order of the data come from streams of their own: changing one does not move the other."""
+    generator = torch.Generator().manual_seed(plan.seed)
+    return Progress(problem.init(generator), Shuffle.begin(problem.size, rng=np.random.default_rng(plan.seed)))
+
+
+def _identity(problem: Problem, plan: Plan, state: TrainingState) -> dict[str, JSON]:
+    device = next(state.network.parameters()).device
+    return {**problem.identity, "plan": asdict(plan), "torch": torch.__version__, "device": str(device)}
+
+
+def _advance(
+    problem: Problem, plan: Plan, progress: Progress, rows: MetricRows, on_event: Callable[[FitEvent], None]
+) -> Progress:
+    """Makes one update, and writes and evaluates when it is time to."""
+    state, metrics = problem.update(progress.state, progress.shuffle.draw(plan.batch_size))
+    _check_finite(metrics, state.step)
+    sums = {name: progress.sums.get(name, 0.0) + value for name, value in metrics.items()}
+    progress = replace(progress, state=state, sums=sums, summed=progress.summed + 1)
+    is_evaluated = state.step % plan.evaluate_every == 0 or state.step == plan.steps
+    if not is_evaluated and state.step % plan.log_every != 0:
+        return progress
+    row = {name: total / progress.summed for name, total in sums.items()}
+    if is_evaluated:
+        row["validation_loss"] = problem.evaluate(state)
+        _check_finite(row, state.step)
+        progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
+        on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
+    rows.append(state.step, row)
+    return replace(progress, sums={}, summed=0)
+
+
+def _better(best: Best, state: TrainingState, loss: float) -> Best:
+    if loss >= best.loss:
+        return best
+    return Best(state.step, loss, {name: tensor.detach().clone() for name, tensor in state.network.state_dict().items()})
+
+
+def _check_finite(metrics: Mapping[str, float], step: int) -> None:
+    for name, value in metrics.items():
+        if not math.isfinite(value):
+            raise FailedPrecondition(
+                f"A training's metrics must stay finite; {name} is {value} after {step} updates.",
+                hint="Lower the learning rate; the last checkpoint is from before.",
+            )
+
+
+class _Saver:
+    """Writes and reads the checkpoints of one training."""
+
+    def __init__(self, folder: Path, identity: Mapping[str, JSON], on_event: Callable[[FitEvent], None]) -> None:
+        self._folder = folder
+        self._identity = identity
+        self._on_event = on_event
+        self._saved_step = -1
+        self._failures = 0
+
+    def resume(self, fresh: Progress) -> Progress:
+        """Returns the progress of the newest whole checkpoint, `fresh` when there is none."""
+        checkpoint = checkpoints.newest(
+            self._folder, on_corrupt=lambda step, why: self._on_event(FitEvent("checkpoint_corrupt", step, why))
+        )
+        if checkpoint is None:
+            return fresh
+        progress = from_checkpoint(checkpoint, fresh, self._identity)
+        self._saved_step = checkpoint.step
+        self._on_event(FitEvent("resumed", checkpoint.step))
+        return progress
+
+    def save(self, progress: Progress) -> None:
+        """Writes a checkpoint unless this step has one. A full disk does not end the training until it stays full."""
+        step = progress.state.step
+        if step == self._saved_step:
+            return
+        try:
+            checkpoints.save(self._folder, to_checkpoint(progress, self._identity))
+        except OSError as error:
+            self._failures += 1
+            self._on_event(FitEvent("checkpoint_failed", step, error.strerror or "The disk failed."))
+            if self._failures >= _SAVE_FAILURES:
+                raise FailedPrecondition(
+                    f"Checkpoints must be writable; {_SAVE_FAILURES} in a row could not be written.",
+                    hint="Free some space; the fit goes on from its last checkpoint.",
+                ) from error
+            return
+        self._saved_step, self._failures = step, 0
+        self._on_event(FitEvent("checkpoint_saved", step))

@@ -1,0 +1,33 @@
+"""The curve of a training as a file of JSON lines, without gaps or repeats however often the training was killed."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from freerein.durable import write_durably
+
+
+class MetricRows:
+    """A file of rows `{"step": ..., <metric>: <number>, ...}`, one per line, in order of steps.
+
+    Args:
+        path: The file; made when missing.
+        last_step: Where the training goes on; rows of later steps, which will be made again, are dropped.
+    """
+
+    def __init__(self, path: Path, *, last_step: int) -> None:
+        self._path = path
+        lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
+        write_durably(path, b"".join(line for line in lines if _is_kept(line, last_step)))
+
+    def append(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Adds a row."""
+        with self._path.open("ab") as file:
+            file.write(json.dumps({"step": step, **metrics}).encode() + b"\n")
+
+
+def _is_kept(line: bytes, last_step: int) -> bool:
+    if not line.endswith(b"\n"):  # torn by a crash
+        return False
+    step: int = json.loads(line)["step"]
+    return step <= last_step

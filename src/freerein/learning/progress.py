@@ -1,0 +1,152 @@
+"""Where a training stands: everything that the next update depends on, as a checkpoint and back, bit by bit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from freerein.errors import FailedPrecondition
+from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning.shuffle import Shuffle
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingState:
+    """What an update changes.
+
+    Attributes:
+        network: Its weights are changed in place.
+        optimiser: As its moments are.
+        generator: Every random draw of an update comes from it; on the CPU.
+        step: Updates made.
+    """
+
+    network: nn.Module
+    optimiser: torch.optim.Optimizer
+    generator: torch.Generator
+    step: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Best:
+    """The weights that did best on held-out data so far.
+
+    Attributes:
+        step: After how many updates.
+        loss: What they did; infinite before the first evaluation.
+        weights: The network's state, copied.
+    """
+
+    step: int = 0
+    loss: float = float("inf")
+    weights: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """The whole state of a training between two updates.
+
+    Attributes:
+        state: Network, optimiser, generator, step.
+        shuffle: The order of the data.
+        best: The best weights so far.
+        sums: By metric, its sum since the last row of metrics.
+        summed: How many updates are in `sums`.
+    """
+
+    state: TrainingState
+    shuffle: Shuffle
+    best: Best = Best()
+    sums: Mapping[str, float] = field(default_factory=dict)
+    summed: int = 0
+
+
+def to_checkpoint(progress: Progress, identity: Mapping[str, JSON]) -> Checkpoint:
+    """Returns all of a training's progress, and what it was made from."""
+    state, best = progress.state, progress.best
+    tensors = {
+        **{f"network/{name}": tensor for name, tensor in state.network.state_dict().items()},
+        **{f"best/{name}": tensor for name, tensor in best.weights.items()},
+        **_moments(state.optimiser),
+        "generator": state.generator.get_state(),
+        "order": torch.from_numpy(progress.shuffle.order),
+    }
+    document: dict[str, JSON] = {
+        "identity": dict(identity),
+        "rng": cast(JSON, progress.shuffle.rng.bit_generator.state),
+        "position": progress.shuffle.position,
+        "best": {"step": best.step, "loss": best.loss} if best.weights else None,
+        "sums": dict(progress.sums),
+        "summed": progress.summed,
+    }
+    return Checkpoint(state.step, tensors, document)
+
+
+def from_checkpoint(checkpoint: Checkpoint, fresh: Progress, identity: Mapping[str, JSON]) -> Progress:
+    """Returns the progress that a checkpoint holds, in the objects of a training just begun.
+
+    Raises:
+        FailedPrecondition: The checkpoint was made from something else than `identity` says.
+    """
+    document = checkpoint.document
+    _check_identity(cast(Mapping[str, JSON], document["identity"]), identity)
+    state, rng = fresh.state, fresh.shuffle.rng
+    state.network.load_state_dict(_under("network/", checkpoint.tensors))
+    _load_moments(state.optimiser, checkpoint.tensors)
+    state.generator.set_state(checkpoint.tensors["generator"])
+    rng.bit_generator.state = document["rng"]
+    best = cast(Mapping[str, float] | None, document["best"])
+    return Progress(
+        TrainingState(state.network, state.optimiser, state.generator, checkpoint.step),
+        Shuffle(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
+        Best(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else Best(),
+        cast(Mapping[str, float], document["sums"]),
+        cast(int, document["summed"]),
+    )
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _moments(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
+    by_parameter: Mapping[int, Mapping[str, Tensor]] = optimiser.state_dict()["state"]
+    return {
+        f"optimiser/{index}/{name}": tensor
+        for index, moments in by_parameter.items()
+        for name, tensor in moments.items()
+    }
+
+
+def _load_moments(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Lays each moment out in memory as its parameter is: another layout may round differently."""
+    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
+    state: dict[int, dict[str, Tensor]] = {}
+    for path, tensor in _under("optimiser/", tensors).items():
+        index, _, name = path.partition("/")
+        parameter = parameters[int(index)]
+        moment = torch.empty_like(parameter).copy_(tensor) if tensor.shape == parameter.shape else tensor
+        state.setdefault(int(index), {})[name] = moment
+    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+
+
+def _check_identity(then: Mapping[str, JSON], now: Mapping[str, JSON]) -> None:
+    before, after = dict(_leaves(then)), dict(_leaves(now))
+    changed = sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name))
+    if changed:
+        changes = ", ".join(f"{name} was {before.get(name)} and is {after.get(name)}" for name in changed)
+        raise FailedPrecondition(
+            f"A training can only be resumed as it was begun; {changes}.",
+            field=changed[0],
+            hint="Resume with the settings it was begun with, or begin a new one.",
+        )
+
+
+def _leaves(tree: Mapping[str, JSON], prefix: str = "") -> list[tuple[str, JSON]]:
+    found: list[tuple[str, JSON]] = []
+    for name, value in tree.items():
+        found += _leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else [(prefix + name, value)]
+    return found

@@ -1,0 +1,35 @@
+"""First weights, drawn from a generator that is passed in, and a name for any weights."""
+
+import hashlib
+
+import torch
+from torch import nn
+
+from freerein.learning import tensor_files
+
+
+def draw(network: nn.Module, *, generator: torch.Generator) -> None:
+    """Overwrites every weight of a network with a fresh draw: uniform in ±1/sqrt(fan-in), as torch's layers default to.
+
+    Args:
+        network: Made of Linear, Conv2d, LSTM and LayerNorm.
+        generator: On the CPU.
+    """
+    for layer in network.modules():
+        if isinstance(layer, nn.LayerNorm):
+            nn.init.ones_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        elif isinstance(layer, nn.LSTM):
+            _draw_uniform(layer, layer.hidden_size**-0.5, generator)
+        elif isinstance(layer, nn.Linear | nn.Conv2d):
+            _draw_uniform(layer, layer.weight[0].numel() ** -0.5, generator)
+
+
+def sha256(network: nn.Module) -> str:
+    """Returns the sha256, in hexadecimal, over the names, shapes and bits of a network's weights and buffers."""
+    return hashlib.sha256(tensor_files.dump(network.state_dict())).hexdigest()
+
+
+def _draw_uniform(layer: nn.Module, bound: float, generator: torch.Generator) -> None:
+    for parameter in layer.parameters(recurse=False):
+        nn.init.uniform_(parameter, -bound, bound, generator=generator)
