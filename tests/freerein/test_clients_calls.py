@@ -40,7 +40,12 @@ SERVICES = [
 
 
 @dataclass
-class Peer:
+class Peer(
+    segmentation_pb2_grpc.SegmentationServiceServicer,
+    sim_pb2_grpc.SimServiceServicer,
+    learning_pb2_grpc.FitServiceServicer,
+    learning_pb2_grpc.ModelServiceServicer,
+):
     """Refuses calls with the statuses of `refusals`, first to last; then answers. Remembers what it was sent."""
 
     refusals: list[grpc.Status] = field(default_factory=list)
@@ -49,47 +54,37 @@ class Peer:
     time_remaining_s: list[float] = field(default_factory=list)
     requests: list[object] = field(default_factory=list)
 
-    async def receive(self, request: object, context: aio.ServicerContext) -> None:
+    async def receive(self, request, context) -> None:
         self.calls.append(type(request).__name__.removesuffix("Request"))
         self.requests.append(request)
-        self.metadata.append(dict(context.invocation_metadata() or ()))
+        self.metadata.append(dict(context.invocation_metadata()))
         self.time_remaining_s.append(context.time_remaining())
         if self.refusals:
             await context.abort_with_status(self.refusals.pop(0))
 
-
-class Segmentation(segmentation_pb2_grpc.SegmentationServiceServicer):
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-
     async def ListSkills(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         return wire.pack(segmentation.ListSkillsResponse(("move", "turn"), ModelRef(), 2, 2, 3, 0, 0))
 
     async def Segment(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         labels, confidence = np.zeros(1, np.int64), np.ones(1, np.float32)
         return wire.pack(segmentation.SegmentResponse(labels, confidence, (), ("move",), ModelRef(), Timing()))
 
-
-class Sim(sim_pb2_grpc.SimServiceServicer):
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-
     async def CreateSession(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         return wire.pack(sim.CreateSessionResponse(SESSION, 0, 1, TASK, 60.0))
 
     async def Reset(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         return wire.pack(sim.ResetResponse({"front": np.zeros((1, 2048, 2048, 3), np.uint8)}))
 
     async def Render(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         await asyncio.Event().wait()
 
     async def Snapshot(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         return wire.pack(sim.SnapshotResponse(bytes(MAX_MESSAGE_BYTES)))
 
     async def Connect(self, request_iterator, context):
@@ -99,39 +94,28 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
             yield wire.pack(sim.ConnectResponse(step=step))
 
     async def Demonstrate(self, request, context):
-        await self.peer.receive(request, context)
-        frames = {"front": np.zeros((2, 4, 4, 3), np.uint8)}
+        await self.receive(request, context)
+        trajectory = Trajectory({"front": np.zeros((2, 4, 4, 3), np.uint8)}, np.zeros((2, 3), np.float32), ("move",))
         for index in range(request.count):
-            trajectory = Trajectory(frames, np.zeros((2, 3), np.float32), ("move",))
             yield wire.pack(sim.DemonstrateResponse(index, trajectory))
         if request.seed:
             await context.abort(grpc.StatusCode.ABORTED, "the worker is gone")
         await asyncio.Event().wait()
 
-
-class Fits(learning_pb2_grpc.FitServiceServicer):
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-
     async def StartFit(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         return wire.pack(learning.StartFitResponse(replace(FIT, config=dict(request.config))))
 
     async def GetFit(self, request, context):
         return learning_pb2.GetFitResponse(fit=learning_pb2.Fit(state=17))
 
     async def WatchFit(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
         for sequence in range(request.from_sequence, 3):
             yield wire.pack(learning.WatchFitResponse(sequence, FIT))
 
-
-class Models(learning_pb2_grpc.ModelServiceServicer):
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-
     async def ActivateModel(self, request, context):
-        await self.peer.receive(request, context)
+        await self.receive(request, context)
 
 
 def refusal(reason: str, code: grpc.StatusCode, *, retry_after_s: float = 0.0) -> grpc.Status:
@@ -153,10 +137,10 @@ async def serving(
     peer: Peer, *, credentials: grpc.ServerCredentials | None = None, port: int = 0
 ) -> AsyncIterator[str]:
     server = aio.server(options=[("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1)])
-    segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(Segmentation(peer), server)
-    sim_pb2_grpc.add_SimServiceServicer_to_server(Sim(peer), server)
-    learning_pb2_grpc.add_FitServiceServicer_to_server(Fits(peer), server)
-    learning_pb2_grpc.add_ModelServiceServicer_to_server(Models(peer), server)
+    segmentation_pb2_grpc.add_SegmentationServiceServicer_to_server(peer, server)
+    sim_pb2_grpc.add_SimServiceServicer_to_server(peer, server)
+    learning_pb2_grpc.add_FitServiceServicer_to_server(peer, server)
+    learning_pb2_grpc.add_ModelServiceServicer_to_server(peer, server)
     if credentials is None:
         address = f"127.0.0.1:{server.add_insecure_port(f'127.0.0.1:{port}')}"
     else:

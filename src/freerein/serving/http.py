@@ -2,7 +2,7 @@
 
 import asyncio
 import uuid
-from typing import Any
+from typing import Any, ClassVar
 
 import h11
 import uvicorn
@@ -16,70 +16,79 @@ from freerein.serving.limits import Limits
 _HEADER_BYTES = 16 * 1024
 
 
-def protocol_class(limits: Limits) -> type[asyncio.Protocol]:
-    """Returns the HTTP/1.1 protocol with the deadlines of `limits`."""
+class DeadlineProtocol(H11Protocol):
+    """Closes a connection that sends its request, or reads its reply, too slowly, or sends nothing at all."""
 
-    class DeadlineProtocol(H11Protocol):
-        """Closes a connection that sends its request, or reads its reply, too slowly, or sends nothing at all."""
+    limits: ClassVar[Limits]
+    _receipt: asyncio.TimerHandle | None = None
+    _write: asyncio.TimerHandle | None = None
 
-        _receipt: asyncio.TimerHandle | None = None
-        _write: asyncio.TimerHandle | None = None
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's
+        """Begins to wait for a request."""
+        super().connection_made(transport)
+        self._await_request()
 
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's
-            super().connection_made(transport)
+    def data_received(self, data: bytes) -> None:
+        """Begins to wait for the rest of a request, unless that has begun."""
+        self._await_request()
+        super().data_received(data)
+
+    def handle_events(self) -> None:
+        """Waits no longer once a request is there whole."""
+        super().handle_events()
+        if self.conn.their_state is h11.SEND_BODY:
             self._await_request()
-
-        def data_received(self, data: bytes) -> None:
-            self._await_request()
-            super().data_received(data)
-
-        def handle_events(self) -> None:
-            super().handle_events()
-            if self.conn.their_state is h11.SEND_BODY:
-                self._await_request()
-            elif self.conn.their_state is not h11.IDLE:  # a whole request is there
-                _cancel(self._receipt)
-                self._receipt = None
-
-        def pause_writing(self) -> None:
-            super().pause_writing()
-            self._await_reader()
-
-        def resume_writing(self) -> None:
-            super().resume_writing()
-            _cancel(self._write)
-            self._write = None
-
-        def on_response_complete(self) -> None:
-            super().on_response_complete()
-            self._await_reader()
-
-        def connection_lost(self, exc: Exception | None) -> None:
+        elif self.conn.their_state is not h11.IDLE:  # a whole request is there
             _cancel(self._receipt)
-            super().connection_lost(exc)
-            _cancel(self._write)
+            self._receipt = None
 
-        def send_400_response(self, msg: str) -> None:
-            error = MalformedRequest(
-                "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not.",
-                hint="Let an HTTP client write them.",
-            )
-            if self.cycle is None or self.cycle.response_complete or not self.cycle.response_started:
-                self.transport.write(_response(error))
-            self.transport.close()
+    def pause_writing(self) -> None:
+        """Begins to wait for the reader."""
+        super().pause_writing()
+        self._await_reader()
 
-        def _await_request(self) -> None:
-            self._receipt = self._receipt or self.loop.call_later(limits.receipt_s, self.transport.abort)
+    def resume_writing(self) -> None:
+        """Waits no longer for the reader."""
+        super().resume_writing()
+        _cancel(self._write)
+        self._write = None
 
-        def _await_reader(self) -> None:
-            self._write = self._write or self.loop.call_later(limits.write_s, self._end_unread)
+    def on_response_complete(self) -> None:
+        """Begins to wait until the reader has taken the rest."""
+        super().on_response_complete()
+        self._await_reader()
 
-        def _end_unread(self) -> None:
-            self._write = None
-            if self.transport.get_write_buffer_size():
-                self.transport.abort()
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Waits for nothing any more."""
+        _cancel(self._receipt)
+        super().connection_lost(exc)
+        _cancel(self._write)
 
-    return DeadlineProtocol
+    def send_400_response(self, msg: str) -> None:
+        """Answers what is no HTTP as everything else is answered."""
+        error = MalformedRequest(
+            "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not.",
+            hint="Let an HTTP client write them.",
+        )
+        if self.cycle is None or self.cycle.response_complete or not self.cycle.response_started:
+            self.transport.write(_response(error))
+        self.transport.close()
+
+    def _await_request(self) -> None:
+        self._receipt = self._receipt or self.loop.call_later(self.limits.receipt_s, self.transport.abort)
+
+    def _await_reader(self) -> None:
+        self._write = self._write or self.loop.call_later(self.limits.write_s, self._end_unread)
+
+    def _end_unread(self) -> None:
+        self._write = None
+        if self.transport.get_write_buffer_size():
+            self.transport.abort()
+
+
+def protocol_class(limits: Limits) -> type[DeadlineProtocol]:
+    """Returns the HTTP/1.1 protocol with the deadlines of `limits`."""
+    return type("LimitedProtocol", (DeadlineProtocol,), {"limits": limits})
 
 
 def _response(error: ServiceError) -> bytes:

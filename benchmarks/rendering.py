@@ -1,0 +1,104 @@
+"""Frames per second of the blocks world, beside `mujoco.Renderer` on the same scene.
+
+The peer that counts draws our compiled scene, with our one light, at the quality that MuJoCo has by default: shadow
+maps and four samples per pixel. Lights cast shadows unless told otherwise, so there is a second peer for whom the light
+does; it is many times slower where a processor draws. The third has our settings too, and shows what is left to gain.
+"""
+
+import copy
+from contextlib import ExitStack, closing
+
+import mujoco
+import numpy as np
+
+from benchmarks.report import Bar, Findings, Ratio
+from benchmarks.rounds import Contestant, Effort, race
+from freerein_sim.worlds.blocks import COLOURS, TASKS, scene
+from freerein_sim.worlds.world import Frame, World
+
+_CAMERA, _SIZE_PX = "front", 64
+_POSE_SIZE = 7
+_CLOSE = 2.0
+"""Mean difference of two pictures of one scene, in 1/255: what stock flags change, such as the sky behind it."""
+
+
+async def measure(effort: Effort) -> Findings:
+    """Returns how many times as many frames per second the world draws."""
+    with ExitStack() as opened:
+        world = opened.enter_context(closing(TASKS[0].make()))
+        world.reset(np.random.default_rng(0))
+        tuned = scene.build(COLOURS).model
+        stock = _with_stock_quality(tuned)
+        models = {"stock": stock, "stock-casting-shadows": _with_cast_shadows(stock), "stock-with-our-settings": tuned}
+        peers = {name: opened.enter_context(closing(StockRenderer(model, world))) for name, model in models.items()}
+        _check_same_scene(world, peers["stock-with-our-settings"])
+
+        async def draw_ours(count: int) -> None:
+            for _ in range(count):
+                world.render(_CAMERA, height=_SIZE_PX, width=_SIZE_PX)
+
+        contestants = [Contestant(name, peer.draw, 1, "frames") for name, peer in peers.items()]
+        times = await race([Contestant("ours", draw_ours, 1, "frames"), *contestants], effort)
+    return Findings(
+        ratios=(
+            Ratio("render.blocks_vs_stock", times.speedup("ours", over="stock"), Bar("at least", 3.0)),
+            Ratio("render.blocks_vs_stock_casting_shadows", times.speedup("ours", over="stock-casting-shadows")),
+            Ratio("render.blocks_vs_stock_with_our_settings", times.speedup("ours", over="stock-with-our-settings")),
+        ),
+        raw={"render": times},
+    )
+
+
+class StockRenderer:
+    """`mujoco.Renderer`, used as its documentation shows.
+
+    Args:
+        model: What to draw.
+        world: A blocks world; its poses are copied.
+    """
+
+    def __init__(self, model: mujoco.MjModel, world: World) -> None:
+        self._data = mujoco.MjData(model)
+        state = world.truth().state
+        self._data.joint("gripper.y").qpos, self._data.joint("gripper.z").qpos = state[:2]
+        for finger in ("finger.left", "finger.right"):
+            self._data.joint(finger).qpos = state[2] / 2
+        for colour, pose in zip(COLOURS, state[3:].reshape(-1, _POSE_SIZE), strict=True):
+            self._data.joint(colour).qpos = pose
+        mujoco.mj_forward(model, self._data)
+        self._renderer = mujoco.Renderer(model, _SIZE_PX, _SIZE_PX)
+
+    def frame(self) -> Frame:
+        """Returns a frame, uint8 (H, W, 3)."""
+        self._renderer.update_scene(self._data, camera=_CAMERA)
+        frame: Frame = self._renderer.render()
+        return frame
+
+    async def draw(self, count: int) -> None:
+        """Draws so many frames."""
+        for _ in range(count):
+            self.frame()
+
+    def close(self) -> None:
+        """Frees the OpenGL context."""
+        self._renderer.close()
+
+
+def _with_stock_quality(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Returns a copy of a model with the shadow maps and samples per pixel that a new one has."""
+    changed, stock = copy.deepcopy(model), mujoco.MjSpec().visual.quality
+    changed.vis.quality.shadowsize, changed.vis.quality.offsamples = stock.shadowsize, stock.offsamples
+    return changed
+
+
+def _with_cast_shadows(model: mujoco.MjModel) -> mujoco.MjModel:
+    changed = copy.deepcopy(model)
+    changed.light_castshadow[:] = True
+    return changed
+
+
+def _check_same_scene(world: World, renderer: StockRenderer) -> None:
+    ours = world.render(_CAMERA, height=_SIZE_PX, width=_SIZE_PX).astype(np.float64)
+    difference = float(np.abs(ours - renderer.frame()).mean())
+    if difference > _CLOSE:
+        raise RuntimeError(f"Both must draw one scene; their pictures differ by {difference:.1f} of 255 on average.")
