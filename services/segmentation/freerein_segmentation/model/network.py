@@ -1,0 +1,127 @@
+"""The segmentation network: a CNN per frame, a layer per action, an LSTM over time, a score per skill (section 2.3)."""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
+
+from freerein.learning.config import bounded
+from freerein.learning.encoders import PatchEncoder
+
+Context: TypeAlias = Literal["causal", "bidirectional"]
+
+ACTION_FEATURES = 32
+FRAMES_AT_ONCE = 256
+TIMESTEPS_AT_ONCE = 1024
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSpec:
+    """What a network labels, what it sees, and how large it is.
+
+    Attributes:
+        skills: What it labels.
+        camera: Which camera's frames it sees.
+        height: Of the frames, in pixels.
+        width: In pixels.
+        channels: 1 or 3.
+        action_size: Numbers per action; 0 for a network that sees no actions.
+        action_choices: How many different actions there are when they are discrete, else 0.
+        context: What a timestep's score may depend on: the past, as in the dissertation, or all of the trajectory.
+        features: Image features.
+        hidden: Units of the LSTM, in each direction.
+    """
+
+    skills: tuple[str, ...]
+    camera: str
+    height: int = bounded(64, least=4, most=1024)
+    width: int = bounded(64, least=4, most=1024)
+    channels: int = bounded(3, least=1, most=3)
+    action_size: int = bounded(0, least=0, most=256)
+    action_choices: int = bounded(0, least=0, most=4096)
+    context: Context = "bidirectional"
+    features: int = bounded(64, least=8, most=1024)
+    hidden: int = bounded(100, least=8, most=1024)
+
+
+class SegmentationNetwork(nn.Module):
+    """f_t(k), eq. 2.1: a score for each skill at each timestep; softmax over k gives P(y_t = k).
+
+    Args:
+        spec: What it labels and sees.
+    """
+
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        self.image = PatchEncoder(
+            height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
+        )
+        self.action = nn.Linear(spec.action_choices or spec.action_size, ACTION_FEATURES) if spec.action_size else None
+        inputs = spec.features + (ACTION_FEATURES if spec.action_size else 0)
+        self.past = nn.LSTM(inputs, spec.hidden, batch_first=True)
+        self.future = nn.LSTM(inputs, spec.hidden, batch_first=True) if spec.context == "bidirectional" else None
+        self.head = nn.Linear(spec.hidden * (2 if self.future else 1), len(spec.skills))
+
+    def forward(self, frames: Tensor, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the scores of several trajectories, and which of them are of timesteps that exist.
+
+        Args:
+            frames: uint8 (N, H, W, C), the frames of all trajectories one after the other.
+            actions: float32 (N, A) or int64 (N, 1), as the frames.
+            lengths: int64 (B,), the timesteps of each trajectory, N together.
+
+        Returns:
+            Scores, float32 (B, T, K) with T the longest length, and their mask, bool (B, T).
+        """
+        features = self.features(frames, actions)  # (N, D)
+        padded = pad_sequence(list(features.split(lengths.tolist())), batch_first=True)  # (B, T, D)
+        time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
+        memory, _ = self.past(padded)  # (B, T, hidden)
+        if self.future is not None:
+            # Reversed within each length, so that padding comes last here, too.
+            mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
+            reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden)
+            ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
+            memory = torch.cat([memory, ahead], dim=2)  # (B, T, 2 hidden)
+        scores: Tensor = self.head(memory)  # (B, T, K)
+        return scores, time < lengths[:, None]
+
+    def features(self, frames: Tensor, actions: Tensor) -> Tensor:
+        """Returns what the LSTM sees, float32 (N, D), of frames uint8 (N, H, W, C) and actions (N, A)."""
+        seen: Tensor = self.image(frames)  # (N, features)
+        if self.action is None:
+            return seen
+        if self.spec.action_choices:
+            actions = functional.one_hot(actions[:, 0], self.spec.action_choices).to(seen.dtype)  # (N, choices)
+        return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
+
+    @torch.inference_mode()
+    def score_long(self, frames: Tensor, actions: Tensor) -> Tensor:
+        """Returns the scores (T, K) of one trajectory as `forward` does, in memory that hardly grows with its length.
+
+        Frames become features a window at a time, and the LSTM carries its state from window to window.
+
+        Args:
+            frames: uint8 (T, H, W, C), T at least 1; on any device.
+            actions: float32 (T, A) or int64 (T, 1).
+        """
+        device = self.head.weight.device
+        windows = zip(frames.split(FRAMES_AT_ONCE), actions.split(FRAMES_AT_ONCE), strict=True)
+        features = torch.cat([self.features(seen.to(device), done.to(device)) for seen, done in windows])  # (T, D)
+        memory = _run_long(self.past, features)  # (T, hidden)
+        if self.future is not None:
+            memory = torch.cat([memory, _run_long(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden)
+        scores: Tensor = self.head(memory)
+        return scores
+
+
+def _run_long(lstm: nn.LSTM, features: Tensor) -> Tensor:
+    state, memory = None, []
+    for window in features.split(TIMESTEPS_AT_ONCE):
+        output, state = lstm(window, state)  # (T, hidden)
+        memory.append(output)
+    return torch.cat(memory)

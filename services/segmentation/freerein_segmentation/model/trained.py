@@ -1,0 +1,119 @@
+"""A trained network as the service knows it: numpy in, numpy out, and a folder on disk.
+
+    <folder>/model.safetensors   weights
+             card.json           `spec`: what the network is; and what it was trained on, how, with which figures
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freerein.durable import write_durably
+from freerein.errors import InvalidInput
+from freerein.learning import tensor_files
+from freerein.learning.checkpoints import JSON
+from freerein.learning.config import parse
+from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
+
+WEIGHTS, CARD = "model.safetensors", "card.json"
+_MAX_CARD_BYTES = 1 << 20
+
+
+class SegmentationModel:
+    """Labels trajectories. The network's device is where it computes; arrays are on the CPU.
+
+    Args:
+        network: Trained.
+
+    Attributes:
+        skills: What it labels.
+        camera: Which camera's frames it was trained on.
+        height: Of the frames, in pixels.
+        width: In pixels.
+        channels: 1 or 3.
+        action_size: Numbers per action; 0 without actions.
+        action_choices: How many different actions there are when discrete, else 0.
+    """
+
+    def __init__(self, network: SegmentationNetwork) -> None:
+        spec = network.spec
+        self.skills = spec.skills
+        self.camera = spec.camera
+        self.height, self.width, self.channels = spec.height, spec.width, spec.channels
+        self.action_size, self.action_choices = spec.action_size, spec.action_choices
+        self._network = network.eval()
+
+    def probabilities(
+        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
+    ) -> npt.NDArray[np.float32]:
+        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in memory that hardly grows with T.
+
+        Args:
+            frames: uint8 (T, H, W, C), T at least 1.
+            actions: float32 (T, A) or int64 (T, 1); not looked at by a model without actions.
+        """
+        if actions is None or not self.action_size:
+            actions = np.zeros((len(frames), 0), np.float32)
+        scores = self._network.score_long(_tensor(frames), _tensor(actions))
+        probabilities: npt.NDArray[np.float32] = scores.softmax(dim=1).cpu().numpy()
+        return probabilities
+
+
+def export(network: SegmentationNetwork, folder: Path, *, card: Mapping[str, JSON]) -> None:
+    """Writes a trained network as a folder that `load` reads.
+
+    Args:
+        network: Trained.
+        folder: Made when missing; its files are written over.
+        card: What to tell about the model beside its `spec`: configuration, seed, data, figures.
+    """
+    write_durably(folder / WEIGHTS, tensor_files.dump(network.state_dict()))
+    document = {**card, "spec": asdict(network.spec)}
+    write_durably(folder / CARD, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
+
+
+def load(folder: Path, device: str) -> SegmentationModel:
+    """Returns the model in a folder.
+
+    Args:
+        folder: Written by `export`; read as untrusted.
+        device: `auto`, `cpu` or `cuda:N`.
+
+    Raises:
+        InvalidInput: A file is missing, or is not what `export` writes.
+    """
+    spec = _read_spec(folder / CARD)
+    with torch.device("meta"):  # the weights come from the file: none are drawn
+        network = SegmentationNetwork(spec)
+    try:
+        network.load_state_dict(tensor_files.parse((folder / WEIGHTS).read_bytes()), assign=True)
+    except (OSError, RuntimeError) as error:
+        raise InvalidInput(
+            "A model's weights must be those that its card describes; some are missing or have another shape.",
+            hint="Fit the model again, or restore its folder from a copy.",
+        ) from error
+    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    return SegmentationModel(network.to(chosen))
+
+
+def _read_spec(path: Path) -> ModelSpec:
+    try:
+        if path.stat().st_size > _MAX_CARD_BYTES:
+            raise ValueError("too large")
+        return parse(ModelSpec, json.loads(path.read_bytes())["spec"])
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        raise InvalidInput(
+            f"A model's card must be JSON of at most {_MAX_CARD_BYTES} bytes with a `spec`; it is not.",
+            hint="Fit the model again, or restore its folder from a copy.",
+        ) from error
+
+
+def _tensor(array: npt.NDArray[Any]) -> torch.Tensor:
+    """Returns an array as a tensor, without a copy where it may be written to."""
+    return torch.from_numpy(array if array.flags.writeable else array.copy())

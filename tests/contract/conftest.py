@@ -1,0 +1,130 @@
+"""The three ways into a service: its core in process, its REST app, its gRPC server on a real port."""
+
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import grpc
+import httpx
+import pytest
+from fastapi import FastAPI
+
+from freerein import errors, wire
+from freerein.clients.grpc_errors import service_error
+from freerein.errors import ServiceError
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service
+from freerein.serving.limits import Limits
+from freerein.serving.methods import Method
+from freerein.serving.metrics import Metrics
+from freerein.serving.rest import make_app
+from freerein.serving.rpc import GrpcDoor
+from freerein.serving.schemas import schema_of
+
+
+class Door(Protocol):
+    """One way in: takes a request, returns every response, raises the `ServiceError` of a refusal."""
+
+    async def __call__(self, method: Method, request: object) -> list[Any]: ...
+
+
+@dataclass(frozen=True)
+class Doors:
+    core: Door
+    rest: Door
+    grpc: Door
+    app: FastAPI
+    channel: grpc.aio.Channel
+
+    @property
+    def all(self) -> tuple[Door, ...]:
+        return self.core, self.rest, self.grpc
+
+
+OpenDoors = Callable[[Service], Awaitable[Doors]]
+
+
+@pytest.fixture
+async def open_doors() -> AsyncIterator[OpenDoors]:
+    """A function that opens the doors of a service, closed with the test."""
+    async with AsyncExitStack() as stack:
+
+        async def open_all(service: Service) -> Doors:
+            health, metrics, limits = Health(service.not_ready), Metrics(), Limits()
+            app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits)
+            transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+            client = await stack.enter_async_context(httpx.AsyncClient(transport=transport, base_url="http://service"))
+            door = GrpcDoor(service.methods, health=health, metrics=metrics, limits=limits)
+            port = door.server.add_insecure_port("127.0.0.1:0")
+            await door.server.start()
+            stack.push_async_callback(door.server.stop, None)
+            channel = await stack.enter_async_context(grpc.aio.insecure_channel(f"127.0.0.1:{port}"))
+            return Doors(_through_core, _Rest(client), _Grpc(channel), app, channel)
+
+        yield open_all
+
+
+async def _through_core(method: Method, request: object) -> list[Any]:
+    if method.descriptor.server_streaming:
+        return [response async for response in method.call(request)]
+    return [await method.call(request)]
+
+
+class _Rest:
+    def __init__(self, client: httpx.AsyncClient) -> None:
+        self._client = client
+
+    async def __call__(self, method: Method, request: object) -> list[Any]:
+        values = wire.to_json(request)
+        if method.reads:
+            reply = await self._client.get(method.path, params=dict(_flat(values)))
+        else:
+            reply = await self._client.post(method.path, json=values)
+        if reply.status_code != 200:
+            raise _error(reply)
+        if not method.descriptor.server_streaming:
+            return [_dataclass(reply.json(), method)]
+        lines = [line for line in reply.text.splitlines() if line.startswith("data: ")]
+        return [_dataclass(json.loads(line.removeprefix("data: ")), method) for line in lines]
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    pairs: list[tuple[str, Any]] = []
+    for name, value in values.items():
+        pairs += _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else [(prefix + name, value)]
+    return pairs
+
+
+def _dataclass(values: object, method: Method) -> Any:
+    return wire.unpack(schema_of(method.descriptor.output_type).model_validate(values, strict=True), method.response)
+
+
+def _error(reply: httpx.Response) -> ServiceError:
+    assert reply.headers["content-type"] == "application/problem+json"
+    assert len(reply.content) <= 4096
+    problem = reply.json()
+    cls = errors.by_code(problem["code"])
+    assert (problem["status"], cls.http_status) == (reply.status_code, reply.status_code)
+    assert problem["request_id"] == reply.headers["x-request-id"]
+    return cls(problem["detail"], field=problem["field"], hint=problem["hint"])
+
+
+class _Grpc:
+    def __init__(self, channel: grpc.aio.Channel) -> None:
+        self._channel = channel
+
+    async def __call__(self, method: Method, request: object) -> list[Any]:
+        path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
+        codec = {
+            "request_serializer": lambda message: message.SerializeToString(),
+            "response_deserializer": wire.message_type(method.response).FromString,
+        }
+        try:
+            if method.descriptor.server_streaming:
+                call = self._channel.unary_stream(path, **codec)(wire.pack(request))
+                return [wire.unpack(message, method.response) async for message in call]
+            return [wire.unpack(await self._channel.unary_unary(path, **codec)(wire.pack(request)), method.response)]
+        except grpc.aio.AioRpcError as error:
+            raise service_error(error, call=method.name) from None

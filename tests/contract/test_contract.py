@@ -1,0 +1,339 @@
+"""One contract, every service, every door: the same request has the same answer, or the same error.
+
+A service joins by a row in `SERVICES`: how to build it, and requests with what they must come to.
+"""
+
+import asyncio
+import io
+import json
+import math
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import grpc
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+import pytest
+import schemathesis
+from google.protobuf.descriptor import Descriptor
+from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
+
+from freerein import errors, wire
+from freerein.api.learning.v1 import learning_pb2
+from freerein.errors import NotFound, ServiceError
+from freerein.serving.fit_records import FitRecords
+from freerein.serving.fits import Fits
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service
+from freerein.serving.limits import Limits
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.methods import Method, methods_of
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein.types import learning, segmentation
+from freerein.types.common import Image, ModelRef
+from freerein.types.learning import Fit, StartFitRequest
+
+OpenDoors = Callable[[Service], Awaitable[Any]]
+ANSWER = ""
+FIT = "0" * 32
+VERSION = "76fa26d2de2a"  # of the one model that every row publishes
+
+
+@dataclass(frozen=True)
+class Case:
+    """One request, and the code of the error that it must come to: none for an answer."""
+
+    method: str
+    request: Any
+    code: str = ANSWER
+
+    def __str__(self) -> str:
+        return f"{self.method}-{self.code or 'answer'}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One service: how to build it in a data directory, and its cases."""
+
+    build: Callable[[Path], Service]
+    cases: tuple[Case, ...]
+
+
+def publish_model(root: Path) -> ModelStore:
+    store, folder = ModelStore(root), root / "unpublished"
+    folder.mkdir(parents=True)
+    (folder / "card.json").write_text(json.dumps({"steps": 5, "loss": 0.25}))
+    store.activate(store.publish("", folder))
+    return store
+
+
+# --- the services that every learned service has
+
+
+def build_learning(data_dir: Path) -> Service:
+    """Returns fits that are never started, so that they stand still, and models that are their folders' names."""
+    store = publish_model(data_dir / "models")
+    records = FitRecords(data_dir / "fits")
+
+    def resolve(dataset: str, config: Any) -> dict[str, Any]:
+        if dataset != "demos":
+            raise NotFound("The dataset must be there; there is none of that name.", field="dataset", hint="Make it.")
+        return {"steps": 5, **config}
+
+    fits = Fits(records, module="none", store=store, resolve=resolve, health=Health())
+    models = LoadedModels(store, lambda folder: folder.name, fit_command="freerein fit toy")
+    services = learning_pb2.DESCRIPTOR.services_by_name
+
+    async def start() -> None:
+        await models.start()
+        fit = Fit(FIT, "queued", "demos", "default", {"steps": 5, "rate": 0.5}, metrics={"loss": 0.5})
+        await records.add(fit, StartFitRequest("demos"))
+
+    async def close() -> None: ...
+
+    methods = methods_of(services["FitService"], fits) + methods_of(services["ModelService"], models)
+    return Service("learning", methods, start, close, models.not_ready)
+
+
+LEARNING_CASES = (
+    Case("StartFit", learning.StartFitRequest("demos", "mine", {"a": [1, 0.5, None, {"b": "c"}]}, "key")),
+    Case("StartFit", learning.StartFitRequest("none"), "not_found"),
+    Case("StartFit", learning.StartFitRequest(""), "invalid_input"),
+    Case("StartFit", learning.StartFitRequest("../demos"), "invalid_input"),
+    Case("StartFit", learning.StartFitRequest("demos", "no/where"), "invalid_input"),
+    Case("GetFit", learning.GetFitRequest(FIT)),
+    Case("GetFit", learning.GetFitRequest("1" * 32), "not_found"),
+    Case("GetFit", learning.GetFitRequest("../x"), "invalid_input"),
+    Case("ListFits", learning.ListFitsRequest()),
+    Case("CancelFit", learning.CancelFitRequest(FIT)),
+    Case("CancelFit", learning.CancelFitRequest("1" * 32), "not_found"),
+    Case("WatchFit", learning.WatchFitRequest("1" * 32), "not_found"),
+    Case("WatchFit", learning.WatchFitRequest("x", 3), "invalid_input"),
+    Case("ListModels", learning.ListModelsRequest()),
+    Case("ActivateModel", learning.ActivateModelRequest("", VERSION)),
+    Case("ActivateModel", learning.ActivateModelRequest("default", VERSION, VERSION)),
+    Case("ActivateModel", learning.ActivateModelRequest("default", VERSION, "0" * 12), "failed_precondition"),
+    Case("ActivateModel", learning.ActivateModelRequest("default", "0" * 12), "not_found"),
+    Case("ActivateModel", learning.ActivateModelRequest("", ""), "invalid_input"),
+    Case("ActivateModel", learning.ActivateModelRequest("A", VERSION), "invalid_input"),
+)
+
+# --- segmentation
+
+
+class Halves:
+    """A model of two skills: the first half of a trajectory is one, the second the other. It fails where told to."""
+
+    skills = ("close", "open")
+    height, width, channels, action_size, action_choices = 2, 3, 3, 2, 0
+
+    def probabilities(
+        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
+    ) -> npt.NDArray[np.float32]:
+        if frames[0, 0, 0, 0] == 1:
+            raise ZeroDivisionError
+        likely = np.full((len(frames), 2), (0.75, 0.25), np.float32)
+        likely[len(frames) // 2 :] = (0.25, 0.75)
+        return likely * np.float32("nan") if frames[0, 0, 0, 0] == 2 else likely
+
+
+def build_segmentation(data_dir: Path) -> Service:
+    from freerein_segmentation.__main__ import build
+    from freerein_segmentation.settings import SegmentationSettings
+
+    publish_model(data_dir / "models" / "segmentation")
+    settings = SegmentationSettings(data_dir=data_dir)
+    return build(settings, Limits(), Metrics(), Health(), load=lambda _folder, _device: Halves())
+
+
+FRAMES, ACTIONS = np.zeros((4, 2, 3, 3), np.uint8), np.zeros((4, 2), np.float32)
+
+
+def segment(code: str = ANSWER, **fields: Any) -> Case:
+    return Case("Segment", segmentation.SegmentRequest(**{"frames": FRAMES, "actions": ACTIONS, **fields}), code)
+
+
+def png(height: int, width: int) -> Image:
+    buffer = io.BytesIO()
+    PIL.Image.new("RGB", (width, height)).save(buffer, "PNG")
+    return Image("png", 0, 0, buffer.getvalue())
+
+
+SEGMENTATION_CASES = (
+    Case("ListSkills", segmentation.ListSkillsRequest()),
+    Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("default", VERSION))),
+    Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("other")), "failed_precondition"),
+    Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("", "0" * 12)), "not_found"),
+    Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("", "../x")), "invalid_input"),
+    segment(),
+    segment(model=ModelRef("default", VERSION), min_segment=2, smoothing=1.5),
+    segment(frames=None, images=(png(2, 3),) * 4),
+    segment(frames=FRAMES[:1], actions=ACTIONS[:1]),
+    segment("invalid_input", images=(png(2, 3),) * 4),
+    segment("invalid_input", frames=None),
+    segment("invalid_input", frames=None, images=(png(2, 3), png(3, 2)), actions=ACTIONS[:2]),
+    segment("unsupported_media", frames=None, images=(Image("png", 0, 0, b"GIF89a"),)),
+    segment("invalid_input", frames=None, images=(Image("raw_rgb8", 2, 3, b"\0"),)),
+    segment("invalid_input", frames=FRAMES.astype(np.float32)),
+    segment("invalid_input", frames=FRAMES[0]),
+    segment("invalid_input", frames=FRAMES[:0], actions=ACTIONS[:0]),
+    segment("invalid_input", frames=np.zeros((4, 2, 2, 3), np.uint8)),
+    segment("invalid_input", actions=None),
+    segment("invalid_input", actions=ACTIONS[:3]),
+    segment("invalid_input", actions=ACTIONS.astype(np.float64)),
+    segment("invalid_input", actions=ACTIONS + np.float32(math.nan)),
+    segment("invalid_input", actions=ACTIONS + np.float32(1.5)),
+    segment("invalid_input", min_segment=1_001),
+    segment("invalid_input", smoothing=-1.0),
+    segment("too_large", frames=np.zeros((20_001, 1, 1, 1), np.uint8)),
+    segment("model_fault", frames=FRAMES + np.uint8(1)),
+    segment("output_not_finite", frames=FRAMES + np.uint8(2)),
+)
+
+SERVICES = {
+    "learning": Row(build_learning, LEARNING_CASES),
+    "segmentation": Row(build_segmentation, SEGMENTATION_CASES),
+}
+
+# --- what holds for all
+
+
+@pytest.fixture(params=SERVICES)
+def row(request: pytest.FixtureRequest) -> Row:
+    return SERVICES[request.param]
+
+
+async def outcome(door: Any, method: Method, request: object) -> object:
+    """Returns what a request came to, without what differs from call to call: how long it took."""
+    try:
+        responses = await door(method, request)
+    except ServiceError as error:
+        return error.code, error.field, error.detail, error.hint
+    return [{k: v for k, v in wire.to_json(response).items() if k != "timing"} for response in responses]
+
+
+@pytest.mark.parametrize(
+    ("name", "case"), [pytest.param(n, case, id=f"{n}-{case}") for n, row in SERVICES.items() for case in row.cases]
+)
+async def test_a_request_comes_to_the_same_through_every_door(
+    tmp_path: Path, open_doors: OpenDoors, name: str, case: Case
+) -> None:
+    service = SERVICES[name].build(tmp_path)
+    await service.start()
+    doors = await open_doors(service)
+    method = next(method for method in service.methods if method.name == case.method)
+    outcomes = [await outcome(door, method, case.request) for door in doors.all]
+    await service.close()
+    assert outcomes[0] == outcomes[1] == outcomes[2]
+    assert isinstance(outcomes[0], list) == (case.code == ANSWER)
+    if case.code != ANSWER:
+        assert outcomes[0][0] == case.code
+        assert outcomes[0][3], "an error says how to mend it"
+        assert case.code not in ("invalid_input", "not_found") or outcomes[0][1], "an error names the field at fault"
+
+
+async def test_events_come_alike_through_every_door_and_can_be_resumed(tmp_path: Path, open_doors: OpenDoors) -> None:
+    service = build_learning(tmp_path)
+    await service.start()
+    methods = {method.name: method for method in service.methods}
+    doors = await open_doors(service)
+    await doors.core(methods["CancelFit"], learning.CancelFitRequest(FIT))
+    for first in (0, 1):
+        outcomes = [await outcome(d, methods["WatchFit"], learning.WatchFitRequest(FIT, first)) for d in doors.all]
+        assert outcomes[0] == outcomes[1] == outcomes[2]
+        assert [event["sequence"] for event in outcomes[0]] == [0, 1][first:]
+
+
+async def test_every_rpc_is_reachable_through_both_doors(row: Row, tmp_path: Path, open_doors: OpenDoors) -> None:
+    service = row.build(tmp_path)
+    doors = await open_doors(service)
+    paths = doors.app.openapi()["paths"]
+    for method in service.methods:
+        if not method.descriptor.client_streaming:
+            assert list(paths[method.path]) == ["get" if method.reads else "post"]
+        path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
+        call = doors.channel.stream_stream(path)(iter([b"\xff"]))
+        with pytest.raises(grpc.aio.AioRpcError) as error:
+            await call.read()
+        assert error.value.code() is grpc.StatusCode.INVALID_ARGUMENT
+        assert "could not be read" in error.value.details()
+    await service.close()
+
+
+async def test_what_the_gRPC_door_says_of_itself_is_what_it_serves(
+    row: Row, tmp_path: Path, open_doors: OpenDoors
+) -> None:
+    service = row.build(tmp_path)
+    doors = await open_doors(service)
+    stub = reflection_pb2_grpc.ServerReflectionStub(doors.channel)
+    request = reflection_pb2.ServerReflectionRequest(list_services="")
+    reply = await stub.ServerReflectionInfo(iter([request])).read()
+    names = {found.name for found in reply.list_services_response.service}
+    assert names >= {method.descriptor.containing_service.full_name for method in service.methods}
+    assert "grpc.health.v1.Health" in names
+    await service.close()
+
+
+async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
+    row: Row, tmp_path: Path, open_doors: OpenDoors
+) -> None:
+    service = row.build(tmp_path)
+    doors = await open_doors(service)
+    document = doors.app.openapi()
+    schemathesis.openapi.from_dict(document).validate()
+    schemas = document["components"]["schemas"]
+    served = [method for method in service.methods if not method.descriptor.client_streaming]
+    assert set(document["paths"]) == {method.path for method in served}
+    for method in served:
+        operation = document["paths"][method.path]["get" if method.reads else "post"]
+        assert operation["summary"]
+        if method.reads:
+            assert [p["name"] for p in operation["parameters"]] == list(_leaves(method.descriptor.input_type))
+        else:
+            assert list(schemas[method.request.__name__]["properties"]) == _names(method.descriptor.input_type)
+        if not method.descriptor.server_streaming:
+            assert list(schemas[method.response.__name__].get("properties", {})) == _names(
+                method.descriptor.output_type
+            )
+    await service.close()
+
+
+def _names(message: Descriptor) -> list[str]:
+    return [field.name for field in message.fields]
+
+
+def _leaves(message: Descriptor, prefix: str = "") -> Iterator[str]:
+    for field in message.fields:
+        if field.message_type is None:
+            yield prefix + field.name
+        else:
+            yield from _leaves(field.message_type, f"{prefix}{field.name}.")
+
+
+async def test_both_doors_keep_a_deadline(tmp_path: Path, open_doors: OpenDoors) -> None:
+    service = build_learning(tmp_path)
+    await service.start()
+    doors = await open_doors(service)
+    path = "/freerein.api.learning.v1.FitService/WatchFit"
+    request = wire.pack(learning.WatchFitRequest(FIT, 1)).SerializeToString()
+    begun = time.monotonic()
+    with pytest.raises(grpc.aio.AioRpcError) as error:
+        await doors.channel.unary_stream(path)(request, timeout=0.1).read()
+    assert error.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+    assert time.monotonic() - begun < 2.0
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(doors.rest(_method(service, "WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
+
+
+def _method(service: Service, name: str) -> Method:
+    return next(method for method in service.methods if method.name == name)
+
+
+def test_every_code_of_an_error_is_of_one_class() -> None:
+    codes = {code for row in SERVICES.values() for code in (case.code for case in row.cases) if code}
+    assert {errors.by_code(code).code for code in codes} == codes

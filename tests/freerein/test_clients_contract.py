@@ -1,0 +1,31 @@
+"""The clients against the contract: every call is there, and its retries were thought about."""
+
+import inspect
+import re
+
+from freerein.api.learning.v1 import learning_pb2
+from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.api.sim.v1 import sim_pb2
+from freerein.clients import FitClient, ModelClient, SegmentationClient, SimClient, retries
+
+CLIENTS = (SegmentationClient, SimClient, FitClient, ModelClient)
+SERVICES = [
+    service
+    for module in (learning_pb2, segmentation_pb2, sim_pb2)
+    for service in module.DESCRIPTOR.services_by_name.values()
+]
+
+
+def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
+    services = {service.name.removesuffix("Service"): service for service in SERVICES}
+    for client in CLIENTS:
+        calls = services[client.__name__.removesuffix("Client")].methods_by_name
+        methods = {name for name in vars(client) if inspect.isfunction(vars(client)[name])}
+        assert methods == {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", call).lower() for call in calls}
+
+
+def test_every_call_is_idempotent_or_known_not_to_be() -> None:
+    calls = {(service.full_name, method) for service in SERVICES for method in service.methods_by_name}
+    idempotent = {(service, method) for service, methods in retries.IDEMPOTENT.items() for method in methods}
+    assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "ActivateModel"}
+    assert idempotent < calls
