@@ -1,7 +1,5 @@
 """The sim service as a process: `python -m freerein_sim`."""
 
-import asyncio
-
 from freerein.api.sim.v1 import sim_pb2
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run

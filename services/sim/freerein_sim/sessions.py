@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import secrets
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
@@ -201,7 +202,7 @@ class Sessions:
         return await self._exclusively(request.session, work)
 
     async def demonstrate(self, request: sim.DemonstrateRequest) -> AsyncIterator[sim.DemonstrateResponse]:
-        """Yields trajectories, each made when it is asked for; no longer iterating is all that cancelling takes.
+        """Yields trajectories in order, a few made ahead; no longer iterating is all that cancelling takes.
 
         Raises:
             InvalidInput: The request names what the task does not have, or more than may be asked for.
@@ -217,9 +218,19 @@ class Sessions:
             )
         cameras = request.cameras or (task.cameras[0].name,)
         check_frames(task, cameras, height=request.height, width=request.width, images=task.max_episode_steps)
-        for index in range(request.first, request.count):
-            self._check_serving()
-            yield await self._pool.demonstrate(replace(request, first=index))
+        making: deque[asyncio.Task[sim.DemonstrateResponse]] = deque()
+        try:
+            for index in range(request.first, request.count):
+                self._check_serving()
+                making.append(asyncio.create_task(self._pool.demonstrate(replace(request, first=index))))
+                if len(making) == self._pool.demonstrators:
+                    yield await making.popleft()
+            while making:
+                yield await making.popleft()
+        finally:
+            for each in making:
+                each.cancel()
+            await asyncio.gather(*making, return_exceptions=True)
 
     async def close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         """Ends a session; one that is not there has ended already."""
@@ -322,6 +333,7 @@ class Sessions:
         Raises:
             NotFound: There is no such task.
             InvalidInput: A number is out of its bounds.
+            Unavailable: The workers have not started yet.
         """
         task = self._task(request.task)
         check_frames(task, (), height=request.height, width=request.width, images=0)
@@ -336,6 +348,8 @@ class Sessions:
         return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed)
 
     def _task(self, name: str) -> sim.Task:
+        if not self._pool.tasks:
+            raise Unavailable("The workers must have started; they are starting.", hint="Try again in a second.")
         if (task := self._pool.tasks.get(name)) is None:
             raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
         return task

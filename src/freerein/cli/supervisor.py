@@ -83,9 +83,16 @@ class Stack:
         return tuple(child.status for child in self._children)
 
     async def watch(self) -> AsyncGenerator[tuple[Status, ...], None]:
-        """Yields how the services stand, now and after every change."""
+        """Yields how the services stand, now and after every change.
+
+        Raises:
+            OSError: A service's log cannot be written.
+        """
         while True:
             changed = self._changed
+            for task in self._tasks:
+                if task.done():
+                    task.result()
             yield self.statuses
             await changed.wait()
 
@@ -116,6 +123,8 @@ class Stack:
         """
         check_free(self._ports, host=self._host)
         self._tasks = [asyncio.create_task(child.run()) for child in self._children]
+        for task in self._tasks:
+            task.add_done_callback(lambda _: self._on_change())
         return self
 
     async def __aexit__(

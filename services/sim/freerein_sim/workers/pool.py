@@ -28,6 +28,11 @@ class Pool:
         self._hosts = [_Place(stuck_s) for _ in range(workers)]
         self._demonstrators = [_Demonstrator(stuck_s) for _ in range(demonstrators)]
 
+    @property
+    def demonstrators(self) -> int:
+        """How many demonstrations are made at the same time."""
+        return len(self._demonstrators)
+
     async def start(self) -> None:
         """Starts the workers that hold sessions, and waits until they answer.
 
