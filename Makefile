@@ -1,6 +1,5 @@
 # Everything installs what it needs into .venv first; the second time that takes no time.
 BIN := .venv/bin
-PYTHON_SOURCES := src services tests benchmarks experiments tools
 
 .DEFAULT_GOAL := help
 .PHONY: help setup dev demo check test bench fuzz compat stubs stubs-fresh fmt
@@ -29,10 +28,10 @@ test: dev ## Run the tests
 	$(BIN)/pytest
 
 bench: dev ## Measure freerein beside its peers
-	PYTHON=$(CURDIR)/$(BIN)/python benchmarks/run
+	$(BIN)/python -m benchmarks
 
 fuzz: dev ## Send generated requests to every REST door
-	PYTHON=$(CURDIR)/$(BIN)/python tests/fuzz/run
+	$(BIN)/python tests/fuzz/fuzz.py
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
 	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run

@@ -1,11 +1,11 @@
 """What the batcher costs a client who is alone, and what it gives sixteen who are not.
 
-The model is a perceptron whose weights fill the caches: most of its time goes into reading them, once for a batch. Batch
-size 1 is batching turned off.
+The model is a perceptron with weights that no cache close to a core holds: most of its time goes into reading them,
+once for a batch. A batch of 1 is batching turned off.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 
 import numpy as np
@@ -17,11 +17,11 @@ from benchmarks.report import Bar, Findings, Ratio
 from benchmarks.rounds import Contestant, Effort, race
 from freerein.errors import ServiceError
 from freerein.learning import weights
-from freerein.serving.batcher import Batcher, Done
+from freerein.serving.batcher import Batcher
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 
-_WIDTH, _LAYERS = 2048, 3
+_WIDTH, _LAYERS = 512, 32
 _CLIENTS = 16
 _MEASURED_BATCH = 8
 _TIMEOUT_S = 60.0
@@ -34,9 +34,7 @@ async def measure(effort: Effort) -> Findings:
     model = _Model()
     with ExitStack() as opened:
         batching, alone = (
-            opened.enter_context(
-                closing(Batcher(model.answer, queue=Limits.queue, batch=batch, metrics=Metrics()))
-            )
+            opened.enter_context(closing(Batcher(model.answer, queue=Limits.queue, batch=batch, metrics=Metrics())))
             for batch in (Limits.batch, 1)
         )
         bare = await race([_bare("batch-1", model, 1), _bare("batch-8", model, _MEASURED_BATCH)], effort)
@@ -63,7 +61,7 @@ class _Model:
 
     @torch.inference_mode()
     def answer(self, items: Sequence[Vector]) -> list[Vector | ServiceError]:
-        """Returns a vector for each vector, float32 (2048,)."""
+        """Returns a vector for each vector, float32 (512,)."""
         return list(self._network(torch.from_numpy(np.stack(items))).numpy())
 
 

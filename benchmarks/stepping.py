@@ -9,6 +9,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count, cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -119,10 +120,10 @@ def _actions(spec: ActionSpec, num_envs: int) -> Iterator[Actions]:
     return cycle(drawn)
 
 
-def _sync_vector_env(task: Task, cameras: tuple[str, ...]) -> SyncVectorEnv[Any, Any, Any]:
+def _sync_vector_env(task: Task, cameras: tuple[str, ...]) -> SyncVectorEnv[Any, Any]:
     seeds = np.random.SeedSequence(_SEED).spawn(_ENVS)
     envs = SyncVectorEnv(
-        [lambda seed=seed: WorldEnv(task, cameras, seed=seed) for seed in seeds],
+        [partial(WorldEnv, task, cameras, seed=seed) for seed in seeds],
         autoreset_mode=AutoresetMode.SAME_STEP,
     )
     envs.reset()

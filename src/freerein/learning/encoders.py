@@ -2,16 +2,59 @@
 
 import math
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 _CELLS = 11
-"""Patches along the longer side, about; fewer than 8 lose small objects, more cost time and gain nothing."""
+_STEM, _BODY = 24, 48
 
 
-def patch_size(*, height: int, width: int) -> int:
-    """Returns the side of the square patches that cut a frame into about 11 along its longer side, in pixels."""
-    return max(1, math.ceil(max(height, width) / _CELLS))
+class PatchEncoder(nn.Module):
+    """A small CNN for small data: what is seen matters more than where, and the still background not at all.
+
+    Frames lose their mean image, are cut into about 11 x 11 patches (a strided convolution: 6 to 10 times faster than a
+    stack of 5 x 5), get their coordinates, pass two 3 x 3 convolutions, and each channel keeps its maximum over space.
+    Pooling by the maximum means that a block of one colour in the gripper is learnt once, not once per place.
+
+    Args:
+        height: Of the frames, in pixels.
+        width: In pixels.
+        channels: 1 or 3.
+        features: How many come out.
+    """
+
+    background: Tensor
+    contrast: Tensor
+    coordinates: Tensor
+
+    def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
+        super().__init__()
+        side = math.ceil(max(height, width) / _CELLS)
+        self._padding = (0, -width % side, 0, -height % side)  # no pixel is dropped
+        self.stem = nn.Conv2d(channels, _STEM, kernel_size=side, stride=side)
+        self.near = nn.Conv2d(_STEM + 2, _BODY, kernel_size=3, stride=2, padding=1)
+        self.far = nn.Conv2d(_BODY, _BODY, kernel_size=3, padding=1)
+        self.head = nn.Linear(_BODY, features)
+        self.norm = nn.LayerNorm(features)
+        self.register_buffer("background", torch.empty(channels, height, width))
+        self.register_buffer("contrast", torch.empty(()))
+        rows, columns = math.ceil(height / side), math.ceil(width / side)
+        axes = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
+        self.register_buffer("coordinates", torch.stack(torch.meshgrid(*axes, indexing="ij")))  # (2, rows, columns)
+
+    @torch.no_grad()
+    def calibrate(self, frames: Tensor) -> None:
+        """Takes the mean image, and the standard deviation around it, from training frames, uint8 (N, H, W, C)."""
+        pixels = frames.permute(0, 3, 1, 2).float()  # (N, C, H, W)
+        self.background.copy_(pixels.mean(dim=0))
+        self.contrast.copy_((pixels - self.background).std().clamp(min=1.0))
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Returns the features of frames uint8 (N, H, W, C): float32 (N, features), none negative."""
+        pixels = frames.permute(0, 3, 1, 2).float()  # (N, C, H, W), channels last in memory
+        x = functional.pad((pixels - self.background) / self.contrast, self._padding)
+        x = functional.relu(self.stem(x))  # (N, stem, rows, columns)
+        x = torch.cat([x, self.coordinates.expand(len(x), -1, -1, -1)], dim=1)
+        x = functional.relu(self.far(functional.relu(self.near(x))))  # (N, body, rows / 2, columns / 2)
+        return functional.relu(self.norm(self.head(x.amax(dim=(2, 3)))))

@@ -1,0 +1,51 @@
+"""The README's code blocks, run in order as a newcomer would."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+README = Path(__file__).parents[2] / "README.md"
+BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
+SERVICES = ("http://127.0.0.1:8101", "http://127.0.0.1:8104")
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("default-ports")]
+
+
+@pytest.fixture
+def newcomer(tmp_path: Path) -> Iterator[dict[str, str]]:
+    """The environment of a newcomer's shell, with the services of the first block running in another terminal."""
+    environ = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "FREEREIN_DATA_DIR": "var"}
+    services = subprocess.Popen(["freerein", "up"], cwd=tmp_path, env=environ)
+    try:
+        deadline = time.monotonic() + 60
+        while not all(_is_ready(url) for url in SERVICES):
+            assert services.poll() is None, "freerein up ended"
+            assert time.monotonic() < deadline, "the services were not ready within a minute"
+        yield environ
+        services.send_signal(signal.SIGINT)
+        assert services.wait(15) == 0
+    finally:
+        services.kill()
+
+
+def test_the_readme_is_true(newcomer: dict[str, str], tmp_path: Path) -> None:
+    assert BLOCKS[0] == ("sh", "freerein up\n")
+    for language, block in BLOCKS[1:]:
+        command = ["bash", "-euo", "pipefail", "-c", block] if language == "sh" else [sys.executable, "-c", block]
+        ran = subprocess.run(command, cwd=tmp_path, env=newcomer, capture_output=True, text=True, timeout=180, check=False)
+        assert ran.returncode == 0, f"{block}\n{ran.stdout}\n{ran.stderr}"
+
+
+def _is_ready(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/readyz", timeout=1).is_success
+    except httpx.HTTPError:
+        return False
