@@ -61,12 +61,6 @@ def decode(image: Image, *, field: str = "images") -> npt.NDArray[np.uint8]:
     """
     if image.encoding in _RAW_CHANNELS:
         return _decode_raw(image, field)
-    if sniff(image.data, field=field) != image.encoding:
-        raise UnsupportedMedia(
-            f"`{field}` must be in the encoding it names, {image.encoding}; its bytes begin like another.",
-            field=field,
-            hint="Name the encoding that the file really has.",
-        )
     pixels = _decode_file(image, field)
     claimed = (image.height or pixels.shape[0], image.width or pixels.shape[1])
     if pixels.shape[:2] != claimed:
@@ -148,6 +142,12 @@ def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
 @contextmanager
 def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
     """Opens a file lazily behind the gates; whatever a decoder raises becomes one sentence of ours."""
+    if sniff(image.data, field=field) != image.encoding:
+        raise UnsupportedMedia(
+            f"`{field}` must be in the encoding it names, {image.encoding}; its bytes begin like another.",
+            field=field,
+            hint="Name the encoding that the file really has.",
+        )
     try:
         with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
             _check_pixels(opened.height, opened.width, field)

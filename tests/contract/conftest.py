@@ -4,6 +4,7 @@ import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import grpc
@@ -32,6 +33,7 @@ class Door(Protocol):
 
 @dataclass(frozen=True)
 class Doors:
+    methods: tuple[Method, ...]
     core: Door
     rest: Door
     grpc: Door
@@ -42,17 +44,25 @@ class Doors:
     def all(self) -> tuple[Door, ...]:
         return self.core, self.rest, self.grpc
 
+    def method(self, name: str) -> Method:
+        return next(method for method in self.methods if method.name == name)
 
-OpenDoors = Callable[[Service], Awaitable[Doors]]
+
+Build = Callable[[Path, Health], Service]
+OpenDoors = Callable[[Build], Awaitable[Doors]]
 
 
 @pytest.fixture
-async def open_doors() -> AsyncIterator[OpenDoors]:
-    """A function that opens the doors of a service, closed with the test."""
+async def open_doors(tmp_path: Path) -> AsyncIterator[OpenDoors]:
+    """A function that builds and starts a service and opens its doors; all is closed with the test."""
     async with AsyncExitStack() as stack:
 
-        async def open_all(service: Service) -> Doors:
-            health, metrics, limits = Health(service.not_ready), Metrics(), Limits()
+        async def open_all(build: Build) -> Doors:
+            health, metrics, limits = Health(), Metrics(), Limits()
+            service = build(tmp_path, health)
+            await service.start()
+            stack.push_async_callback(service.close)
+            stack.callback(health.drain)
             app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits)
             transport = httpx.ASGITransport(app, raise_app_exceptions=False)
             client = await stack.enter_async_context(httpx.AsyncClient(transport=transport, base_url="http://service"))
@@ -61,7 +71,7 @@ async def open_doors() -> AsyncIterator[OpenDoors]:
             await door.server.start()
             stack.push_async_callback(door.server.stop, None)
             channel = await stack.enter_async_context(grpc.aio.insecure_channel(f"127.0.0.1:{port}"))
-            return Doors(_through_core, _Rest(client), _Grpc(channel), app, channel)
+            return Doors(service.methods, _through_core, _Rest(client), _Grpc(channel), app, channel)
 
         yield open_all
 

@@ -38,10 +38,11 @@ from freerein.types import learning, segmentation
 from freerein.types.common import Image, ModelRef
 from freerein.types.learning import Fit, StartFitRequest
 
-OpenDoors = Callable[[Service], Awaitable[Any]]
+Build = Callable[[Path, Health], Service]
+OpenDoors = Callable[[Build], Awaitable[Any]]
 ANSWER = ""
 FIT = "0" * 32
-VERSION = "76fa26d2de2a"  # of the one model that every row publishes
+VERSION = "524d3f8b85d2"  # of the one model that every row publishes
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Case:
 class Row:
     """One service: how to build it in a data directory, and its cases."""
 
-    build: Callable[[Path], Service]
+    build: Build
     cases: tuple[Case, ...]
 
 
@@ -75,7 +76,7 @@ def publish_model(root: Path) -> ModelStore:
 # --- the services that every learned service has
 
 
-def build_learning(data_dir: Path) -> Service:
+def build_learning(data_dir: Path, health: Health) -> Service:
     """Returns fits that are never started, so that they stand still, and models that are their folders' names."""
     store = publish_model(data_dir / "models")
     records = FitRecords(data_dir / "fits")
@@ -85,7 +86,7 @@ def build_learning(data_dir: Path) -> Service:
             raise NotFound("The dataset must be there; there is none of that name.", field="dataset", hint="Make it.")
         return {"steps": 5, **config}
 
-    fits = Fits(records, module="none", store=store, resolve=resolve, health=Health())
+    fits = Fits(records, module="none", store=store, resolve=resolve, health=health)
     models = LoadedModels(store, lambda folder: folder.name, fit_command="freerein fit toy")
     services = learning_pb2.DESCRIPTOR.services_by_name
 
@@ -132,9 +133,7 @@ class Halves:
     skills = ("close", "open")
     height, width, channels, action_size, action_choices = 2, 3, 3, 2, 0
 
-    def probabilities(
-        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
-    ) -> npt.NDArray[np.float32]:
+    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
         if frames[0, 0, 0, 0] == 1:
             raise ZeroDivisionError
         likely = np.full((len(frames), 2), (0.75, 0.25), np.float32)
@@ -142,13 +141,13 @@ class Halves:
         return likely * np.float32("nan") if frames[0, 0, 0, 0] == 2 else likely
 
 
-def build_segmentation(data_dir: Path) -> Service:
+def build_segmentation(data_dir: Path, health: Health) -> Service:
     from freerein_segmentation.__main__ import build
     from freerein_segmentation.settings import SegmentationSettings
 
     publish_model(data_dir / "models" / "segmentation")
     settings = SegmentationSettings(data_dir=data_dir)
-    return build(settings, Limits(), Metrics(), Health(), load=lambda _folder, _device: Halves())
+    return build(settings, Limits(), Metrics(), health, load=lambda _folder, _device: Halves())
 
 
 FRAMES, ACTIONS = np.zeros((4, 2, 3, 3), np.uint8), np.zeros((4, 2), np.float32)
@@ -220,15 +219,9 @@ async def outcome(door: Any, method: Method, request: object) -> object:
 @pytest.mark.parametrize(
     ("name", "case"), [pytest.param(n, case, id=f"{n}-{case}") for n, row in SERVICES.items() for case in row.cases]
 )
-async def test_a_request_comes_to_the_same_through_every_door(
-    tmp_path: Path, open_doors: OpenDoors, name: str, case: Case
-) -> None:
-    service = SERVICES[name].build(tmp_path)
-    await service.start()
-    doors = await open_doors(service)
-    method = next(method for method in service.methods if method.name == case.method)
-    outcomes = [await outcome(door, method, case.request) for door in doors.all]
-    await service.close()
+async def test_a_request_comes_to_the_same_through_every_door(open_doors: OpenDoors, name: str, case: Case) -> None:
+    doors = await open_doors(SERVICES[name].build)
+    outcomes = [await outcome(door, doors.method(case.method), case.request) for door in doors.all]
     assert outcomes[0] == outcomes[1] == outcomes[2]
     assert isinstance(outcomes[0], list) == (case.code == ANSWER)
     if case.code != ANSWER:
@@ -237,23 +230,20 @@ async def test_a_request_comes_to_the_same_through_every_door(
         assert case.code not in ("invalid_input", "not_found") or outcomes[0][1], "an error names the field at fault"
 
 
-async def test_events_come_alike_through_every_door_and_can_be_resumed(tmp_path: Path, open_doors: OpenDoors) -> None:
-    service = build_learning(tmp_path)
-    await service.start()
-    methods = {method.name: method for method in service.methods}
-    doors = await open_doors(service)
-    await doors.core(methods["CancelFit"], learning.CancelFitRequest(FIT))
+async def test_events_come_alike_through_every_door_and_can_be_resumed(open_doors: OpenDoors) -> None:
+    doors = await open_doors(build_learning)
+    await doors.core(doors.method("CancelFit"), learning.CancelFitRequest(FIT))
     for first in (0, 1):
-        outcomes = [await outcome(d, methods["WatchFit"], learning.WatchFitRequest(FIT, first)) for d in doors.all]
+        request = learning.WatchFitRequest(FIT, first)
+        outcomes = [await outcome(door, doors.method("WatchFit"), request) for door in doors.all]
         assert outcomes[0] == outcomes[1] == outcomes[2]
         assert [event["sequence"] for event in outcomes[0]] == [0, 1][first:]
 
 
-async def test_every_rpc_is_reachable_through_both_doors(row: Row, tmp_path: Path, open_doors: OpenDoors) -> None:
-    service = row.build(tmp_path)
-    doors = await open_doors(service)
+async def test_every_rpc_is_reachable_through_both_doors(row: Row, open_doors: OpenDoors) -> None:
+    doors = await open_doors(row.build)
     paths = doors.app.openapi()["paths"]
-    for method in service.methods:
+    for method in doors.methods:
         if not method.descriptor.client_streaming:
             assert list(paths[method.path]) == ["get" if method.reads else "post"]
         path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
@@ -262,32 +252,24 @@ async def test_every_rpc_is_reachable_through_both_doors(row: Row, tmp_path: Pat
             await call.read()
         assert error.value.code() is grpc.StatusCode.INVALID_ARGUMENT
         assert "could not be read" in error.value.details()
-    await service.close()
 
 
-async def test_what_the_gRPC_door_says_of_itself_is_what_it_serves(
-    row: Row, tmp_path: Path, open_doors: OpenDoors
-) -> None:
-    service = row.build(tmp_path)
-    doors = await open_doors(service)
+async def test_what_the_grpc_door_says_of_itself_is_what_it_serves(row: Row, open_doors: OpenDoors) -> None:
+    doors = await open_doors(row.build)
     stub = reflection_pb2_grpc.ServerReflectionStub(doors.channel)
     request = reflection_pb2.ServerReflectionRequest(list_services="")
     reply = await stub.ServerReflectionInfo(iter([request])).read()
     names = {found.name for found in reply.list_services_response.service}
-    assert names >= {method.descriptor.containing_service.full_name for method in service.methods}
+    assert names >= {method.descriptor.containing_service.full_name for method in doors.methods}
     assert "grpc.health.v1.Health" in names
-    await service.close()
 
 
-async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
-    row: Row, tmp_path: Path, open_doors: OpenDoors
-) -> None:
-    service = row.build(tmp_path)
-    doors = await open_doors(service)
+async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(row: Row, open_doors: OpenDoors) -> None:
+    doors = await open_doors(row.build)
     document = doors.app.openapi()
     schemathesis.openapi.from_dict(document).validate()
     schemas = document["components"]["schemas"]
-    served = [method for method in service.methods if not method.descriptor.client_streaming]
+    served = [method for method in doors.methods if not method.descriptor.client_streaming]
     assert set(document["paths"]) == {method.path for method in served}
     for method in served:
         operation = document["paths"][method.path]["get" if method.reads else "post"]
@@ -300,7 +282,6 @@ async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
             assert list(schemas[method.response.__name__].get("properties", {})) == _names(
                 method.descriptor.output_type
             )
-    await service.close()
 
 
 def _names(message: Descriptor) -> list[str]:
@@ -315,10 +296,8 @@ def _leaves(message: Descriptor, prefix: str = "") -> Iterator[str]:
             yield from _leaves(field.message_type, f"{prefix}{field.name}.")
 
 
-async def test_both_doors_keep_a_deadline(tmp_path: Path, open_doors: OpenDoors) -> None:
-    service = build_learning(tmp_path)
-    await service.start()
-    doors = await open_doors(service)
+async def test_both_doors_keep_a_deadline(open_doors: OpenDoors) -> None:
+    doors = await open_doors(build_learning)
     path = "/freerein.api.learning.v1.FitService/WatchFit"
     request = wire.pack(learning.WatchFitRequest(FIT, 1)).SerializeToString()
     begun = time.monotonic()
@@ -327,11 +306,7 @@ async def test_both_doors_keep_a_deadline(tmp_path: Path, open_doors: OpenDoors)
     assert error.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
     assert time.monotonic() - begun < 2.0
     with pytest.raises(TimeoutError):
-        await asyncio.wait_for(doors.rest(_method(service, "WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
-
-
-def _method(service: Service, name: str) -> Method:
-    return next(method for method in service.methods if method.name == name)
+        await asyncio.wait_for(doors.rest(doors.method("WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
 
 
 def test_every_code_of_an_error_is_of_one_class() -> None:

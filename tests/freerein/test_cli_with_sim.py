@@ -13,7 +13,13 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
+from freerein.cli.child import RestartPolicy
+from freerein.cli.recording import record
+from freerein.cli.services import choose, free_ports
+from freerein.cli.supervisor import Stack
+from freerein.clients import Channel, SimClient
 from freerein.data import Dataset
+from freerein.types.sim import DemonstrateRequest
 
 pytestmark = pytest.mark.e2e
 
@@ -79,6 +85,27 @@ def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
 
     assert result.exit_code == 1
     assert not recorder.exists()
+
+
+async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) -> None:
+    request = DemonstrateRequest("grid", "expert", max_skills=2, count=6)
+    hasty = RestartPolicy(first_delay_s=0.01)
+    services = choose(["sim"])
+    async with Stack(
+        services, data_dir=tmp_path, environ=os.environ, ports=free_ports(services), policy=hasty
+    ) as stack:
+        await stack.ready(timeout_s=30)
+
+        def kill_in_the_middle(count: int) -> None:
+            if count == 3 and stack.statuses[0].restarts == 0:
+                os.kill(stack.statuses[0].pid, signal.SIGKILL)
+
+        async with SimClient(Channel(stack.addresses["sim"])) as client:
+            await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
+            await record(client, request, tmp_path / "whole", on_count=lambda _: None)
+
+        assert stack.statuses[0].restarts == 1
+    assert Dataset(tmp_path / "killed").fingerprint == Dataset(tmp_path / "whole").fingerprint
 
 
 def test_a_signal_drains_the_services_and_the_exit_code_is_0(up: Up) -> None:

@@ -183,8 +183,9 @@ def test_an_image_without_pixels_is_refused(width: int, height: int) -> None:
 @pytest.mark.parametrize("claimed", FILES)
 def test_a_format_that_is_not_served_is_refused_whatever_it_claims_to_be(other: str, claimed: Encoding) -> None:
     data = save(PIL.Image.new("RGB", (16, 16)), other)
-    with pytest.raises(UnsupportedMedia):
-        images.decode(file(claimed, data))
+    for read in (images.decode, images.pixel_count):
+        with pytest.raises(UnsupportedMedia):
+            read(file(claimed, data))
 
 
 @pytest.mark.parametrize("other", ["GIF", "TIFF", "PPM", "BMP", "PDF", "EPS"])

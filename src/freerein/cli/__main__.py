@@ -9,6 +9,7 @@ from freerein.cli.up import up
 
 app = typer.Typer(
     help="Serves learned robot skills. `freerein demo` shows all of it; `freerein doctor` says what is missing.",
+    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

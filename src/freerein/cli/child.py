@@ -116,6 +116,13 @@ class Child:
 
     async def run(self) -> None:
         """Keeps the service running until it is hopeless; drains it when cancelled."""
+        try:
+            await self._keep_running()
+        except asyncio.CancelledError:
+            self._change(state="stopped", pid=0, reason="")
+            raise
+
+    async def _keep_running(self) -> None:
         while True:
             code = await self._run_once()
             self._crashes.append(time.monotonic())
@@ -147,8 +154,8 @@ class Child:
         try:
             return await process.wait()
         except asyncio.CancelledError:
+            watch.cancel()
             await _drain(process)
-            self._change(state="stopped", pid=0, reason="")
             raise
         finally:
             watch.cancel()

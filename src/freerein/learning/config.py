@@ -1,9 +1,9 @@
-"""Strict parsing of a training's configuration: a frozen dataclass says names, types, bounds and defaults, nothing else is taken."""
+"""Strict parsing of a configuration: a frozen dataclass says names, types, bounds, defaults; nothing else is taken."""
 
 import difflib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import field, fields
+from dataclasses import MISSING, field, fields
 from typing import TYPE_CHECKING, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from freerein.errors import InvalidInput
@@ -27,11 +27,11 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     JSON and protobuf's Struct have one kind of number: 3.0 is taken where an int is wanted, 3.5 is not.
 
     Args:
-        kind: A frozen dataclass whose fields are bool, int, float, str or Literal of strings; see `bounded`.
+        kind: A frozen dataclass whose fields are bool, int, float, str, tuple[str, ...] or Literal of strings.
         values: By field name.
 
     Raises:
-        InvalidInput: A key is unknown, or a value has the wrong type or is out of bounds.
+        InvalidInput: A key is unknown, or missing where there is no default, or a value is of the wrong type or size.
     """
     types, bounds = get_type_hints(kind), {each.name: each.metadata for each in fields(kind)}
     for key in values:
@@ -41,6 +41,9 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
                 field="config",
                 hint=_suggestion(key, bounds),
             )
+    missing = [each.name for each in fields(kind) if each.default is MISSING and each.name not in values]
+    if missing:
+        raise InvalidInput(f"The configuration must hold {', '.join(missing)}; got none.", field="config")
     parsed = {key: _convert(key, types[key], value) for key, value in values.items()}
     for key, value in parsed.items():
         _check_bounds(key, value, bounds[key])
@@ -52,11 +55,13 @@ def _suggestion(key: str, known: Iterable[str]) -> str:
     return f"Did you mean `{nearest[0]}`?" if nearest else "Leave it out."
 
 
-def _convert(key: str, kind: object, value: object) -> bool | int | float | str:
+def _convert(key: str, kind: object, value: object) -> bool | int | float | str | tuple[str, ...]:
     if get_origin(kind) is Literal and isinstance(value, str) and value in get_args(kind):
         return value
     if kind in (bool, str) and type(value) is kind:
         return value
+    if kind == tuple[str, ...] and isinstance(value, list | tuple) and all(isinstance(each, str) for each in value):
+        return tuple(value)
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         if kind is float:
             return float(value)
@@ -69,6 +74,7 @@ def _describe(kind: object) -> str:
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(get_args(kind))
     names: dict[object, str] = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string"}
+    names[tuple[str, ...]] = "a list of strings"
     return names[kind]
 
 

@@ -26,7 +26,6 @@ class PatchEncoder(nn.Module):
 
     background: Tensor
     contrast: Tensor
-    coordinates: Tensor
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()
@@ -39,9 +38,7 @@ class PatchEncoder(nn.Module):
         self.norm = nn.LayerNorm(features)
         self.register_buffer("background", torch.empty(channels, height, width))
         self.register_buffer("contrast", torch.empty(()))
-        rows, columns = math.ceil(height / side), math.ceil(width / side)
-        axes = torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns)
-        self.register_buffer("coordinates", torch.stack(torch.meshgrid(*axes, indexing="ij")))  # (2, rows, columns)
+        self.to(memory_format=torch.channels_last)
 
     @torch.no_grad()
     def calibrate(self, frames: Tensor) -> None:
@@ -55,6 +52,12 @@ class PatchEncoder(nn.Module):
         pixels = frames.permute(0, 3, 1, 2).float()  # (N, C, H, W), channels last in memory
         x = functional.pad((pixels - self.background) / self.contrast, self._padding)
         x = functional.relu(self.stem(x))  # (N, stem, rows, columns)
-        x = torch.cat([x, self.coordinates.expand(len(x), -1, -1, -1)], dim=1)
+        x = torch.cat([x, _coordinates(x).expand(len(x), -1, -1, -1)], dim=1)
         x = functional.relu(self.far(functional.relu(self.near(x))))  # (N, body, rows / 2, columns / 2)
         return functional.relu(self.norm(self.head(x.amax(dim=(2, 3)))))
+
+
+def _coordinates(x: Tensor) -> Tensor:
+    """Returns the row and column of each cell of x (N, C, rows, columns), in [-1, 1]: (2, rows, columns)."""
+    axes = (torch.linspace(-1, 1, cells, dtype=x.dtype, device=x.device) for cells in x.shape[2:])
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"))

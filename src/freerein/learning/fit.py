@@ -15,18 +15,17 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import Literal, Protocol
+from typing import Generic, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
 from freerein.learning.metric_rows import MetricRows
-from freerein.learning.progress import Best, Progress, TrainingState, from_checkpoint, to_checkpoint
+from freerein.learning.progress import Best, N, Progress, TrainingState, from_checkpoint, to_checkpoint
 from freerein.learning.shuffle import Shuffle
 
 _SAVE_FAILURES = 3
@@ -55,7 +54,7 @@ class Plan:
     threads: int
 
 
-class Problem(Protocol):
+class Problem(Protocol[N]):
     """Something to be learnt, as the loop knows it."""
 
     @property
@@ -66,13 +65,13 @@ class Problem(Protocol):
     def identity(self) -> Mapping[str, JSON]:
         """What, besides the plan, the result depends on: the configuration, the fingerprint of the data."""
 
-    def init(self, generator: torch.Generator) -> TrainingState:
+    def init(self, generator: torch.Generator) -> TrainingState[N]:
         """Returns the state before the first update."""
 
-    def update(self, state: TrainingState, items: npt.NDArray[np.int64]) -> tuple[TrainingState, Mapping[str, float]]:
+    def update(self, state: TrainingState[N], items: npt.NDArray[np.int64]) -> tuple[TrainingState[N], Mapping[str, float]]:
         """Returns the state after one update on some items, and its metrics, by the same names each time."""
 
-    def evaluate(self, state: TrainingState) -> float:
+    def evaluate(self, state: TrainingState[N]) -> float:
         """Returns the loss on held-out data, by the training's own signal: never by labels of timesteps."""
 
 
@@ -92,7 +91,7 @@ class FitEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(Generic[N]):
     """What a training came to.
 
     Attributes:
@@ -101,7 +100,7 @@ class Fitted:
         validation_loss: Their loss there.
     """
 
-    network: nn.Module
+    network: N
     best_step: int
     validation_loss: float
 
@@ -118,13 +117,13 @@ def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
 
 
 def fit(
-    problem: Problem,
+    problem: Problem[N],
     plan: Plan,
     folder: Path,
     *,
     stop: Callable[[], bool] = lambda: False,
     on_event: Callable[[FitEvent], None] = lambda _: None,
-) -> Fitted | None:
+) -> Fitted[N] | None:
     """Trains, or goes on training, and returns the best weights; None when it was stopped before the end.
 
     Sets torch's number of threads, and flushing of denormal numbers, for the whole process.
@@ -158,20 +157,20 @@ def fit(
     return Fitted(progress.state.network, progress.best.step, progress.best.loss)
 
 
-def _begin(problem: Problem, plan: Plan) -> Progress:
+def _begin(problem: Problem[N], plan: Plan) -> Progress[N]:
     """Weights and the order of the data come from streams of their own: changing one does not move the other."""
     generator = torch.Generator().manual_seed(plan.seed)
     return Progress(problem.init(generator), Shuffle.begin(problem.size, rng=np.random.default_rng(plan.seed)))
 
 
-def _identity(problem: Problem, plan: Plan, state: TrainingState) -> dict[str, JSON]:
+def _identity(problem: Problem[N], plan: Plan, state: TrainingState[N]) -> dict[str, JSON]:
     device = next(state.network.parameters()).device
     return {**problem.identity, "plan": asdict(plan), "torch": torch.__version__, "device": str(device)}
 
 
 def _advance(
-    problem: Problem, plan: Plan, progress: Progress, rows: MetricRows, on_event: Callable[[FitEvent], None]
-) -> Progress:
+    problem: Problem[N], plan: Plan, progress: Progress[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+) -> Progress[N]:
     """Makes one update, and writes and evaluates when it is time to."""
     state, metrics = problem.update(progress.state, progress.shuffle.draw(plan.batch_size))
     _check_finite(metrics, state.step)
@@ -190,7 +189,7 @@ def _advance(
     return replace(progress, sums={}, summed=0)
 
 
-def _better(best: Best, state: TrainingState, loss: float) -> Best:
+def _better(best: Best, state: TrainingState[N], loss: float) -> Best:
     if loss >= best.loss:
         return best
     return Best(state.step, loss, {name: tensor.detach().clone() for name, tensor in state.network.state_dict().items()})
@@ -215,7 +214,7 @@ class _Saver:
         self._saved_step = -1
         self._failures = 0
 
-    def resume(self, fresh: Progress) -> Progress:
+    def resume(self, fresh: Progress[N]) -> Progress[N]:
         """Returns the progress of the newest whole checkpoint, `fresh` when there is none."""
         checkpoint = checkpoints.newest(
             self._folder, on_corrupt=lambda step, why: self._on_event(FitEvent("checkpoint_corrupt", step, why))
@@ -227,7 +226,7 @@ class _Saver:
         self._on_event(FitEvent("resumed", checkpoint.step))
         return progress
 
-    def save(self, progress: Progress) -> None:
+    def save(self, progress: Progress[N]) -> None:
         """Writes a checkpoint unless this step has one. A full disk does not end the training until it stays full."""
         step = progress.state.step
         if step == self._saved_step:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 import torch
@@ -12,9 +12,11 @@ from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.shuffle import Shuffle
 
+N = TypeVar("N", bound=nn.Module)
+
 
 @dataclass(frozen=True, eq=False)
-class TrainingState:
+class TrainingState(Generic[N]):
     """What an update changes.
 
     Attributes:
@@ -24,7 +26,7 @@ class TrainingState:
         step: Updates made.
     """
 
-    network: nn.Module
+    network: N
     optimiser: torch.optim.Optimizer
     generator: torch.Generator
     step: int = 0
@@ -46,7 +48,7 @@ class Best:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
+class Progress(Generic[N]):
     """The whole state of a training between two updates.
 
     Attributes:
@@ -57,14 +59,14 @@ class Progress:
         summed: How many updates are in `sums`.
     """
 
-    state: TrainingState
+    state: TrainingState[N]
     shuffle: Shuffle
     best: Best = Best()
     sums: Mapping[str, float] = field(default_factory=dict)
     summed: int = 0
 
 
-def to_checkpoint(progress: Progress, identity: Mapping[str, JSON]) -> Checkpoint:
+def to_checkpoint(progress: Progress[N], identity: Mapping[str, JSON]) -> Checkpoint:
     """Returns all of a training's progress, and what it was made from."""
     state, best = progress.state, progress.best
     tensors = {
@@ -85,7 +87,7 @@ def to_checkpoint(progress: Progress, identity: Mapping[str, JSON]) -> Checkpoin
     return Checkpoint(state.step, tensors, document)
 
 
-def from_checkpoint(checkpoint: Checkpoint, fresh: Progress, identity: Mapping[str, JSON]) -> Progress:
+def from_checkpoint(checkpoint: Checkpoint, fresh: Progress[N], identity: Mapping[str, JSON]) -> Progress[N]:
     """Returns the progress that a checkpoint holds, in the objects of a training just begun.
 
     Raises:

@@ -18,6 +18,8 @@ from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
 _OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
+_HEADERS = 100
+HEADER_BYTES = 16 * 1024
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
@@ -54,7 +56,7 @@ class Edge:
             self._metrics.in_flight.labels("rest").track_inprogress(),
         ):
             try:
-                self._admit(scope["path"], headers)
+                self._admit(scope, headers)
                 await self._bounded(scope, receive, reply)
             except ServiceError as error:
                 scope["freerein.code"] = error.code
@@ -69,8 +71,15 @@ class Edge:
             finally:
                 self._record(scope, reply.status, time.perf_counter() - started)
 
-    def _admit(self, path: str, headers: Headers) -> None:
-        if path not in _OPEN_PATHS:
+    def _admit(self, scope: Scope, headers: Headers) -> None:
+        size = len(scope["raw_path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
+        if len(headers) > _HEADERS or size > HEADER_BYTES:
+            raise MalformedRequest(
+                f"A request may have at most {_HEADERS} headers and {HEADER_BYTES // 1024} KiB of them and of its URL; "
+                "it has more.",
+                hint="Send what is long in the body.",
+            )
+        if scope["path"] not in _OPEN_PATHS:
             auth.check(headers.get("authorization", ""), self._token)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(

@@ -10,10 +10,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from freerein.errors import MalformedRequest, ServiceError
 from freerein.serving import problems
+from freerein.serving.edge import HEADER_BYTES
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
-
-_HEADER_BYTES = 16 * 1024
 
 
 class DeadlineProtocol(H11Protocol):
@@ -123,7 +122,7 @@ def make_server(app: Any, *, limits: Limits, health: Health, cert: str | None, k
         access_log=False,
         log_config=None,
         server_header=False,
-        h11_max_incomplete_event_size=_HEADER_BYTES,
+        h11_max_incomplete_event_size=HEADER_BYTES,
         timeout_graceful_shutdown=int(limits.drain_s),
         ssl_certfile=cert,
         ssl_keyfile=key,

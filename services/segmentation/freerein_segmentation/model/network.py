@@ -13,9 +13,8 @@ from freerein.learning.encoders import PatchEncoder
 
 Context: TypeAlias = Literal["causal", "bidirectional"]
 
-ACTION_FEATURES = 32
-FRAMES_AT_ONCE = 256
-TIMESTEPS_AT_ONCE = 1024
+_ACTION_FEATURES = 32
+_TIMESTEPS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +59,8 @@ class SegmentationNetwork(nn.Module):
         self.image = PatchEncoder(
             height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
         )
-        self.action = nn.Linear(spec.action_choices or spec.action_size, ACTION_FEATURES) if spec.action_size else None
-        inputs = spec.features + (ACTION_FEATURES if spec.action_size else 0)
+        self.action = nn.Linear(spec.action_choices or spec.action_size, _ACTION_FEATURES) if spec.action_size else None
+        inputs = spec.features + (_ACTION_FEATURES if spec.action_size else 0)
         self.past = nn.LSTM(inputs, spec.hidden, batch_first=True)
         self.future = nn.LSTM(inputs, spec.hidden, batch_first=True) if spec.context == "bidirectional" else None
         self.head = nn.Linear(spec.hidden * (2 if self.future else 1), len(spec.skills))
@@ -99,29 +98,21 @@ class SegmentationNetwork(nn.Module):
             actions = functional.one_hot(actions[:, 0], self.spec.action_choices).to(seen.dtype)  # (N, choices)
         return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
 
-    @torch.inference_mode()
-    def score_long(self, frames: Tensor, actions: Tensor) -> Tensor:
-        """Returns the scores (T, K) of one trajectory as `forward` does, in memory that hardly grows with its length.
+    def score(self, features: Tensor) -> Tensor:
+        """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does, whatever T.
 
-        Frames become features a window at a time, and the LSTM carries its state from window to window.
-
-        Args:
-            frames: uint8 (T, H, W, C), T at least 1; on any device.
-            actions: float32 (T, A) or int64 (T, 1).
+        The LSTM runs a window at a time and carries its state, so that memory beyond in- and output does not grow.
         """
-        device = self.head.weight.device
-        windows = zip(frames.split(FRAMES_AT_ONCE), actions.split(FRAMES_AT_ONCE), strict=True)
-        features = torch.cat([self.features(seen.to(device), done.to(device)) for seen, done in windows])  # (T, D)
-        memory = _run_long(self.past, features)  # (T, hidden)
+        memory = _run(self.past, features)  # (T, hidden)
         if self.future is not None:
-            memory = torch.cat([memory, _run_long(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden)
+            memory = torch.cat([memory, _run(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden)
         scores: Tensor = self.head(memory)
         return scores
 
 
-def _run_long(lstm: nn.LSTM, features: Tensor) -> Tensor:
+def _run(lstm: nn.LSTM, features: Tensor) -> Tensor:
     state, memory = None, []
-    for window in features.split(TIMESTEPS_AT_ONCE):
+    for window in features.split(_TIMESTEPS_AT_ONCE):
         output, state = lstm(window, state)  # (T, hidden)
         memory.append(output)
     return torch.cat(memory)

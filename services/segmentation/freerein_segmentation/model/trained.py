@@ -22,6 +22,7 @@ from freerein.learning.config import parse
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 
 WEIGHTS, CARD = "model.safetensors", "card.json"
+_FRAMES_AT_ONCE = 256
 _MAX_CARD_BYTES = 1 << 20
 
 
@@ -48,7 +49,9 @@ class SegmentationModel:
         self.height, self.width, self.channels = spec.height, spec.width, spec.channels
         self.action_size, self.action_choices = spec.action_size, spec.action_choices
         self._network = network.eval()
+        self._device = next(network.parameters()).device
 
+    @torch.inference_mode()
     def probabilities(
         self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
     ) -> npt.NDArray[np.float32]:
@@ -58,11 +61,15 @@ class SegmentationModel:
             frames: uint8 (T, H, W, C), T at least 1.
             actions: float32 (T, A) or int64 (T, 1); not looked at by a model without actions.
         """
-        if actions is None or not self.action_size:
-            actions = np.zeros((len(frames), 0), np.float32)
-        scores = self._network.score_long(_tensor(frames), _tensor(actions))
-        probabilities: npt.NDArray[np.float32] = scores.softmax(dim=1).cpu().numpy()
+        done = np.zeros((len(frames), 0), np.float32) if actions is None else actions
+        windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
+        features = torch.cat([self._network.features(*self._load(frames[at], done[at])) for at in windows])  # (T, D)
+        probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
         return probabilities
+
+    def _load(self, *arrays: npt.NDArray[Any]) -> tuple[torch.Tensor, ...]:
+        """Returns copies on the network's device: arrays that came over a wire cannot be written to."""
+        return tuple(torch.tensor(array, device=self._device) for array in arrays)
 
 
 def export(network: SegmentationNetwork, folder: Path, *, card: Mapping[str, JSON]) -> None:
@@ -112,8 +119,3 @@ def _read_spec(path: Path) -> ModelSpec:
             f"A model's card must be JSON of at most {_MAX_CARD_BYTES} bytes with a `spec`; it is not.",
             hint="Fit the model again, or restore its folder from a copy.",
         ) from error
-
-
-def _tensor(array: npt.NDArray[Any]) -> torch.Tensor:
-    """Returns an array as a tensor, without a copy where it may be written to."""
-    return torch.from_numpy(array if array.flags.writeable else array.copy())

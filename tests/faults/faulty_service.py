@@ -1,0 +1,79 @@
+"""The segmentation service as it is, around a model that fails where a trajectory's first pixel asks it to.
+
+The first pixel of a trajectory is (which fault, hundredths of a second to take, brightness). The label of a timestep is
+whether its first pixel's brightness is odd, so that every right answer can be told from a wrong one.
+"""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from freerein_segmentation.__main__ import NAME, build
+from freerein_segmentation.settings import SegmentationSettings
+
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+
+RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
+
+
+class FaultyModel:
+    """Answers even and odd, unless told otherwise."""
+
+    skills = ("even", "odd")
+    height, width, channels, action_size, action_choices = 4, 4, 3, 0, 0
+
+    def probabilities(
+        self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None
+    ) -> npt.NDArray[np.float32]:
+        fault, hundredths, _ = frames[0, 0, 0]
+        time.sleep(hundredths / 100)
+        if fault == RAISES:
+            raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
+        likely = np.eye(2, dtype=np.float32)[frames[:, 0, 0, 2] % 2]
+        if fault == NOT_A_NUMBER:
+            likely[-1] = np.nan
+        if fault == INFINITE:
+            likely[-1] = np.inf
+        return likely[:-1] if fault == WRONG_SHAPE else likely
+
+
+def publish_model(data_dir: Path) -> None:
+    """Puts a model in the store, once, so that there is an active one to load."""
+    store, folder = ModelStore(data_dir / "models" / NAME), data_dir / "unpublished"
+    if not store.active_version("default"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "weights").write_bytes(bytes(range(256)))
+        (folder / "card.json").write_text(json.dumps({"dataset": "none"}))
+        store.activate(store.publish("", folder))
+
+
+def build_faulty(settings: SegmentationSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+    """Returns the service."""
+    publish_model(settings.data_dir)
+    return build(settings, limits, metrics, health, load=lambda _folder, _device: FaultyModel())
+
+
+def write_down_what_is_touched(path: str) -> None:
+    """Appends every file that this process opens, and every address that it connects to, to a file."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def hook(event: str, arguments: tuple[object, ...]) -> None:
+        if event in ("open", "socket.connect"):
+            os.write(descriptor, f"{event} {arguments[0 if event == 'open' else 1]!r}\n".encode(errors="replace"))
+
+    sys.addaudithook(hook)
+
+
+if __name__ == "__main__":
+    if audit := os.environ.get("FAULTY_AUDIT"):
+        write_down_what_is_touched(audit)
+    raise SystemExit(run(NAME, SegmentationSettings, build_faulty))

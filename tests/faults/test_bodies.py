@@ -1,0 +1,337 @@
+"""Bad bodies, headers and names over real sockets: refused for what they are, quickly, and without a word of them back."""
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+pytestmark = pytest.mark.e2e
+MiB = 2**20
+JSON = {"content-type": "application/json"}
+SEGMENT = "/v1/segment"
+
+
+@pytest.fixture(scope="module")
+def audit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("audit") / "touched.txt"
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any], audit: Path) -> Any:
+    return start_faulty(FAULTY_AUDIT=str(audit))
+
+
+def raw_request(method: str, path: str, body: bytes = b"", *headers: str) -> bytes:
+    return "\r\n".join([f"{method} {path} HTTP/1.1", "host: x", *headers, "", ""]).encode("latin-1") + body
+
+
+def status(reply: bytes) -> int:
+    return int(reply.split(b" ", 2)[1]) if reply else 0
+
+
+# --- numbers, text and structure
+
+
+@pytest.mark.fault("C1")
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999", "9" * 400, "9" * 5000, "-0.0"])
+def test_only_finite_numbers_of_a_usual_length_are_numbers(faulty: Any, refusal: Any, number: str) -> None:
+    frames = json.dumps(faulty.trajectory()["frames"])
+    reply = faulty.http.post(SEGMENT, content=f'{{"frames": {frames}, "smoothing": {number}}}', headers=JSON)
+    if number == "-0.0":
+        assert reply.json()["labels"] == [0, 1]
+    else:
+        refusal(reply, 422)
+
+
+@pytest.mark.fault("C2")
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"dataset": "\\ud800"}',
+        b'{"dataset": 1, "model_name": "\\ud800"}',
+        b'{"dataset": "a\0b"}',
+        b'{"dataset": "a\\u0000b"}',
+        b'{"dataset": "\xc0\xaf"}',
+        b'{"dataset": "\xff"}',
+        '{"dataset": "x"}'.encode("utf-16"),
+        b'\xef\xbb\xbf{"dataset": "x"}',
+        b'{"dataset": "x", "dataset": "x"}',
+        b'{"dataset": "x", "config": {"a": {"b": 1, "b": 2}}}',
+    ],
+)
+def test_text_that_is_not_json_in_utf_8_is_refused(faulty: Any, refusal: Any, body: bytes) -> None:
+    refusal(faulty.http.post("/v1/start-fit", content=body, headers=JSON), 422)
+
+
+@pytest.mark.fault("C2")
+@given(body=st.binary(max_size=300))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_bytes_are_refused_without_a_bug(faulty: Any, refusal: Any, body: bytes) -> None:
+    refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
+    boundary = {"content-type": "multipart/form-data; boundary=b"}
+    refusal(faulty.http.post(SEGMENT, content=body, headers=boundary), 400, 415, 422)
+
+
+@pytest.mark.fault("C3")
+@pytest.mark.parametrize("depth", [900, 100_000])
+@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
+def test_deep_nesting_is_refused_at_once(faulty: Any, refusal: Any, depth: int, opening: str, closing: str) -> None:
+    body = '{"dataset": "x", "config": {"a": %s}}' % (opening * depth + "1" + closing * depth)
+    seconds = []
+    for _ in range(3):
+        begun = time.perf_counter()
+        refusal(faulty.http.post("/v1/start-fit", content=body, headers=JSON), 422)
+        seconds.append(time.perf_counter() - begun)
+    assert min(seconds) < 0.05
+
+
+@pytest.mark.fault("C4")
+@pytest.mark.parametrize(
+    ("content_type", "body", "expected"),
+    [
+        ("image/png", b"\x89PNG\r\n\x1a\n\0\xff", 415),
+        ("", b"{}", 415),
+        ("application/json; charset=latin1", b'{"model": {"name": "\xe4"}}', 415),
+        ("application/json", b"\x89PNG\r\n\x1a\n\0\xff", 422),
+        ("application/x-www-form-urlencoded", b"smoothing=1", 415),
+        ("text/plain", b"{}", 415),
+        ("application/octet-stream", b"\0" * 1000, 415),
+        ("multipart/form-data", b"{}", 400),
+        ("\xff\xfe", b"{}", 415),
+    ],
+)
+def test_a_body_is_what_its_content_type_says_or_refused(
+    faulty: Any, refusal: Any, content_type: str, body: bytes, expected: int
+) -> None:
+    headers = {"content-type": content_type.encode("latin-1")} if content_type else {}
+    refusal(faulty.http.post(SEGMENT, content=body, headers=headers), expected)
+
+
+@pytest.mark.fault("C6")
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"images": [%s1]}' % (b"1," * 1_000_000),
+        b'{"images": [%s{}]}' % (b'{"encoding": "secret"},' * 200_000),
+        b"{%s}" % b",".join(b'"secret%d": 1' % i for i in range(100_000)),
+        b'{"model": {"name": "%s"}}' % (b"secret" * 500_000),
+        b'{"%s": 1}' % (b"secret" * 500_000),
+    ],
+)
+def test_a_large_mistake_has_a_small_answer_that_repeats_nothing(faulty: Any, refusal: Any, body: bytes) -> None:
+    refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
+    assert b"secret" not in faulty.http.post(SEGMENT, content=body, headers=JSON).content
+
+
+# --- sizes
+
+
+class Growth:
+    """The most memory that a process has held beyond what it held before, in bytes."""
+
+    def __init__(self, process: Any) -> None:
+        self._process = process
+        self._done = threading.Event()
+        self._before = process.memory_info().rss
+        self.most = 0
+
+    def __enter__(self) -> "Growth":
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._done.wait(0.005):
+            self.most = max(self.most, self._process.memory_info().rss - self._before)
+
+
+def gigabyte(prefix: bytes) -> Iterator[bytes]:
+    yield prefix
+    for _ in range(1024):
+        yield b" " * MiB
+
+
+def send_until_refused(faulty: Any, parts: Iterator[bytes], *headers: str) -> tuple[int, int]:
+    """Sends chunks until the service answers or closes; returns the status and how many MiB went."""
+    sent = 0
+    with faulty.connect() as connection:
+        connection.sendall(raw_request("POST", SEGMENT, b"", "transfer-encoding: chunked", *headers))
+        connection.setblocking(False)
+        reply, waiting = b"", b""
+        while not reply:
+            if not waiting:
+                part = next(parts)
+                waiting, sent = b"%x\r\n%s\r\n" % (len(part), part), sent + len(part)
+            try:
+                waiting = waiting[connection.send(waiting) :]
+            except BlockingIOError:
+                time.sleep(0.001)
+            except (BrokenPipeError, ConnectionResetError):
+                connection.setblocking(True)
+                return status(connection.recv(65536)), sent // MiB
+            try:
+                reply = connection.recv(65536)
+            except BlockingIOError:
+                continue
+        return status(reply), sent // MiB
+
+
+@pytest.mark.fault("C5")
+@pytest.mark.parametrize("content_type", ["application/json", "multipart/form-data; boundary=b"])
+def test_a_body_without_an_end_is_refused_at_the_limit(faulty: Any, content_type: str) -> None:
+    prefix = (
+        b'--b\r\ncontent-disposition: form-data; name="images"; filename="a"\r\n\r\n'
+        if "multi" in content_type
+        else b" "
+    )
+    with Growth(faulty.process) as growth:
+        code, sent = send_until_refused(faulty, gigabyte(prefix), f"content-type: {content_type}")
+    assert code == 413
+    assert sent < 80
+    assert growth.most < 64 * MiB + 16 * MiB
+
+
+@pytest.mark.fault("C5")
+def test_a_body_that_says_it_is_too_large_is_refused_unread(faulty: Any, refusal: Any) -> None:
+    with Growth(faulty.process) as growth:
+        reply = faulty.raw(
+            raw_request("POST", SEGMENT, b"", "content-type: application/json", f"content-length: {2**30}")
+        )
+        assert status(reply) == 413
+        refusal(faulty.http.post(SEGMENT, content=b" " * (64 * MiB + 1), headers=JSON), 413)
+    assert growth.most < 16 * MiB
+
+
+@pytest.mark.fault("C5")
+def test_a_body_of_just_the_limit_is_read(faulty: Any) -> None:
+    frames = json.dumps(faulty.trajectory()).encode()
+    reply = faulty.http.post(SEGMENT, content=frames + b" " * (64 * MiB - len(frames)), headers=JSON)
+    assert reply.json()["labels"] == [0, 1]
+
+
+@pytest.mark.fault("C5")
+@pytest.mark.parametrize(
+    "headers",
+    [
+        ("content-length: -1",),
+        ("content-length: ten",),
+        ("content-length: 2", "content-length: 3"),
+        ("content-length: 0x10",),
+        ("content-length: 1e3",),
+        ("content-length: +2",),
+        ("content-length: 2", "transfer-encoding: chunked, gzip"),
+    ],
+)
+def test_a_malformed_length_is_malformed(faulty: Any, headers: tuple[str, ...]) -> None:
+    reply = faulty.raw(raw_request("POST", SEGMENT, b"{}", "content-type: application/json", *headers))
+    assert status(reply) in (400, 501)
+    assert b"application/problem+json" in reply
+
+
+@pytest.mark.fault("C5")
+def test_a_compressed_body_is_not_opened(faulty: Any, refusal: Any) -> None:
+    with Growth(faulty.process) as growth:
+        headers = {**JSON, "content-encoding": "gzip"}
+        refusal(faulty.http.post(SEGMENT, content=b"\x1f\x8b" + b"\0" * MiB, headers=headers), 415)
+    assert growth.most < 16 * MiB
+
+
+@pytest.mark.fault("C9")
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/v1/list-skills", ("x-large: " + "x" * 70_000,)),
+        ("/v1/list-skills", tuple(f"x-{i}: 1" for i in range(1_000))),
+        ("/v1/list-skills", ("a: b",) * 150),
+        ("/" + "x" * 65_536, ()),
+        ("/v1/list-skills?model.name=" + "x" * 65_536, ()),
+    ],
+)
+def test_headers_and_urls_have_a_limit(faulty: Any, path: str, headers: tuple[str, ...]) -> None:
+    assert status(faulty.raw(raw_request("GET", path, b"", "connection: close", *headers))) in (400, 414, 431, 0)
+    assert status(faulty.raw(raw_request("GET", "/healthz", b"", "connection: close"))) == 200
+
+
+# --- names and paths
+
+HOSTILE_NAMES = st.one_of(
+    st.sampled_from(
+        [
+            "../../etc/passwd",
+            "..",
+            ".",
+            "/etc/passwd",
+            "a/../b",
+            "%2e%2e%2f",
+            "..\\..",
+            "a\0b",
+            "\uff41",
+            "\u0430",
+            "x" * 4096,
+        ]
+    ),
+    st.text(min_size=1, max_size=80).filter(lambda text: not text.isalnum()),
+).filter(lambda name: not set(name) <= set("abcdefghijklmnopqrstuvwxyz0123456789._-") or name[0] in "._-")
+
+
+@pytest.mark.fault("C15")
+@given(name=HOSTILE_NAMES)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusal: Any, audit: Path, name: str) -> None:
+    before = len(audit.read_bytes())
+    replies = [
+        faulty.http.post(SEGMENT, json={**faulty.trajectory(), "model": {"name": name}}),
+        faulty.http.post(SEGMENT, json={**faulty.trajectory(), "model": {"version": name}}),
+        faulty.http.post("/v1/start-fit", json={"dataset": name}),
+        faulty.http.post("/v1/start-fit", json={"dataset": "x", "model_name": name}),
+        faulty.http.post("/v1/start-fit", json={"dataset": "x", "idempotency_key": name}),
+        faulty.http.post("/v1/cancel-fit", json={"id": name}),
+        faulty.http.get("/v1/get-fit", params={"id": name}),
+        faulty.http.get("/v1/watch-fit", params={"id": name}),
+        faulty.http.post("/v1/activate-model", json={"name": name, "version": "0" * 12}),
+        faulty.http.post("/v1/activate-model", json={"name": "", "version": name}),
+    ]
+    for reply in replies:
+        refusal(reply, 422)
+    touched = audit.read_bytes()[before:].decode(errors="replace").splitlines()
+    assert all(str(faulty.service.data_dir) in line for line in touched), touched
+
+
+@pytest.mark.fault("C15")
+@pytest.mark.parametrize(
+    "path", ["/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/v1/../v1/segment", "//v1/segment", "/v1/segment/"]
+)
+def test_a_path_that_is_no_route_is_not_found(faulty: Any, path: str) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", faulty.service.http_port, timeout=10)
+    connection.putrequest("GET", path)
+    connection.endheaders()
+    reply = connection.getresponse()
+    body = reply.read()
+    connection.close()
+    assert (reply.status, reply.headers["content-type"]) == (404, "application/problem+json")
+    assert b"root:" not in body
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "PATCH", "TRACE", "OPTIONS", "FOO", "GET"])
+def test_another_method_is_refused_and_the_right_one_named(faulty: Any, refusal: Any, method: str) -> None:
+    reply = faulty.http.request(method, SEGMENT)
+    refusal(reply, 405)
+    assert reply.headers["allow"] == "POST"
+
+
+def test_the_reply_carries_the_request_id_it_was_given_unless_that_is_none(faulty: Any) -> None:
+    assert faulty.http.get("/healthz", headers={"x-request-id": "mine-1"}).headers["x-request-id"] == "mine-1"
+    given = httpx.Headers([("x-request-id", 'a"b <script>')])
+    assert faulty.http.get("/healthz", headers=given).headers["x-request-id"].isalnum()
