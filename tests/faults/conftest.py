@@ -115,7 +115,7 @@ Refusal = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def refusal() -> Refusal:
-    """A function that checks that a reply is a problem document of given statuses that leaks nothing, and returns it."""
+    """A function that checks that a reply is a problem document of a given status and leaks nothing; returns it."""
 
     def check(reply: httpx.Response, *statuses: int) -> dict[str, Any]:
         assert reply.status_code in statuses, reply.text[:1000]

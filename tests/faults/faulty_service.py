@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from freerein_segmentation.__main__ import NAME, build
-from freerein_segmentation.settings import SegmentationSettings
 
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.models import ModelStore
+from freerein_segmentation.__main__ import NAME, build
+from freerein_segmentation.settings import SegmentationSettings
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
 

@@ -1,4 +1,4 @@
-"""Bad bodies, headers and names over real sockets: refused for what they are, quickly, and without a word of them back."""
+"""Bad bodies, headers and names over real sockets: refused for what they are, at once, with nothing of them in return."""
 
 import http.client
 import json

@@ -87,6 +87,7 @@ def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
     assert not recorder.exists()
 
 
+@pytest.mark.fault("C19")
 async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) -> None:
     request = DemonstrateRequest("grid", "expert", max_skills=2, count=6)
     hasty = RestartPolicy(first_delay_s=0.01)

@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import torch
+
 from freerein.api.learning.v1 import learning_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
@@ -39,17 +42,21 @@ def build(
         health: Tells when draining.
         load: Returns the model of a folder, on a device.
     """
+    torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
     store = ModelStore(settings.data_dir / "models" / NAME)
     models: LoadedModels[SkillModel] = LoadedModels(
-        store, lambda folder: load(folder, settings.device), fit_command="freerein fit segmentation DATASET"
+        store,
+        lambda folder: _warm(load(folder, settings.device)),
+        fit_command="freerein fit segmentation DATASET",
     )
     batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
     segmenter = Segmenter(models, batcher, timeout_s=limits.unary_s)
     fits = Fits(
         FitRecords(settings.data_dir / "fits" / NAME),
         module="freerein_segmentation.fit",
+        arguments=(str(settings.data_dir), settings.device),
         store=store,
-        resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config),
+        resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
         health=health,
     )
 
@@ -73,6 +80,14 @@ def build(
         close=close,
         not_ready=lambda: models.not_ready() or batcher.not_ready(),
     )
+
+
+def _warm(loaded: SkillModel) -> SkillModel:
+    """Returns a model after its first, slowest call."""
+    frames = np.zeros((1, loaded.height, loaded.width, loaded.channels), np.uint8)
+    dtype = np.int64 if loaded.action_choices else np.float32
+    loaded.probabilities(frames, np.zeros((1, loaded.action_size), dtype) if loaded.action_size else None)
+    return loaded
 
 
 if __name__ == "__main__":

@@ -135,9 +135,7 @@ class _Runs:
 
     def labels(self) -> Labels:
         alive = [run for run, lives in enumerate(self._alive) if lives]
-        return np.repeat(
-            np.array([self._skill[run] for run in alive], np.int64), [self.length(run) for run in alive]
-        )
+        return np.repeat(np.array([self._skill[run] for run in alive], np.int64), [self.length(run) for run in alive])
 
     def _join(self, first: int, second: int) -> int:
         self._end[first] = self._end[second]

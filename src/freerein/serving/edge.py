@@ -72,7 +72,7 @@ class Edge:
                 self._record(scope, reply.status, time.perf_counter() - started)
 
     def _admit(self, scope: Scope, headers: Headers) -> None:
-        size = len(scope["raw_path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
+        size = len(scope["path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
         if len(headers) > _HEADERS or size > HEADER_BYTES:
             raise MalformedRequest(
                 f"A request may have at most {_HEADERS} headers and {HEADER_BYTES // 1024} KiB of them and of its URL; "

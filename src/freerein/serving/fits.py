@@ -1,8 +1,8 @@
 """Fits: trainings of models, one at a time, each in a child process that may die at any moment and is started again.
 
-The child is `python -m <module> <folder>`. It reads `config.json` there, writes `metrics.jsonl` and its checkpoints,
-resumes from these, and ends with exit code 0 and the model in `model/`, or with 2 and one line on stderr when trying
-again cannot help. It ends when its standard input closes: then its parent is gone.
+The child is `python -m <module> <folder> <argument>...`. It reads `config.json` there, writes `metrics.jsonl` and its
+checkpoints, resumes from these, and ends with exit code 0 and the model in `model/`, or with 2 and one line on stderr
+when trying again cannot help. It ends when its standard input closes: then its parent is gone.
 """
 
 import asyncio
@@ -11,7 +11,7 @@ import logging
 import math
 import sys
 import uuid
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ class Fits:
     Args:
         records: Where they are kept.
         module: The child's module, such as `freerein_segmentation.fit`.
+        arguments: What its command line holds beside its folder.
         store: Where finished models go.
         resolve: Returns the whole configuration for a dataset's name and a partial one; raises InvalidInput or
             NotFound when there can be no such fit.
@@ -63,12 +64,14 @@ class Fits:
         records: FitRecords,
         *,
         module: str,
+        arguments: Sequence[str] = (),
         store: ModelStore,
         resolve: Resolve,
         health: Health,
     ) -> None:
         self._records = records
-        self._module = module
+        self._command = (sys.executable, "-m", module)
+        self._arguments = arguments
         self._store = store
         self._resolve = resolve
         self._health = health
@@ -191,7 +194,7 @@ class Fits:
         await self._records.change(replace(self._records.fit(fit_id), state="running"))
         with (work / "log.txt").open("ab") as log:
             self._child = await asyncio.create_subprocess_exec(
-                sys.executable, "-m", self._module, str(work), stdin=asyncio.subprocess.PIPE, stdout=log, stderr=log
+                *self._command, str(work), *self._arguments, stdin=asyncio.subprocess.PIPE, stdout=log, stderr=log
             )
         if self._records.fit(fit_id).ended:  # cancelled while the process was being started
             await self._stop_child()

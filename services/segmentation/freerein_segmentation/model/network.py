@@ -56,9 +56,7 @@ class SegmentationNetwork(nn.Module):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = PatchEncoder(
-            height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
-        )
+        self.image = PatchEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.features)
         self.action = nn.Linear(spec.action_choices or spec.action_size, _ACTION_FEATURES) if spec.action_size else None
         inputs = spec.features + (_ACTION_FEATURES if spec.action_size else 0)
         self.past = nn.LSTM(inputs, spec.hidden, batch_first=True)

@@ -1,7 +1,7 @@
 """A trained network as the service knows it: numpy in, numpy out, and a folder on disk.
 
-    <folder>/model.safetensors   weights
-             card.json           `spec`: what the network is; and what it was trained on, how, with which figures
+<folder>/model.safetensors   weights
+         card.json           `spec`: what the network is; and what it was trained on, how, with which figures
 """
 
 import json
@@ -52,9 +52,7 @@ class SegmentationModel:
         self._device = next(network.parameters()).device
 
     @torch.inference_mode()
-    def probabilities(
-        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
-    ) -> npt.NDArray[np.float32]:
+    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
         """Returns P(y_t = k), eq. 2.1: float32 (T, K), in memory that hardly grows with T.
 
         Args:

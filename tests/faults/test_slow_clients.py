@@ -1,0 +1,152 @@
+"""Clients that send or read too slowly: their connections are closed, and nobody else waits for them."""
+
+import contextlib
+import selectors
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import psutil
+import pytest
+
+pytestmark = pytest.mark.e2e
+RECEIPT_S = WRITE_S = 1.0
+HEAD = b"GET /healthz HTTP/1.1\r\nhost: x\r\n"
+WHOLE = HEAD + b"\r\n"
+POST = b"POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: 1000\r\n\r\n"
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty(FREEREIN_RECEIPT_S=str(RECEIPT_S), FREEREIN_WRITE_S=str(WRITE_S))
+
+
+def trickle(connection: socket.socket, data: bytes, every_s: float) -> float:
+    """Sends bytes one by one until the other side closes; returns after how many seconds it did."""
+    begun = time.monotonic()
+    connection.settimeout(every_s)
+    with contextlib.suppress(ConnectionResetError, BrokenPipeError):
+        for byte in data:
+            connection.sendall(bytes([byte]))
+            with contextlib.suppress(TimeoutError):
+                if not connection.recv(4096):
+                    break
+        else:
+            pytest.fail("the connection was never closed")
+    return time.monotonic() - begun
+
+
+@pytest.mark.fault("C7")
+@pytest.mark.parametrize(
+    ("first", "slowly"),
+    [
+        pytest.param(b"", HEAD + b"x" * 1000, id="header"),
+        pytest.param(POST, b"x" * 1000, id="body"),
+        pytest.param(WHOLE, HEAD + b"x" * 1000, id="header of a second request"),
+        pytest.param(WHOLE + POST, b"x" * 1000, id="body of a second request"),
+        pytest.param(WHOLE + HEAD, b"x" * 1000, id="header that came with the first request"),
+    ],
+)
+def test_a_request_that_trickles_in_is_cut_off(faulty: Any, first: bytes, slowly: bytes) -> None:
+    with faulty.connect() as connection:
+        connection.sendall(first)
+        if first.startswith(WHOLE):
+            assert connection.recv(4096).startswith(b"HTTP/1.1 200")
+        assert RECEIPT_S - 0.2 < trickle(connection, slowly, 0.1) < RECEIPT_S + 1.0
+
+
+@pytest.mark.fault("C7")
+@pytest.mark.parametrize(
+    "sent", [b"", HEAD, POST, POST + b"{", WHOLE + POST], ids=["nothing", "head", "post", "body", "two"]
+)
+def test_a_client_that_falls_silent_is_cut_off(faulty: Any, sent: bytes) -> None:
+    begun = time.monotonic()
+    with faulty.connect(5.0) as connection:
+        connection.sendall(sent)
+        with contextlib.suppress(ConnectionResetError):
+            while connection.recv(4096):
+                pass
+    assert time.monotonic() - begun < RECEIPT_S + 1.0
+
+
+@pytest.mark.fault("C7")
+def test_a_slow_answer_is_not_a_slow_client(faulty: Any) -> None:
+    reply = faulty.segment(4, 5, hundredths=150)
+    assert reply.json()["labels"] == [0, 1]
+
+
+@pytest.mark.fault("C7")
+def test_many_slow_clients_slow_nobody_else(faulty: Any, fuzz: bool) -> None:
+    alone = latencies(faulty, 200)
+    with attack(faulty, 2_000 if fuzz else 300):
+        attacked = latencies(faulty, 200)
+    assert percentile(attacked, 0.99) < max(2 * percentile(alone, 0.99), 0.02), (alone[-5:], attacked[-5:])
+
+
+@contextlib.contextmanager
+def attack(faulty: Any, count: int) -> Iterator[None]:
+    """Opens many connections that each send a part of a request, and no more."""
+    with contextlib.ExitStack() as stack:
+        for i in range(count):
+            connection = stack.enter_context(faulty.connect())
+            connection.sendall((b"", HEAD, POST)[i % 3])
+        yield
+
+
+def latencies(faulty: Any, count: int) -> list[float]:
+    seconds = []
+    for _ in range(count):
+        begun = time.perf_counter()
+        assert faulty.http.get("/healthz").status_code == 200
+        seconds.append(time.perf_counter() - begun)
+    return sorted(seconds)
+
+
+def percentile(values: list[float], share: float) -> float:
+    return values[int(share * (len(values) - 1))]
+
+
+@pytest.mark.fault("C8")
+def test_a_client_that_does_not_read_is_cut_off_and_fills_no_memory(faulty: Any) -> None:
+    before = faulty.process.memory_info().rss
+    with socket.socket() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.connect(("127.0.0.1", faulty.service.http_port))
+        connection.setblocking(False)
+        begun = flood(connection)
+        while open_to(faulty, connection.getsockname()[1]) and time.monotonic() - begun < 10:
+            with contextlib.suppress(OSError):
+                connection.send(b"G")  # a live client that sends, and still reads nothing
+    assert WRITE_S - 0.2 < time.monotonic() - begun < WRITE_S + 1.5
+    assert faulty.process.memory_info().rss - before < 16 * 2**20
+
+
+def flood(connection: socket.socket) -> float:
+    """Asks for large replies, reading none, until no more can be sent; returns when that was."""
+    question = b"GET /openapi.json HTTP/1.1\r\nhost: x\r\n\r\n" * 1000
+    selector = selectors.DefaultSelector()
+    selector.register(connection, selectors.EVENT_WRITE)
+    with selector:
+        while selector.select(0.3):
+            with contextlib.suppress(BlockingIOError):
+                connection.send(question)
+    return time.monotonic() - 0.3
+
+
+def open_to(faulty: Any, port: int) -> bool:
+    """Tells whether the service holds a connection to a client's port."""
+    return any(
+        connection.raddr and connection.raddr.port == port and connection.status == psutil.CONN_ESTABLISHED
+        for connection in faulty.process.net_connections("tcp")
+    )
+
+
+def test_a_client_that_reads_slowly_but_reads_gets_all(faulty: Any) -> None:
+    with faulty.connect() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.sendall(b"GET /openapi.json HTTP/1.1\r\nhost: x\r\n\r\n" * 3)
+        received = b""
+        while received.count(b"HTTP/1.1 200") < 3:
+            received += connection.recv(512)
+    assert received.count(b"HTTP/1.1 200") == 3
