@@ -76,10 +76,11 @@ class Findings:
 def show(findings: Findings) -> None:
     """Prints the figures and what they were made from."""
     console = Console()
-    rates = Table("measured", "per second", "unit", title="Medians")
+    rates = Table("measured", "per second", "ms each", "of", title="Medians")
     for race, times in findings.raw.items():
         for name in times.rates:
-            rates.add_row(f"{race}.{name}", f"{times.rate(name):,.1f}", times.unit)
+            rate = times.rate(name)
+            rates.add_row(f"{race}.{name}", f"{rate:,.1f}", f"{1e3 / rate:.3f}", times.unit)
     ratios = Table("ratio", "value", "bar", "met", title="Ratios")
     for ratio in findings.ratios:
         ratios.add_row(ratio.name, f"{ratio.value:.2f}", str(ratio.bar or ""), _tick(ratio.is_met))

@@ -1,4 +1,4 @@
-"""Bad bodies, headers and names over real sockets: refused for what they are, at once, with nothing of them in return."""
+"""Bad bodies, headers and names over real sockets: refused for what they are, at once, and never repeated."""
 
 import http.client
 import json

@@ -89,7 +89,7 @@ def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
 
 @pytest.mark.fault("C19")
 async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) -> None:
-    request = DemonstrateRequest("grid", "expert", max_skills=2, count=6)
+    request = DemonstrateRequest("grid", "expert", max_skills=2, count=60)
     hasty = RestartPolicy(first_delay_s=0.01)
     services = choose(["sim"])
     async with Stack(
@@ -98,11 +98,12 @@ async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) ->
         await stack.ready(timeout_s=30)
 
         def kill_in_the_middle(count: int) -> None:
-            if count == 3 and stack.statuses[0].restarts == 0:
+            if count == 2 and stack.statuses[0].restarts == 0:
                 os.kill(stack.statuses[0].pid, signal.SIGKILL)
 
         async with SimClient(Channel(stack.addresses["sim"])) as client:
             await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
+            await stack.ready(timeout_s=30)
             await record(client, request, tmp_path / "whole", on_count=lambda _: None)
 
         assert stack.statuses[0].restarts == 1

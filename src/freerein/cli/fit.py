@@ -102,7 +102,8 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
 
         fit = asyncio.run(_call(service, follow_to_the_end))
     if fit.state != "succeeded":
-        raise FailedPrecondition(f"The fit must succeed; its state is {fit.state}. {fit.error}".rstrip(), hint=_LOG_HINT)
+        sentence = f"The fit must succeed; its state is {fit.state}. {fit.error}".rstrip()
+        raise FailedPrecondition(sentence, hint=_LOG_HINT)
     if not as_json:
         _show([fit], as_json=False)
 

@@ -1,7 +1,6 @@
 """What a child process of a service does to end with it."""
 
 import os
-import sys
 import threading
 
 
@@ -11,6 +10,6 @@ def end_with_parent() -> None:
 
 
 def _wait_and_end() -> None:
-    while sys.stdin.buffer.read(4096):
+    while os.read(0, 4096):  # not sys.stdin, whose lock the interpreter wants at its end
         pass
     os._exit(1)

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from functools import cache
 from typing import Any, cast
 
 import orjson
@@ -83,7 +84,7 @@ def make_app(
     _add_operations(app, health, metrics)
     app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
-    app.openapi = lambda: _openapi(app, served)  # type: ignore[method-assign]  # FastAPI's documented way
+    app.openapi = cache(lambda: _openapi(app, served))  # type: ignore[method-assign]  # FastAPI's documented way
     app.add_middleware(Edge, metrics=metrics, limits=limits, token=token, paths={method.path for method in served})
     return app
 
