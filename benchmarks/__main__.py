@@ -5,6 +5,7 @@ import asyncio
 import importlib
 import os
 from collections.abc import Sequence
+from ctypes.util import find_library
 from pathlib import Path
 
 _BENCHMARKS = ("rendering", "stepping", "segmenting", "batching")
@@ -15,7 +16,8 @@ _OUT = Path("var/bench/summary.json")
 def main() -> None:
     """Measures, prints and writes; whether a bar is met does not change the exit code, as the machine may be busy."""
     arguments = _parser().parse_args()
-    os.environ |= _ENVIRON | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}  # read once, by the imports to come
+    os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "osmesa")  # its own default needs a screen
+    os.environ |= _ENVIRON  # all of it is read once, by the imports to come
     asyncio.run(_run(arguments.only, quick=arguments.quick, out=arguments.out))
 
 

@@ -80,7 +80,7 @@ def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
 def _check_pair(predicted: Labels, truth: Labels) -> None:
     if predicted.ndim != 1 or predicted.shape != truth.shape or len(truth) == 0:
         raise InvalidInput(
-            f"Predicted and true labels must both be of shape (T,), T at least 1; got {predicted.shape}, {truth.shape}.",
+            f"Predicted and true labels must both be (T,), T at least 1; got {predicted.shape} and {truth.shape}.",
             field="labels",
             hint="Compare the labels of one trajectory at a time.",
         )

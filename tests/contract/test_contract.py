@@ -309,6 +309,23 @@ async def test_both_doors_keep_a_deadline(open_doors: OpenDoors) -> None:
         await asyncio.wait_for(doors.rest(doors.method("WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
 
 
+async def test_a_watcher_that_goes_away_before_an_event_comes_is_let_go(open_doors: OpenDoors) -> None:
+    doors = await open_doors(build_learning)
+    arriving = [{"type": "http.request", "body": b"", "more_body": False}, {"type": "http.disconnect"}]
+    sent: list[Any] = []
+
+    async def receive() -> Any:
+        return arriving.pop(0)
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    query = f"id={FIT}&from_sequence=1".encode()
+    scope = {"type": "http", "method": "GET", "path": "/v1/watch-fit", "query_string": query, "headers": []}
+    await doors.app(scope, receive, send)
+    assert sent[0]["status"] == 499
+
+
 def test_every_code_of_an_error_is_of_one_class() -> None:
     codes = {code for row in SERVICES.values() for code in (case.code for case in row.cases) if code}
     assert {errors.by_code(code).code for code in codes} == codes

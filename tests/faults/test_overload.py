@@ -1,6 +1,7 @@
 """More than the model can do, and callers that go away: a bounded queue, quick refusals, and no work for nobody."""
 
 import asyncio
+import contextlib
 import json
 import random
 import socket
@@ -66,7 +67,7 @@ async def test_four_times_too_much_is_refused_quickly_and_what_is_accepted_is_ri
     accepted = [call for call in calls if call.status == 200]
     refused = [call for call in calls if call.status == 429]
     assert len(accepted) + len(refused) == len(calls)
-    assert len(accepted) >= 0.5 * capacity_per_s * calls[-1].begun_s - calls[0].begun_s - 1
+    assert len(accepted) >= 0.5 * capacity_per_s * (calls[-1].begun_s - calls[0].begun_s)
     assert len(refused) > len(calls) / 3
     assert all(call.right for call in accepted)
     assert all(call.retry_after == "1" for call in refused)
@@ -139,13 +140,21 @@ def wait_until(condition: Callable[[], bool], within_s: float) -> float:
     return time.monotonic() - begun
 
 
+def wait_for_the_model_to_begin(faulty: Any, door: str, in_flight: int) -> None:
+    """Returns when so many calls are in flight and none of them waits: the first then has the model."""
+    in_a_row = 0
+    while in_a_row < 5:
+        begun = faulty.metric(f'freerein_calls_in_flight{{door="{door}"}}') == in_flight
+        in_a_row = in_a_row + 1 if begun and faulty.metric("freerein_queued_items") == 0 else 0
+
+
 @pytest.mark.fault("C12")
 def test_callers_that_go_away_free_their_places_and_never_reach_the_model(faulty: Any) -> None:
     body = json.dumps(faulty.trajectory([0, 1])).encode()
     slow = json.dumps(faulty.trajectory([0, 1], hundredths=100)).encode()
     batches, cancelled = faulty.metric("freerein_batch_size_sum"), faulty.metric(CANCELLED)
     holder = send_and_leave(faulty, slow, sent=10**6)
-    wait_until(lambda: faulty.metric(IN_FLIGHT) == 2, 1.0)
+    wait_for_the_model_to_begin(faulty, "rest", 2)
     waiting = [send_and_leave(faulty, body, sent=10**6) for _ in range(QUEUE)]
     wait_until(lambda: faulty.metric("freerein_queued_items") == QUEUE, 1.0)
     for connection in waiting:
@@ -171,10 +180,8 @@ def test_callers_that_go_away_at_any_moment_leave_nothing_behind(faulty: Any, fu
             connection.setblocking(False)
         else:
             connection.settimeout(rng.random() * 0.02 + 0.001)
-        try:
+        with contextlib.suppress(BlockingIOError, TimeoutError):
             connection.recv(1)
-        except (BlockingIOError, TimeoutError):
-            pass
         connection.close()
     wait_until(lambda: faulty.metric(IN_FLIGHT) == 1, 2.0)
     assert faulty.metric("freerein_queued_items") == 0
@@ -190,6 +197,7 @@ async def test_grpc_calls_that_are_cancelled_never_reach_the_model(faulty: Any) 
     slow = wire.pack(SegmentRequest(frames=frames)).SerializeToString()
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         holder = channel.unary_unary(PATH)(slow, timeout=10)
+        await asyncio.to_thread(wait_for_the_model_to_begin, faulty, "grpc", 1)
         waiting = [channel.unary_unary(PATH)(quick, timeout=10) for _ in range(QUEUE)]
         await asyncio.to_thread(wait_until, lambda: faulty.metric("freerein_queued_items") == QUEUE, 1.0)
         for call in waiting:
@@ -199,9 +207,3 @@ async def test_grpc_calls_that_are_cancelled_never_reach_the_model(faulty: Any) 
     assert faulty.metric("freerein_batch_size_sum") == batches + 1
     assert faulty.metric('freerein_calls_in_flight{door="grpc"}') == 0
     assert faulty.metric('freerein_cancelled_total{door="grpc"}') >= QUEUE
-
-
-@pytest.mark.fault("C12")
-def test_a_watcher_that_goes_away_before_the_first_event_leaves_nothing_behind(faulty: Any, refusal: Any) -> None:
-    refusal(faulty.http.get("/v1/watch-fit", params={"id": "0" * 32}), 404)
-    wait_until(lambda: faulty.metric(IN_FLIGHT) == 1, 1.0)

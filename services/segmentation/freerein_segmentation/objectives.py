@@ -1,7 +1,7 @@
-"""Losses of chapter 2: scores of each timestep are pooled over time, and the pooled scores must name the trajectory's tags.
+"""Losses of chapter 2: each timestep's scores are pooled over time, and what is pooled must name the trajectory's tags.
 
 All take scores f_t(k) as float (B, T, K), the mask of timesteps that exist as bool (B, T), and the tags C_X as bool
-(B, K), at least one per trajectory. All return one loss per trajectory, float (B,). They share everything but the pooling.
+(B, K), at least one per trajectory. All return one loss per trajectory, float (B,). Only the pooling differs.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,9 +23,9 @@ def lse(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
 
 
 def lse_per_timestep(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
-    """Returns the same loss on scores that are log-probabilities: each timestep has one vote to divide among the skills.
+    """Returns the same loss on log-probabilities: each timestep has one vote to divide among the skills.
 
-    A departure from the dissertation, at the same supervision: Q(c|X) becomes the mean of P(y_t = c), eq. 2.1, over time.
+    A departure from the dissertation at the same supervision: Q(c|X) becomes the mean over time of P(y_t = c), eq. 2.1.
     """
     return tag_cross_entropy(pool(scores.log_softmax(dim=2), mask), tags)
 
@@ -39,6 +39,6 @@ def pool(scores: Tensor, mask: Tensor) -> Tensor:
 
 
 def tag_cross_entropy(pooled: Tensor, tags: Tensor) -> Tensor:
-    """Returns -sum_c q(c) log Q(c|X), float (B,), with Q the softmax of pooled scores (B, K) and q = 1/|C_X| on the tags."""
+    """Returns -sum_c q(c) log Q(c|X), float (B,): Q the softmax of pooled scores (B, K), q = 1/|C_X| on the tags."""
     log_q = pooled.log_softmax(dim=1)  # (B, K)
     return -log_q.where(tags, 0.0).sum(dim=1) / tags.sum(dim=1)

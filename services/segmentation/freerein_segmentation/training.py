@@ -14,11 +14,12 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, parse
-from freerein.learning.fit import Plan, TrainingState
+from freerein.learning.fit import Plan
+from freerein.learning.progress import TrainingState
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, ObjectiveName
 
-D = TypeVar("D", bound=np.generic, covariant=True)
+D_co = TypeVar("D_co", bound=np.generic, covariant=True)
 State = TrainingState[SegmentationNetwork]
 
 _CALIBRATION_FRAMES = 2000
@@ -88,12 +89,12 @@ class SegmentationConfig:
         )
 
 
-class Trajectories(Protocol[D]):
+class Trajectories(Protocol[D_co]):
     """One array (T, ...) per trajectory: a list of arrays, or `freerein.data.cache.StepCache`."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, index: int, /) -> npt.NDArray[D]: ...
+    def __getitem__(self, index: int, /) -> npt.NDArray[D_co]: ...
 
 
 @dataclass(frozen=True, eq=False)

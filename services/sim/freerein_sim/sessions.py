@@ -114,8 +114,8 @@ class Sessions:
         self._sessions.clear()
 
     async def list_tasks(self, request: sim.ListTasksRequest) -> sim.ListTasksResponse:
-        """Returns the tasks."""
-        return sim.ListTasksResponse(tuple(self._pool.tasks.values()))
+        """Returns the tasks. Raises Unavailable while the workers are starting."""
+        return sim.ListTasksResponse(tuple(self._tasks().values()))
 
     async def create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Makes a session, or returns the one made with the same idempotency key.
@@ -348,11 +348,14 @@ class Sessions:
         return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed)
 
     def _task(self, name: str) -> sim.Task:
-        if not self._pool.tasks:
-            raise Unavailable("The workers must have started; they are starting.", hint="Try again in a second.")
-        if (task := self._pool.tasks.get(name)) is None:
+        if (task := self._tasks().get(name)) is None:
             raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
         return task
+
+    def _tasks(self) -> dict[str, sim.Task]:
+        if not self._pool.tasks:
+            raise Unavailable("The workers must have started; they are starting.", hint="Try again in a second.")
+        return self._pool.tasks
 
     def _check_quota(self) -> None:
         if len(self._sessions) + self._creating >= self._max_sessions:

@@ -38,9 +38,7 @@ class Stepping:
         self._health = health
         self._drain_s = drain_s
 
-    async def connect(
-        self, requests: AsyncIterator[ConnectRequest | ServiceError]
-    ) -> AsyncIterator[ConnectResponse]:
+    async def connect(self, requests: AsyncIterator[ConnectRequest | ServiceError]) -> AsyncIterator[ConnectResponse]:
         """Yields a reply to each message; one that is refused is answered by its error, and the stream goes on.
 
         Args:

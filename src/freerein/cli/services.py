@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import ssl
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
@@ -66,6 +67,15 @@ def is_free(port: int, *, host: str = LOOPBACK) -> bool:
         except OSError:
             return False
         return True
+
+
+def trust(certificate: str | None) -> ssl.SSLContext | bool:
+    """Returns whom the probe trusts: the services' own certificate, whatever name it was made for, and no other."""
+    if certificate is None:
+        return True
+    context = ssl.create_default_context(cafile=certificate)
+    context.check_hostname = False
+    return context
 
 
 def _free_port(held: contextlib.ExitStack) -> int:

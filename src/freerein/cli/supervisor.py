@@ -8,7 +8,6 @@ Then they listen; when the block ends they are drained.
 """
 
 import asyncio
-import ssl
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import aclosing
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Self
 import httpx
 
 from freerein.cli.child import Child, Command, RestartPolicy, Status
-from freerein.cli.services import LOOPBACK, check_free
+from freerein.cli.services import LOOPBACK, check_free, trust
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
 
@@ -63,7 +62,7 @@ class Stack:
         self.addresses = {name: f"{host}:{pair.grpc}" for name, pair in self._ports.items()}
         self.urls = {name: f"{scheme}://{host}:{pair.rest}" for name, pair in self._ports.items()}
         self._changed = asyncio.Event()
-        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=_trust(certificate))
+        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=trust(certificate))
         self._tasks: list[asyncio.Task[None]] = []
         shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir), **_addresses(self.addresses)}
         self._children = [
@@ -160,12 +159,3 @@ def _environ(shared: Mapping[str, str], ports: Ports) -> dict[str, str]:
 
 def _addresses(addresses: Mapping[str, str]) -> dict[str, str]:
     return {f"FREEREIN_{name.upper()}_ADDRESS": address for name, address in addresses.items()}
-
-
-def _trust(certificate: str | None) -> ssl.SSLContext | bool:
-    """Returns whom the probe trusts: the services' own certificate, whatever name it was made for, and no other."""
-    if certificate is None:
-        return True
-    context = ssl.create_default_context(cafile=certificate)
-    context.check_hostname = False
-    return context

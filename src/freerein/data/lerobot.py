@@ -121,7 +121,7 @@ def _flat_names(names: object, size: int) -> tuple[str, ...]:
 def _task(root: Path) -> str:
     """Returns the task's text; empty when the trajectories are of several tasks."""
     with refusing_corruption("`tasks.parquet`"):
-        table = pq.read_table(root / layout.TASKS_FILE)
+        table = pq.read_table(root / layout.TASKS_FILE, use_threads=False)
         texts = next(column for column in table.columns if pa.types.is_string(column.type)).to_pylist()
     return str(texts[0]) if len(texts) == 1 else ""
 
@@ -130,7 +130,7 @@ def _episodes(root: Path) -> pa.Table:
     folder = root / "meta" / "episodes"
     with refusing_corruption("`meta/episodes`"):
         paths = [layout.numbered(folder, chunk=f.chunk, file=f.file) for f in layout.numbered_files(folder)]
-        tables = [_with_skills(pq.read_table(path)) for path in paths]
+        tables = [_with_skills(pq.read_table(path, use_threads=False)) for path in paths]
         return pa.concat_tables(tables).sort_by("episode_index")
 
 

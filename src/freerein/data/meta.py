@@ -101,7 +101,8 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
     """Returns the episodes table as it stands in `meta/`; empty when there is none that can be read."""
     schema = episodes.schema(spec)
     try:
-        table = pq.read_table(io.BytesIO((root / layout.EPISODES_FILE).read_bytes()))
+        data = pa.BufferReader((root / layout.EPISODES_FILE).read_bytes())
+        table = pq.ParquetFile(data).read(use_threads=False)
     except (pa.ArrowException, OSError):
         return schema.empty_table()
     return table.cast(schema) if table.schema.equals(schema) else schema.empty_table()

@@ -34,7 +34,7 @@ def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
     with refusing_corruption(f"Trajectory {index}"), path.open("rb") as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
         groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
-        table = parquet.read_row_groups(groups, columns=[*columns, "episode_index"])
+        table = parquet.read_row_groups(groups, columns=[*columns, "episode_index"], use_threads=False)
         return table.filter(pc.equal(table["episode_index"], index)).combine_chunks()
 
 

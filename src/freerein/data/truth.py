@@ -38,7 +38,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
             hint="Record the demonstrations in a privileged session.",
         )
     with refusing_corruption(f"The labels of trajectory {index}"), path.open("rb") as file:
-        table = pq.ParquetFile(file, page_checksum_verification=True).read()
+        table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
         values: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
         return values
 

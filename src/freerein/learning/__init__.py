@@ -1,1 +1,1 @@
-"""What learned services share of training: encoders, checkpoints, the resumable loop. The only home of torch in freerein."""
+"""What learned services share of training: encoders, checkpoints, the resumable loop. Torch lives here alone."""

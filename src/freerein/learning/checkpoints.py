@@ -25,7 +25,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import tensor_files
 
 KEPT = 3
-JSON: TypeAlias = None | bool | int | float | str | list["JSON"] | dict[str, "JSON"]
+JSON: TypeAlias = bool | int | float | str | list["JSON"] | dict[str, "JSON"] | None
 
 _TENSORS, _DOCUMENT, _MANIFEST = "state.safetensors", "state.json", "manifest.json"
 _MAX_JSON_BYTES = 1 << 20

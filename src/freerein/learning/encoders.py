@@ -39,7 +39,6 @@ class PatchEncoder(nn.Module):
         self.norm = nn.LayerNorm(features)
         self.register_buffer("background", torch.empty(channels, height, width))
         self.register_buffer("contrast", torch.empty(()))
-        self.to(memory_format=torch.channels_last)
 
     @torch.no_grad()
     def calibrate(self, frames: Tensor) -> None:
@@ -56,7 +55,7 @@ class PatchEncoder(nn.Module):
         return functional.relu(self.norm(self.head(x)))
 
     def _stem(self, frames: Tensor) -> Tensor:
-        """Returns stem((frames - background) / contrast), linear and so taken apart: one image, not N, is normalised."""
+        """Returns stem((frames - background) / contrast): linear, so that one image is normalised instead of N."""
         weight, side = self.stem.weight / self.contrast, self.stem.stride
         pixels = functional.pad(frames.permute(0, 3, 1, 2), self._padding).float()  # (N, C, H, W), channels last
         background = functional.pad(self.background, self._padding)[None]

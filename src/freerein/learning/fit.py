@@ -68,7 +68,9 @@ class Problem(Protocol[N]):
     def init(self, generator: torch.Generator) -> TrainingState[N]:
         """Returns the state before the first update."""
 
-    def update(self, state: TrainingState[N], items: npt.NDArray[np.int64]) -> tuple[TrainingState[N], Mapping[str, float]]:
+    def update(
+        self, state: TrainingState[N], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainingState[N], Mapping[str, float]]:
         """Returns the state after one update on some items, and its metrics, by the same names each time."""
 
     def evaluate(self, state: TrainingState[N]) -> float:
@@ -192,7 +194,9 @@ def _advance(
 def _better(best: Best, state: TrainingState[N], loss: float) -> Best:
     if loss >= best.loss:
         return best
-    return Best(state.step, loss, {name: tensor.detach().clone() for name, tensor in state.network.state_dict().items()})
+    return Best(
+        state.step, loss, {name: tensor.detach().clone() for name, tensor in state.network.state_dict().items()}
+    )
 
 
 def _check_finite(metrics: Mapping[str, float], step: int) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar, cast
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -99,7 +98,7 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: Progress[N], identity: Mappin
     state.network.load_state_dict(_under("network/", checkpoint.tensors))
     _load_moments(state.optimiser, checkpoint.tensors)
     state.generator.set_state(checkpoint.tensors["generator"])
-    rng.bit_generator.state = document["rng"]
+    rng.bit_generator.state = cast(Mapping[str, object], document["rng"])
     best = cast(Mapping[str, float] | None, document["best"])
     return Progress(
         TrainingState(state.network, state.optimiser, state.generator, checkpoint.step),

@@ -31,7 +31,9 @@ def parse(data: bytes) -> dict[str, Tensor]:
     try:
         return safetensors.torch.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError, RuntimeError) as error:
-        raise InvalidInput("A file of tensors must be safetensors; its header does not fit its data.", hint=_MEND) from error
+        raise InvalidInput(
+            "A file of tensors must be safetensors; its header does not fit its data.", hint=_MEND
+        ) from error
 
 
 def _check_header(data: bytes) -> None:

@@ -75,7 +75,7 @@ class SegmentationNetwork(nn.Module):
             Scores, float32 (B, T, K) with T the longest length, and their mask, bool (B, T).
         """
         features = self.features(frames, actions)  # (N, D)
-        padded = pad_sequence(list(features.split(lengths.tolist())), batch_first=True)  # (B, T, D)
+        padded = pad_sequence(features.tensor_split(lengths.cumsum(dim=0)[:-1].cpu()), batch_first=True)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden)
         if self.future is not None:
@@ -110,7 +110,7 @@ class SegmentationNetwork(nn.Module):
 
 def _run(lstm: nn.LSTM, features: Tensor) -> Tensor:
     state, memory = None, []
-    for window in features.split(_TIMESTEPS_AT_ONCE):
-        output, state = lstm(window, state)  # (T, hidden)
+    for start in range(0, len(features), _TIMESTEPS_AT_ONCE):
+        output, state = lstm(features[start : start + _TIMESTEPS_AT_ONCE], state)  # (T, hidden)
         memory.append(output)
     return torch.cat(memory)

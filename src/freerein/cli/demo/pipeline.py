@@ -88,9 +88,7 @@ async def run(out: Path, *, seed: int, screen: Screen) -> None:
         ServiceError: A stage did not finish.
     """
     begun = time.perf_counter()
-    if out.exists():
-        shutil.rmtree(out)
-    out.mkdir(parents=True)
+    _empty(out)
     stack = Stack(choose(_SERVICES), data_dir=out / "data", environ=os.environ, ports=_ports())
     async with stack:
         with screen.stage("Start the services"):
@@ -111,7 +109,8 @@ async def run(out: Path, *, seed: int, screen: Screen) -> None:
     summary = figures.document(measured, seed=seed)
     figures.save(out / "summary.json", summary)
     screen.summary(measured, summary)
-    screen.say(f"{out / 'summary.json'}\nTo go on with these models: FREEREIN_DATA_DIR={out / 'data'} freerein up")
+    screen.say(f"{out / 'summary.json'} holds these figures.")
+    screen.say(f"To go on with these models: FREEREIN_DATA_DIR={out / 'data'} freerein up")
 
 
 async def _record(recipe: Recipe, stack: Stack, data_dir: Path, *, seed: int, screen: Screen) -> None:
@@ -131,12 +130,17 @@ async def _record(recipe: Recipe, stack: Stack, data_dir: Path, *, seed: int, sc
     with screen.stage(f"Record demonstrations of {recipe.task}"):
         async with SimClient(Channel(stack.addresses["sim"])) as client:
             for name, request in ((_train_name(recipe), train), (_held_out_name(recipe), held_out)):
-                screen.call(
-                    f"freerein sim demonstrate {recipe.task} --out {name} --count {request.count} --seed {request.seed} "
-                    f"--min-skills {request.min_skills} --max-skills {request.max_skills}"
-                )
+                screen.call(_command(name, request))
                 with screen.progress(name, request.count) as advance:
                     await record(client, request, dataset_path(data_dir, name), on_count=advance)
+
+
+def _command(name: str, request: DemonstrateRequest) -> str:
+    """Returns what one would type to record the same."""
+    return (
+        f"freerein sim demonstrate {request.task} --out {name} --count {request.count} --seed {request.seed} "
+        f"--min-skills {request.min_skills} --max-skills {request.max_skills}" + " --truth" * request.privileged
+    )
 
 
 async def _learn(recipe: Recipe, stack: Stack, out: Path, *, seed: int, screen: Screen) -> _Result:
@@ -200,6 +204,12 @@ def _figures(blocks: _Result, grid: _Result, *, total_s: float) -> tuple[Figure,
 
 def _over_all_timesteps(parts: list[tuple[float, int]]) -> float:
     return sum(value * length for value, length in parts) / sum(length for _, length in parts)
+
+
+def _empty(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
 
 
 def _ports() -> dict[str, Ports]:

@@ -58,8 +58,8 @@ def draw(path: Path, labelled: Labelled, *, title: str) -> None:
     _band(rows[2], "predicted", labelled.labels, labelled.skills)
     _confidence(rows[3], labelled)
     figure.text(0.085, 0.93, title, fontsize=16, fontweight="bold", color=_INK)
-    note = f"{labelled.accuracy:.1%} of {len(labelled.truth)} timesteps right, learned from the set of skills per trajectory"
-    figure.text(0.085, 0.885, note, fontsize=11, color=_FAINT)
+    right = f"{labelled.accuracy:.1%} of {len(labelled.truth)} timesteps right"
+    figure.text(0.085, 0.885, f"{right}; learned from the set of skills per trajectory", fontsize=11, color=_FAINT)
     _legend(figure, labelled)
     figure.savefig(path)
 

@@ -6,7 +6,7 @@ import grpc
 import httpx
 
 from freerein.cli.doctor.finding import Finding
-from freerein.cli.services import LOOPBACK, is_free
+from freerein.cli.services import LOOPBACK, is_free, trust
 from freerein.ports import PORTS, address
 
 _TIMEOUT_S = 2.0
@@ -42,9 +42,9 @@ def _far(name: str) -> Finding:
 
 def _ask(port: int) -> httpx.Response | None:
     """Returns what a service of ours says of its readiness; None where no such service listens."""
-    scheme = "https" if os.environ.get("FREEREIN_TLS_CERT") else "http"
-    # Only the health of whatever listens on our own port is asked for; no secret is sent, so nobody need be trusted.
-    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=False) as client:  # noqa: S501
+    certificate = os.environ.get("FREEREIN_TLS_CERT")
+    scheme = "https" if certificate else "http"
+    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=trust(certificate)) as client:
         try:
             live = client.get(f"{scheme}://{LOOPBACK}:{port}/healthz")
             return client.get(f"{scheme}://{LOOPBACK}:{port}/readyz") if live.json() == {"live": True} else None
