@@ -1,7 +1,6 @@
 """Strict parsing of a configuration: a frozen dataclass says names, types, bounds, defaults; nothing else is taken."""
 
 import difflib
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, field, fields
 from typing import TYPE_CHECKING, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -11,6 +10,7 @@ from freerein.errors import InvalidInput
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+_HUGE = 1e18
 C = TypeVar("C", bound="DataclassInstance")
 N = TypeVar("N", int, float)
 
@@ -62,7 +62,7 @@ def _convert(key: str, kind: object, value: object) -> bool | int | float | str 
         return value
     if kind == tuple[str, ...] and isinstance(value, list | tuple) and all(isinstance(each, str) for each in value):
         return tuple(value)
-    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE:
         if kind is float:
             return float(value)
         if kind is int and value == int(value):

@@ -14,6 +14,9 @@ def draw(network: nn.Module, *, generator: torch.Generator) -> None:
     Args:
         network: Made of Linear, Conv2d, LSTM and LayerNorm.
         generator: On the CPU.
+
+    Raises:
+        TypeError: The network has weights in another kind of layer.
     """
     for layer in network.modules():
         if isinstance(layer, nn.LayerNorm):
@@ -23,6 +26,8 @@ def draw(network: nn.Module, *, generator: torch.Generator) -> None:
             _draw_uniform(layer, layer.hidden_size**-0.5, generator)
         elif isinstance(layer, nn.Linear | nn.Conv2d):
             _draw_uniform(layer, layer.weight[0].numel() ** -0.5, generator)
+        elif any(True for _ in layer.parameters(recurse=False)):
+            raise TypeError(f"There is no rule for the first weights of {type(layer).__name__}.")
 
 
 def sha256(network: nn.Module) -> str:

@@ -74,8 +74,8 @@ class SegmentationNetwork(nn.Module):
         Returns:
             Scores, float32 (B, T, K) with T the longest length, and their mask, bool (B, T).
         """
-        features = self.features(frames, actions)  # (N, D)
-        padded = pad_sequence(features.tensor_split(lengths.cumsum(dim=0)[:-1].cpu()), batch_first=True)  # (B, T, D)
+        features, ends = self.features(frames, actions), lengths.cumsum(dim=0).cpu()  # (N, D), (B,)
+        padded = pad_sequence(list(features.tensor_split(ends[:-1])), batch_first=True)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden)
         if self.future is not None:

@@ -1,0 +1,241 @@
+"""Told to stop, killed, or started wrongly: what was promised is kept, and the exit code says what happened."""
+
+import asyncio
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import grpc
+import httpx
+import numpy as np
+import psutil
+import pytest
+
+from freerein import wire
+from freerein.data import DatasetSpec, create
+from freerein.serving.models import ModelStore
+from freerein.types.common import Trajectory
+from freerein.types.learning import WatchFitRequest
+from freerein.types.segmentation import SegmentRequest, SegmentResponse
+from freerein.types.sim import ActionSpec
+
+pytestmark = pytest.mark.e2e
+SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
+WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
+FAULTY_SERVICE = str(Path(__file__).with_name("faulty_service.py"))
+CHECKPOINT_EVERY = 20
+
+
+# --- a fit that runs
+
+
+def record_demonstrations(data_dir: Path) -> None:
+    rng = np.random.default_rng(0)
+    spec = DatasetSpec(10, {"front": (16, 16, 3)}, ActionSpec(2, 0, ("x", "y")), "none", ("close", "open"))
+    with create(data_dir / "datasets" / "demos", spec) as writer:
+        for _ in range(6):
+            frames = {"front": rng.integers(0, 255, (8, 16, 16, 3), np.uint8)}
+            writer.append(Trajectory(frames, np.zeros((8, 2), np.float32), ("close", "open")))
+
+
+def start_fit(faulty: Any) -> str:
+    config = {"steps": 100_000, "log_every": 1, "checkpoint_every": CHECKPOINT_EVERY, "features": 8, "hidden": 8}
+    reply = faulty.http.post("/v1/start-fit", json={"dataset": "demos", "config": config, "idempotency_key": "once"})
+    assert reply.status_code == 200, reply.text
+    fit_id: str = reply.json()["fit"]["id"]
+    return fit_id
+
+
+def fit(faulty: Any, fit_id: str) -> Any:
+    return faulty.http.get("/v1/get-fit", params={"id": fit_id}).json()["fit"]
+
+
+def wait_until(condition: Callable[[], bool], within_s: float) -> None:
+    begun = time.monotonic()
+    while not condition():
+        assert time.monotonic() - begun < within_s, "it never came true"
+        time.sleep(0.02)
+
+
+def children(faulty: Any) -> list[psutil.Process]:
+    found: list[psutil.Process] = faulty.process.children()
+    return found
+
+
+# --- SIGTERM
+
+
+@pytest.mark.fault("C18")
+async def test_told_to_stop_it_answers_what_it_took_and_takes_nothing_new(
+    start_faulty: Callable[..., Any], tmp_path: Path, repeats: int
+) -> None:
+    record_demonstrations(tmp_path)
+    for _ in range(repeats):
+        await stop_under_load(start_faulty(tmp_path))
+
+
+async def stop_under_load(faulty: Any) -> None:
+    fit_id = start_fit(faulty)
+    await asyncio.to_thread(wait_until, lambda: fit(faulty, fit_id)["step"] > 0, 20.0)
+    child = children(faulty)[0]
+    async with (
+        httpx.AsyncClient(base_url=faulty.service.url, timeout=30, trust_env=False) as client,
+        grpc.aio.insecure_channel(faulty.service.address) as channel,
+    ):
+        over_rest = [
+            asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([n, n + 1], hundredths=20)))
+            for n in range(6)
+        ]
+        frames = np.zeros((2, 4, 4, 3), np.uint8)
+        frames[:, 0, 0] = ((0, 20, 7), (0, 0, 8))
+        request = wire.pack(SegmentRequest(frames=frames)).SerializeToString()
+        over_grpc = [channel.unary_unary(SEGMENT)(request, timeout=30) for _ in range(3)]
+        watching = asyncio.create_task(client.get("/v1/watch-fit", params={"id": fit_id, "from_sequence": 10**6}))
+        stream = channel.unary_stream(WATCH_FIT)(wire.pack(WatchFitRequest(fit_id, 10**6)).SerializeToString())
+        over_stream = asyncio.ensure_future(stream.read())
+        await asyncio.to_thread(wait_until, lambda: faulty.metric(REST) == 8 and faulty.metric(GRPC) == 4, 5.0)
+
+        begun = time.monotonic()
+        faulty.service.process.send_signal(signal.SIGTERM)
+        await asyncio.to_thread(wait_until, lambda: refuses(faulty), 1.0)
+        async with grpc.aio.insecure_channel(faulty.service.address) as late:
+            with pytest.raises(grpc.aio.AioRpcError) as refused:
+                await late.unary_unary(SEGMENT)(request, timeout=5)
+        assert refused.value.code() is grpc.StatusCode.UNAVAILABLE
+
+        for n, reply in enumerate(await asyncio.gather(*over_rest)):
+            assert reply.json()["labels"] == [n % 2, (n + 1) % 2]
+        for answer in await asyncio.gather(*over_grpc):
+            assert list(wire.message_type(SegmentResponse).FromString(answer).labels) == [1, 0]
+        assert (await watching).status_code == 200
+        assert await over_stream is grpc.aio.EOF
+    assert await asyncio.to_thread(faulty.service.process.wait, 10) == 0
+    assert time.monotonic() - begun < 10
+    assert not child.is_running()
+
+
+REST = 'freerein_calls_in_flight{door="rest"}'  # of which one is the reading of the metrics
+GRPC = 'freerein_calls_in_flight{door="grpc"}'
+
+
+def refuses(faulty: Any) -> bool:
+    """Tells whether a new caller is refused: the door is closed, or answers that it is not ready."""
+    try:
+        return httpx.get(faulty.service.url + "/readyz", trust_env=False, timeout=5).status_code == 503
+    except httpx.TransportError:
+        return True
+
+
+@pytest.mark.fault("C18")
+def test_told_to_stop_while_idle_or_starting_it_stops(start_service: Callable[..., Any]) -> None:
+    assert start_service("freerein_sim").stop() == 0  # its workers are still starting
+
+
+# --- SIGKILL
+
+
+@pytest.mark.fault("C19")
+def test_killed_it_comes_back_with_its_models_and_goes_on_with_its_fit(
+    start_faulty: Callable[..., Any], tmp_path: Path
+) -> None:
+    record_demonstrations(tmp_path)
+    first = start_faulty(tmp_path)
+    fit_id = start_fit(first)
+    wait_until(lambda: fit(first, fit_id)["step"] > 3 * CHECKPOINT_EVERY, 30.0)
+    reached, models, child = fit(first, fit_id), first.http.get("/v1/list-models").json(), children(first)[0]
+    first.service.process.kill()
+    first.service.process.wait()
+    wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, 5.0)
+
+    begun = time.monotonic()
+    second = start_faulty(tmp_path)
+    wait_until(lambda: second.http.get("/readyz").status_code == 200, 10.0)
+    assert time.monotonic() - begun < 10
+    assert second.http.get("/v1/list-models").json() == models
+    assert start_fit(second) == fit_id  # the idempotency key is remembered
+    wait_until(lambda: fit(second, fit_id)["step"] != reached["step"], 20.0)
+    resumed = fit(second, fit_id)
+    assert resumed["step"] > reached["step"] - 2 * CHECKPOINT_EVERY  # a new start would begin at 1
+    assert {**resumed, "step": 0, "metrics": 0} == {**reached, "step": 0, "metrics": 0}
+    assert second.http.post("/v1/cancel-fit", json={"id": fit_id}).json()["fit"]["state"] == "cancelled"
+    assert children(second) == []
+
+
+# --- starts that cannot succeed
+
+
+def start_badly(command: list[str], data_dir: Path, **environ: str) -> tuple[int, str, float]:
+    """Returns exit code, standard error and seconds of a service that should not start."""
+    ports = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir)}
+    begun = time.monotonic()
+    ended = subprocess.run(
+        [sys.executable, *command],
+        env={**os.environ, **ports, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", **environ},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    return ended.returncode, ended.stderr, time.monotonic() - begun
+
+
+def reason(stderr: str) -> str:
+    """Returns the one line that says why a service could not start."""
+    assert "Traceback" not in stderr
+    lines = [line for line in stderr.splitlines() if not line.startswith("{")]
+    assert len(lines) == 1, stderr
+    assert lines[0].startswith("cannot start: ")
+    return lines[0]
+
+
+@pytest.mark.fault("C20")
+@pytest.mark.parametrize(
+    ("variable", "value", "fix"),
+    [
+        ("FREEREIN_HTTP_PORT", "http", "FREEREIN_HTTP_PORT: Input should be a valid integer"),
+        ("FREEREIN_GRPC_PORT", "70000", "FREEREIN_GRPC_PORT: Input should be less than"),
+        ("FREEREIN_QUEUE", "0", "FREEREIN_QUEUE: Input should be greater than"),
+        ("FREEREIN_HOST", "0.0.0.0", "set FREEREIN_INSECURE=1"),
+        ("FREEREIN_HOST", "no-such-host.invalid", "Set FREEREIN_HOST"),
+        ("FREEREIN_TLS_CERT", "/none", "must be set together"),
+        ("FREEREIN_DATA_DIR", "/dev/null", "must be a folder"),
+    ],
+)
+def test_a_wrong_setting_ends_the_start_with_its_name(tmp_path: Path, variable: str, value: str, fix: str) -> None:
+    code, stderr, seconds = start_badly(["-m", "freerein_sim"], tmp_path, **{"FREEREIN_TOKEN": "", variable: value})
+    assert code == 3
+    assert fix in reason(stderr)
+    assert seconds < 5
+
+
+@pytest.mark.fault("C20")
+@pytest.mark.parametrize("variable", ["FREEREIN_HTTP_PORT", "FREEREIN_GRPC_PORT"])
+def test_a_taken_port_ends_the_start_with_the_names_of_both(tmp_path: Path, variable: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as holder:
+        port = str(holder.getsockname()[1])
+        code, stderr, seconds = start_badly(["-m", "freerein_sim"], tmp_path, **{variable: port})
+    assert code == 3
+    assert port in reason(stderr)
+    assert "FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT" in reason(stderr)
+    assert seconds < 5
+
+
+@pytest.mark.fault("C20")
+def test_damaged_weights_end_the_start_with_the_name_of_the_model(tmp_path: Path) -> None:
+    store, folder = ModelStore(tmp_path / "models" / "segmentation"), tmp_path / "unpublished"
+    folder.mkdir()
+    (folder / "weights").write_bytes(bytes(range(256)))
+    (folder / "card.json").write_text("{}")
+    ref = store.publish("", folder)
+    store.activate(ref)
+    weights = store.folder(ref) / "weights"
+    weights.write_bytes(weights.read_bytes().replace(b"\x10", b"\x11"))
+    code, stderr, _ = start_badly([FAULTY_SERVICE], tmp_path)
+    assert code == 3
+    assert ref.version in reason(stderr)
+    assert "fit the model again" in reason(stderr)

@@ -1,0 +1,153 @@
+"""Bad gRPC messages over a real connection: a status that says what is wrong, and never INTERNAL."""
+
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import grpc
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from freerein.api.common.v1 import common_pb2
+from freerein.api.learning.v1 import learning_pb2
+from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.errors import TooLarge
+from freerein.serving.limits import Limits
+
+pytestmark = pytest.mark.e2e
+SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
+START_FIT = "/freerein.api.learning.v1.FitService/StartFit"
+LIMIT = Limits().message_bytes
+OPTIONS = (("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1))
+INVALID = grpc.StatusCode.INVALID_ARGUMENT
+FRAMES = common_pb2.Tensor(datatype="UINT8", shape=[1, 4, 4, 3], raw=bytes(48))
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty()
+
+
+@pytest.fixture
+async def channel(faulty: Any) -> AsyncIterator[grpc.aio.Channel]:
+    async with grpc.aio.insecure_channel(faulty.service.address, OPTIONS) as channel:
+        yield channel
+
+
+async def outcome(channel: grpc.aio.Channel, path: str, message: bytes) -> tuple[grpc.StatusCode, str]:
+    try:
+        await channel.unary_unary(path)(message, timeout=10)
+    except grpc.aio.AioRpcError as error:
+        return error.code(), error.details() or ""
+    return grpc.StatusCode.OK, ""
+
+
+@pytest.mark.fault("I2")
+@pytest.mark.parametrize(
+    ("shape", "raw"),
+    [
+        ([1_000_000_000, 4, 4, 3], b"\0"),
+        ([2**62, 2**62], b""),
+        ([2**63 - 1], b"\0" * 8),
+        ([-1, 4, 4, 3], bytes(48)),
+        ([1, 4, 4, 3], bytes(47)),
+        ([1, 4, 4, 3], bytes(49)),
+        ([0, 4, 4, 3], b""),
+        ([1] * 1000, b"\0"),
+        ([], b"\0"),
+    ],
+)
+@pytest.mark.parametrize("datatype", ["UINT8", "FP64", "FP16", "uint8", ""])
+async def test_a_tensor_that_lies_is_refused(
+    channel: grpc.aio.Channel, shape: list[int], raw: bytes, datatype: str
+) -> None:
+    frames = common_pb2.Tensor(datatype=datatype, shape=shape, raw=raw)
+    code, details = await outcome(channel, SEGMENT, segmentation_pb2.SegmentRequest(frames=frames).SerializeToString())
+    assert code is INVALID
+    assert "frames" in details
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        segmentation_pb2.SegmentRequest(frames=FRAMES, smoothing=float("nan")),
+        segmentation_pb2.SegmentRequest(frames=FRAMES, smoothing=float("inf")),
+        segmentation_pb2.SegmentRequest(frames=FRAMES, smoothing=-1.0),
+        segmentation_pb2.SegmentRequest(frames=FRAMES, min_segment=2**32 - 1),
+        segmentation_pb2.SegmentRequest(images=[common_pb2.Image(data=b"x")]),
+        segmentation_pb2.SegmentRequest(images=[common_pb2.Image(encoding=99, data=b"x")]),
+        segmentation_pb2.SegmentRequest(images=[common_pb2.Image(encoding=1, height=2**32 - 1, width=2**32 - 1)]),
+        segmentation_pb2.SegmentRequest(images=[common_pb2.Image(encoding=3, data=b"GIF89a")]),
+    ],
+    ids=str,
+)
+async def test_a_value_out_of_bounds_is_refused(channel: grpc.aio.Channel, message: Any) -> None:
+    assert (await outcome(channel, SEGMENT, message.SerializeToString()))[0] is INVALID
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+async def test_free_form_values_are_finite_too(channel: grpc.aio.Channel, number: float) -> None:
+    request = learning_pb2.StartFitRequest(dataset="x")
+    request.config["a"] = number
+    assert (await outcome(channel, START_FIT, request.SerializeToString()))[0] is INVALID
+
+
+@pytest.mark.parametrize("depth", [31, 40, 1_000])
+async def test_free_form_values_are_not_deep(channel: grpc.aio.Channel, depth: int) -> None:
+    value = b""
+    for _ in range(depth):  # Value.list_value.values
+        value = _field(6, _field(1, value))
+    message = _field(1, b"x") + _field(3, _field(1, _field(1, b"a") + _field(2, value)))
+    assert (await outcome(channel, START_FIT, message))[0] is INVALID
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """Returns a length-delimited field, as protobuf writes it."""
+    length, size = b"", len(content)
+    while size > 127:
+        length, size = length + bytes([size & 127 | 128]), size >> 7
+    return bytes([number << 3 | 2]) + length + bytes([size]) + content
+
+
+@given(message=st.binary(max_size=200))
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+async def test_any_bytes_are_a_message_or_refused(faulty: Any, message: bytes) -> None:
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        for path in (SEGMENT, START_FIT):
+            assert (await outcome(channel, path, message))[0] in (INVALID, grpc.StatusCode.NOT_FOUND)
+
+
+@pytest.mark.parametrize("message", [b"\xff", b"\x0a\xff", b"\x12\x05\x0a\x01\xff\x12\x01", b"\0"])
+async def test_what_is_no_message_is_malformed(channel: grpc.aio.Channel, message: bytes) -> None:
+    code, details = await outcome(channel, SEGMENT, message)
+    assert code is INVALID
+    assert "SegmentRequest" in details
+
+
+@pytest.mark.fault("I3")
+async def test_a_message_of_just_the_limit_is_read_and_one_byte_more_is_not(channel: grpc.aio.Channel) -> None:
+    request = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString()
+    padding = LIMIT - len(request) - 6  # an unknown field, ignored: 2 bytes of tag, 4 of length
+    request += b"\xf2\x3f" + _field(0, bytes(padding))[1:]
+    assert len(request) == LIMIT
+    assert (await outcome(channel, SEGMENT, request))[0] is grpc.StatusCode.OK
+    code, details = await outcome(channel, SEGMENT, request + b"\0")
+    assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
+    assert TooLarge.grpc_status == code.name
+    assert "larger than max" in details
+
+
+async def test_an_unknown_method_is_unimplemented(channel: grpc.aio.Channel) -> None:
+    path = SEGMENT.replace("Segment", "Unknown")
+    assert (await outcome(channel, path, b""))[0] is grpc.StatusCode.UNIMPLEMENTED
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 1e-6, 1e9])
+async def test_any_deadline_is_a_deadline(channel: grpc.aio.Channel, timeout_s: float) -> None:
+    request = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString()
+    if timeout_s > 1:
+        assert await channel.unary_unary(SEGMENT)(request, timeout=timeout_s)
+    else:
+        with pytest.raises(grpc.aio.AioRpcError) as error:
+            await channel.unary_unary(SEGMENT)(request, timeout=timeout_s)
+        assert error.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED

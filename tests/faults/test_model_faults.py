@@ -1,0 +1,72 @@
+"""A model that misbehaves: its caller is told so, nobody else notices, and no answer is ever a 500."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+import httpx
+import numpy as np
+import pytest
+
+from freerein import wire
+from freerein.types.segmentation import SegmentRequest
+
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("C16")]
+PATH = "/freerein.api.segmentation.v1.SegmentationService/Segment"
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty()
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "code"),
+    [
+        ("raises", 503, "model_fault"),
+        ("shape", 503, "model_fault"),
+        ("nan", 422, "output_not_finite"),
+        ("infinite", 422, "output_not_finite"),
+    ],
+)
+def test_a_fault_of_the_model_is_told_as_one(faulty: Any, refusal: Any, fault: str, status: int, code: str) -> None:
+    assert refusal(faulty.segment(0, 1, fault=fault), status)["code"] == code
+    assert faulty.segment(3, 4).json()["labels"] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"),
+    [(1, grpc.StatusCode.UNAVAILABLE), (2, grpc.StatusCode.INVALID_ARGUMENT), (3, grpc.StatusCode.UNAVAILABLE)],
+)
+async def test_over_grpc_too(faulty: Any, fault: int, status: grpc.StatusCode) -> None:
+    frames = np.zeros((2, 4, 4, 3), np.uint8)
+    frames[0, 0, 0, 0] = fault
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        with pytest.raises(grpc.aio.AioRpcError) as error:
+            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=frames)).SerializeToString(), timeout=10)
+    assert error.value.code() is status
+    assert "0x" not in str(error.value.details())
+
+
+async def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(faulty: Any) -> None:
+    async with httpx.AsyncClient(base_url=faulty.service.url, timeout=30, trust_env=False) as client:
+        holder = faulty.trajectory([0, 1], hundredths=20)
+        bodies = [holder, *(faulty.trajectory([n, n], fault="raises" if n % 4 == 0 else "right") for n in range(1, 13))]
+        replies = await asyncio.gather(*(client.post("/v1/segment", json=body) for body in bodies))
+    for n, reply in enumerate(replies[1:], start=1):
+        if n % 4 == 0:
+            assert reply.json()["code"] == "model_fault"
+        else:
+            assert reply.json()["labels"] == [n % 2, n % 2]
+
+
+def test_five_faults_in_a_row_make_it_not_ready_and_one_answer_ready_again(faulty: Any, refusal: Any) -> None:
+    assert faulty.http.get("/readyz").status_code == 200
+    for _ in range(5):
+        faulty.segment(0, fault="raises")
+    assert "five times" in refusal(faulty.http.get("/readyz"), 503)["detail"]
+    refusal(faulty.http.get("/v2/health/ready"), 503)
+    assert faulty.http.get("/healthz").status_code == 200
+    assert faulty.segment(3, 4).json()["labels"] == [1, 0]
+    assert faulty.http.get("/readyz").status_code == 200

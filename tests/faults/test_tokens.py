@@ -1,0 +1,119 @@
+"""No door opens without the token but those of the health checks, and none of the others was forgotten."""
+
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+import httpx
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
+
+from freerein.api.learning.v1 import learning_pb2
+from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.methods import methods_of
+from freerein.serving.metrics import Metrics
+from freerein.serving.rest import make_app
+
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("C13")]
+TOKEN = "correct-horse-battery"
+OPEN = {"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"}
+SERVICES = [
+    segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
+    learning_pb2.DESCRIPTOR.services_by_name["FitService"],
+    learning_pb2.DESCRIPTOR.services_by_name["ModelService"],
+]
+RPCS = [f"/{service.full_name}/{method.name}" for service in SERVICES for method in service.methods] + [
+    f"/grpc.reflection.v1{version}.ServerReflection/ServerReflectionInfo" for version in ("alpha", "")
+]
+WRONG = [None, "Bearer", "Bearer wrong", f"Bearer {TOKEN}x", f"Bearer {TOKEN[:-1]}", f"Basic {TOKEN}", TOKEN]
+
+
+class EveryMethod:
+    """A core that has whatever method it is asked for."""
+
+    def __getattr__(self, name: str) -> object:
+        return name
+
+
+def routes() -> list[tuple[str, str]]:
+    """Returns every (method, path) that the REST app knows, and some that it does not."""
+    methods = [method for service in SERVICES for method in methods_of(service, EveryMethod())]
+    app = make_app("x", methods, health=Health(), metrics=Metrics(), limits=Limits())
+    known = [(verb, route.path) for route in app.routes for verb in route.methods]  # type: ignore[attr-defined]
+    return sorted({*known, ("GET", "/"), ("POST", "/v1/unknown"), ("GET", "/healthz/"), ("GET", "/healthz/x")})
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty(FREEREIN_TOKEN=TOKEN)
+
+
+def test_the_routes_are_those_that_are_meant() -> None:
+    paths = {path for _, path in routes()}
+    assert paths >= OPEN | {"/metrics", "/openapi.json", "/docs", "/v1/segment", "/v1/watch-fit", "/v1/activate-model"}
+
+
+@pytest.mark.parametrize(("verb", "path"), routes())
+def test_a_route_without_the_token_is_closed_unless_it_tells_health(
+    faulty: Any, refusal: Any, verb: str, path: str
+) -> None:
+    url = faulty.service.url + path
+    for authorization in WRONG:
+        headers = {"authorization": authorization} if authorization is not None else {}
+        reply = httpx.request(verb, url, headers=headers, params={"token": TOKEN}, trust_env=False)
+        if path in OPEN:
+            assert reply.status_code == 200
+        elif verb == "HEAD":
+            assert reply.status_code == 401
+        else:
+            refusal(reply, 401)
+            assert reply.headers["www-authenticate"] == "Bearer"
+
+
+@pytest.mark.parametrize("rpc", RPCS)
+async def test_an_rpc_without_the_token_is_closed(faulty: Any, rpc: str) -> None:
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        for authorization in WRONG:
+            metadata = (("authorization", authorization),) if authorization is not None else ()
+            call = channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=10)
+            with pytest.raises(grpc.aio.AioRpcError) as error:
+                await call.read()
+            assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED
+
+
+async def test_there_is_no_rpc_beyond_those_tested(faulty: Any) -> None:
+    metadata = (("authorization", f"Bearer {TOKEN}"),)
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        stub = reflection_pb2_grpc.ServerReflectionStub(channel)
+        request = reflection_pb2.ServerReflectionRequest(list_services="")
+        reply = await stub.ServerReflectionInfo(iter([request]), metadata=metadata).read()
+    names = {service.name for service in reply.list_services_response.service}
+    assert names == {service.full_name for service in SERVICES} | {
+        "grpc.health.v1.Health",
+        "grpc.reflection.v1alpha.ServerReflection",
+    }
+
+
+async def test_health_needs_no_token_and_the_token_opens_all(faulty: Any) -> None:
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        health = health_pb2_grpc.HealthStub(channel)
+        assert (await health.Check(health_pb2.HealthCheckRequest())).status == health_pb2.HealthCheckResponse.SERVING
+    assert faulty.segment(0, 1).json()["labels"] == [0, 1]
+    assert faulty.http.get("/openapi.json").status_code == 200
+
+
+def test_the_token_is_asked_for_before_the_body_is_read(faulty: Any) -> None:
+    head = b"POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: 1000000\r\n"
+    with faulty.connect() as connection:
+        connection.sendall(head + b"\r\n{")
+        assert connection.recv(4096).startswith(b"HTTP/1.1 401")
+
+
+def test_the_token_is_never_logged(faulty: Any) -> None:
+    faulty.segment(0, 1)
+    log = faulty.service.log.read_text()
+    assert "/v1/segment" in log
+    assert TOKEN not in log

@@ -1,0 +1,207 @@
+"""The training loop under kill -9, SIGTERM and damage. This file is also the process that gets killed: see `main`."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from torch import nn
+
+from freerein.errors import FailedPrecondition
+from freerein.learning import checkpoints, weights
+from freerein.learning.fit import Fitted, FitEvent, Plan, fit, stop_on_sigterm
+from freerein.learning.progress import TrainingState
+
+PLAN = Plan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
+CUT = 7
+
+
+class Line:
+    """Fits a line to noisy points; the noise is drawn during training, so that every generator's state matters."""
+
+    size = 10
+    identity = {"config": {"rate": 0.1}}
+
+    def __init__(self, before_update: Callable[[int], None] = lambda _: None) -> None:
+        self.before_update = before_update
+
+    def init(self, generator: torch.Generator) -> TrainingState[nn.Linear]:
+        network = nn.Linear(1, 1)
+        weights.draw(network, generator=generator)
+        return TrainingState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
+
+    def update(
+        self, state: TrainingState[nn.Linear], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainingState[nn.Linear], Mapping[str, float]]:
+        self.before_update(state.step)
+        x = torch.from_numpy(items).float()[:, None]
+        noise = torch.randn(x.shape, generator=state.generator)
+        loss = (state.network(x) - 2 * x - noise).square().mean()
+        state.optimiser.zero_grad()
+        loss.backward()
+        state.optimiser.step()
+        return replace(state, step=state.step + 1), {"train_loss": loss.item()}
+
+    def evaluate(self, state: TrainingState[nn.Linear]) -> float:
+        return (state.network.weight - 2).abs().item()
+
+
+class Diverging(Line):
+    def update(
+        self, state: TrainingState[nn.Linear], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainingState[nn.Linear], Mapping[str, float]]:
+        return replace(state, step=state.step + 1), {"train_loss": float("nan")}
+
+
+def run(folder: Path, plan: Plan = PLAN, problem: Line | None = None) -> tuple[str, list[FitEvent]]:
+    """Trains to the end; returns the sha256 of the weights and what happened."""
+    events: list[FitEvent] = []
+    fitted = fit(problem or Line(), plan, folder, on_event=events.append)
+    assert fitted is not None
+    return sha256(fitted), events
+
+
+def sha256(fitted: Fitted[nn.Linear]) -> str:
+    return f"{weights.sha256(fitted.network)} {fitted.best_step} {fitted.validation_loss}"
+
+
+def rows(folder: Path) -> str:
+    return (folder / "metrics.jsonl").read_text()
+
+
+@pytest.fixture
+def undisturbed(tmp_path: Path) -> tuple[str, str]:
+    digest, _ = run(tmp_path / "undisturbed")
+    return digest, rows(tmp_path / "undisturbed")
+
+
+@pytest.fixture
+def child(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    """A process that trains in `tmp_path / "cut"`, and waits for a line of input when it is about to make update CUT."""
+    command = [sys.executable, __file__, str(tmp_path / "cut")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == f"{CUT}\n"
+        yield process
+
+
+def test_a_training_killed_by_sigkill_goes_on_to_the_same_bits(
+    child: "subprocess.Popen[str]", tmp_path: Path, undisturbed: tuple[str, str]
+) -> None:
+    child.kill()
+    assert child.wait() == -signal.SIGKILL
+    digest, events = run(tmp_path / "cut")
+    assert events[0] == FitEvent("resumed", 5)
+    assert (digest, rows(tmp_path / "cut")) == undisturbed
+
+
+def test_sigterm_saves_and_ends_and_the_training_goes_on_to_the_same_bits(
+    child: "subprocess.Popen[str]", tmp_path: Path, undisturbed: tuple[str, str]
+) -> None:
+    child.terminate()
+    assert child.communicate("\n") == ("stopped\n", None)
+    assert child.returncode == 0
+    digest, events = run(tmp_path / "cut")
+    assert events[0] == FitEvent("resumed", CUT + 1)
+    assert (digest, rows(tmp_path / "cut")) == undisturbed
+
+
+@pytest.mark.parametrize("cut", range(PLAN.steps))
+def test_a_training_stopped_after_any_update_goes_on_to_the_same_bits(
+    tmp_path: Path, undisturbed: tuple[str, str], cut: int
+) -> None:
+    asked: list[None] = []
+    stopped = fit(Line(), PLAN, tmp_path / "cut", stop=lambda: bool(asked.append(None)) or len(asked) > cut)
+    assert stopped is None
+    assert (run(tmp_path / "cut")[0], rows(tmp_path / "cut")) == undisturbed
+
+
+def test_a_damaged_newest_checkpoint_is_told_and_the_one_before_serves(
+    tmp_path: Path, undisturbed: tuple[str, str]
+) -> None:
+    folder = tmp_path / "undisturbed"
+    (folder / "checkpoints" / "step-000000012" / "state.safetensors").write_bytes(b"")
+    digest, events = run(folder)
+    assert [(event.kind, event.step) for event in events[:2]] == [("checkpoint_corrupt", 12), ("resumed", 10)]
+    assert (digest, rows(folder)) == undisturbed
+
+
+def test_a_finished_training_is_not_made_again(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+    digest, events = run(tmp_path / "undisturbed")
+    assert digest == undisturbed[0]
+    assert events == [FitEvent("resumed", 12)]
+
+
+@pytest.mark.parametrize(
+    ("plan", "changed"),
+    [(replace(PLAN, threads=2), "plan.threads was 1 and is 2"), (replace(PLAN, seed=2), "plan.seed was 1 and is 2")],
+)
+def test_a_training_is_resumed_as_it_was_begun_or_not_at_all(
+    tmp_path: Path, undisturbed: tuple[str, str], plan: Plan, changed: str
+) -> None:
+    with pytest.raises(FailedPrecondition, match=changed):
+        run(tmp_path / "undisturbed", plan)
+
+
+def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+    losses = {
+        row["step"]: row["validation_loss"] for row in map(json.loads, undisturbed[1].splitlines()) if len(row) == 3
+    }
+    assert sorted(losses) == [4, 8, 12]
+    fitted = fit(Line(), PLAN, tmp_path / "undisturbed")
+    assert fitted is not None
+    assert fitted.best_step == min(losses, key=losses.__getitem__)
+    assert (fitted.network.weight - 2).abs().item() == fitted.validation_loss == min(losses.values())
+
+
+def test_a_loss_that_is_not_finite_ends_the_training_with_advice(tmp_path: Path) -> None:
+    with pytest.raises(FailedPrecondition, match="train_loss is nan after 1 updates") as error:
+        run(tmp_path, problem=Diverging())
+    assert "learning rate" in error.value.hint
+
+
+def test_a_full_disk_is_told_and_survived_until_it_stays_full(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "checkpoints").write_bytes(b"a file where the folder should be: every save fails")
+    digest, events = run(tmp_path / "full", replace(PLAN, checkpoint_every=12))
+    assert digest == undisturbed[0]
+    assert [event.kind for event in events].count("checkpoint_failed") == 2
+    with pytest.raises(FailedPrecondition, match="3 in a row"):
+        run(tmp_path / "full", replace(PLAN, checkpoint_every=2))
+
+
+def test_a_torn_last_row_of_metrics_is_dropped(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+    with (tmp_path / "undisturbed" / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 99, "tra')
+    run(tmp_path / "undisturbed")
+    assert rows(tmp_path / "undisturbed") == undisturbed[1]
+
+
+def test_checkpoints_hold_nothing_but_safetensors_and_json(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+    kept = tmp_path / "undisturbed" / "checkpoints"
+    assert {path.suffix for path in kept.rglob("*") if path.is_file()} == {".safetensors", ".json"}
+    assert len(list(kept.iterdir())) == checkpoints.KEPT
+
+
+def main(folder: Path) -> None:
+    """Trains, waiting for input before update CUT; prints how it ended."""
+
+    def wait(step: int) -> None:
+        if step == CUT:
+            print(CUT, flush=True)  # noqa: T201
+            sys.stdin.readline()
+
+    with stop_on_sigterm() as stop:
+        fitted = fit(Line(wait), PLAN, folder, stop=stop)
+    print("stopped" if fitted is None else "finished")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from freerein import metrics
+from freerein.errors import InvalidInput
+
+TRUTH = np.array([0, 0, 0, 0, 2, 2, 2, 2, 1, 1])
+
+
+def test_labels_equal_to_the_truth_score_one_everywhere() -> None:
+    assert metrics.frame_accuracy(TRUTH, TRUTH) == 1.0
+    assert metrics.edit_score(TRUTH, TRUTH) == 1.0
+    assert metrics.f1_at(TRUTH, TRUTH, overlap=1.0) == 1.0
+
+
+def test_frame_accuracy_counts_timesteps() -> None:
+    assert metrics.frame_accuracy(np.array([0, 0, 0, 1, 2, 2, 2, 2, 1, 0]), TRUTH) == pytest.approx(0.8)
+
+
+def test_random_cls_guesses_among_the_skills_that_occur() -> None:
+    assert metrics.random_cls_accuracy(TRUTH) == pytest.approx(1 / 3)
+
+
+def test_the_edit_score_looks_at_order_only() -> None:
+    assert metrics.edit_score(np.array([0, 2, 2, 2, 2, 2, 2, 2, 2, 1]), TRUTH) == 1.0
+
+
+def test_the_edit_score_counts_each_flicker() -> None:
+    flickering = np.array([0, 1, 0, 0, 2, 2, 2, 2, 1, 1])  # 0 1 0 2 1: two more than 0 2 1
+    assert metrics.edit_score(flickering, TRUTH) == pytest.approx(1 - 2 / 5)
+
+
+@pytest.mark.parametrize(("overlap", "expected"), [(0.5, 1.0), (0.65, 2 / 3), (0.75, 1 / 3), (0.9, 0.0)])
+def test_f1_wants_more_overlap_as_its_threshold_rises(overlap: float, expected: float) -> None:
+    late = np.array([0, 0, 0, 2, 2, 2, 2, 1, 1, 1])  # overlaps 3/4, 3/5 and 2/3
+    assert metrics.f1_at(late, TRUTH, overlap=overlap) == pytest.approx(expected)
+
+
+def test_a_true_segment_is_found_once_however_often_it_is_cut() -> None:
+    cut = np.array([0, 0, 1, 0, 2, 2, 2, 2, 1, 1])  # 0 [0:2) overlaps half of the truth, 0 [3:4) a quarter
+    assert metrics.f1_at(cut, TRUTH, overlap=0.25) == pytest.approx(2 * 3 / (5 + 3))
+
+
+def test_renaming_the_skills_changes_no_score() -> None:
+    predicted, names = np.array([0, 1, 0, 0, 2, 2, 1, 2, 1, 1]), np.array([7, 3, 5])
+    for score in (metrics.frame_accuracy, metrics.edit_score):
+        assert score(names[predicted], names[TRUTH]) == score(predicted, TRUTH)
+
+
+def test_runs_start_where_labels_change() -> None:
+    assert metrics.run_starts(TRUTH).tolist() == [0, 4, 8]
+    assert metrics.run_starts(TRUTH[:1]).tolist() == [0]
+    assert metrics.run_starts(TRUTH[:0]).tolist() == []
+
+
+@pytest.mark.parametrize("predicted", [TRUTH[:-1], TRUTH[:, None], TRUTH[:0]])
+def test_labels_of_another_shape_are_refused(predicted: np.ndarray) -> None:
+    with pytest.raises(InvalidInput, match=r"\(10,\)"):
+        metrics.frame_accuracy(predicted, TRUTH)
