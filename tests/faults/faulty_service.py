@@ -28,8 +28,9 @@ RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
 class FaultyModel:
     """Answers even and odd, unless told otherwise."""
 
-    skills = ("even", "odd")
-    height, width, channels, action_size, action_choices = 4, 4, 3, 0, 0
+    skills: tuple[str, ...] = ("even", "odd")
+    height, width, channels = 4, 4, 3
+    action_size = action_choices = 0
 
     def probabilities(
         self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None

@@ -16,7 +16,7 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, weights
-from freerein.learning.fit import Fitted, FitEvent, Plan, fit, stop_on_sigterm
+from freerein.learning.fit import FitEvent, Fitted, Plan, fit, stop_on_sigterm
 from freerein.learning.progress import TrainingState
 
 PLAN = Plan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
@@ -26,10 +26,9 @@ CUT = 7
 class Line:
     """Fits a line to noisy points; the noise is drawn during training, so that every generator's state matters."""
 
-    size = 10
-    identity = {"config": {"rate": 0.1}}
-
     def __init__(self, before_update: Callable[[int], None] = lambda _: None) -> None:
+        self.size = 10
+        self.identity = {"config": {"rate": 0.1}}
         self.before_update = before_update
 
     def init(self, generator: torch.Generator) -> TrainingState[nn.Linear]:
@@ -84,7 +83,7 @@ def undisturbed(tmp_path: Path) -> tuple[str, str]:
 
 @pytest.fixture
 def child(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A process that trains in `tmp_path / "cut"`, and waits for a line of input when it is about to make update CUT."""
+    """A process that trains in `tmp_path / "cut"` and, about to make update CUT, waits for a line of input."""
     command = [sys.executable, __file__, str(tmp_path / "cut")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

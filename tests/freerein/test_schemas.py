@@ -75,7 +75,22 @@ def test_what_no_message_can_say_is_refused_where_it_stands(cls: type, value: ob
 
 @pytest.mark.parametrize(
     "raw",
-    ["AA", "AA=", "AA===", "A A==", "AA==\n", "AA==AA==", "AA-_", "A", "data:image/png;base64,AA==", "ÄÄ==", "AAAA\0"],
+    [
+        "AA",
+        "AA=",
+        "AA===",
+        "AAAA=",
+        "AAAA==",
+        "AAAA====",
+        "A A==",
+        "AA==\n",
+        "AA==AA==",
+        "AA-_",
+        "A",
+        "data:image/png;base64,AA==",
+        "ÄÄ==",
+        "AAAA\0",
+    ],
 )
 def test_base64_is_strict(raw: str) -> None:
     with pytest.raises(ValidationError, match="base64"):

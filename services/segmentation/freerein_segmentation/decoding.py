@@ -57,7 +57,7 @@ def decode(probabilities: Probabilities, *, smoothing: float, min_segment: int) 
     """
     smoothed = smooth(probabilities, sigma=smoothing)
     labels = merge_short(smoothed.argmax(axis=1).astype(np.int64), smoothed, min_segment=min_segment)
-    confidence = np.take_along_axis(smoothed, labels[:, None], axis=1)[:, 0]
+    confidence = np.take_along_axis(smoothed, labels[:, None], axis=1)[:, 0].clip(max=1.0)  # rounding
     return Decoded(labels, confidence, _spans(labels, confidence))
 
 
@@ -68,9 +68,9 @@ def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
 
     Args:
         probabilities: float32 (T, K).
-        sigma: Standard deviation in timesteps; 0 changes nothing.
+        sigma: Standard deviation in timesteps; what is below an eighth changes nothing.
     """
-    reach = int(np.ceil(_REACH * sigma))
+    reach = round(_REACH * sigma)
     if reach == 0:
         return probabilities
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)

@@ -7,9 +7,11 @@ import asyncio
 import contextlib
 import json
 import logging
+import os
 import socket
 import sys
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -73,6 +75,8 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> int:
 
 
 async def _serve(settings: S, build: Build[S]) -> int:
+    threads = ThreadPoolExecutor(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
+    asyncio.get_running_loop().set_default_executor(threads)
     limits = Limits(receipt_s=settings.receipt_s, write_s=settings.write_s, queue=settings.queue)
     metrics, token = Metrics(), settings.token_text
     core: list[Service] = []
@@ -82,8 +86,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits, token=token)
     door = GrpcDoor(service.methods, health=health, metrics=metrics, limits=limits, token=token)
     try:
-        listener = _listen(settings.host, settings.http_port)
-        grpc_port = _bind(door, settings)
+        listener, grpc_port = _open(door, settings)
     except (OSError, RuntimeError):
         return _complain(
             f"{settings.host} must be an address of this machine, and its ports {settings.http_port} and "
@@ -122,13 +125,28 @@ async def _warm_up(service: Service, server: http.Server, health: Health) -> Non
         raise
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.bind((host, port))
-    listener.listen(_BACKLOG)  # before the port is made known
-    return listener
+def _open(door: GrpcDoor, settings: ServiceSettings) -> tuple[socket.socket, int]:
+    """Returns the REST door's socket, which takes connections already, and the gRPC door's port."""
+    with _bound(settings.host, settings.grpc_port):
+        pass  # gRPC would say on stderr, too, that the port is taken
+    listener = _bound(settings.host, settings.http_port)
+    try:
+        listener.listen(_BACKLOG)
+        return listener, _bind(door, settings)
+    except BaseException:
+        listener.close()
+        raise
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
+    except BaseException:
+        bound.close()
+        raise
+    return bound
 
 
 def _bind(door: GrpcDoor, settings: ServiceSettings) -> int:

@@ -28,14 +28,20 @@ class Schema(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
+_NOT_BASE64 = "must be base64 with padding and without spaces"
+
+
 def _bytes(value: object) -> object:
     """Decodes strict base64; bytes are what a multipart file already is."""
     if not isinstance(value, str):
         return value
     try:
-        return b64decode(value, validate=True)
+        decoded = b64decode(value, validate=True)
     except (binascii.Error, ValueError):
-        raise ValueError("must be base64 with padding and without spaces") from None
+        raise ValueError(_NOT_BASE64) from None
+    if len(value) != (len(decoded) + 2) // 3 * 4:  # more padding than there has to be
+        raise ValueError(_NOT_BASE64)
+    return decoded
 
 
 Base64 = Annotated[bytes, BeforeValidator(_bytes), WithJsonSchema({"type": "string", "format": "byte"})]

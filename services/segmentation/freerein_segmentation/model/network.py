@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
+from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
 from freerein.learning.encoders import PatchEncoder
 
@@ -32,6 +33,9 @@ class ModelSpec:
         context: What a timestep's score may depend on: the past, as in the dissertation, or all of the trajectory.
         features: Image features.
         hidden: Units of the LSTM, in each direction.
+
+    Raises:
+        InvalidInput: There are no skills, or 2 channels.
     """
 
     skills: tuple[str, ...]
@@ -44,6 +48,14 @@ class ModelSpec:
     context: Context = "bidirectional"
     features: int = bounded(64, least=8, most=1024)
     hidden: int = bounded(100, least=8, most=1024)
+
+    def __post_init__(self) -> None:
+        if not self.skills or self.channels == 2:
+            raise InvalidInput(
+                f"A network must label at least 1 skill and see 1 or 3 channels; "
+                f"got {len(self.skills)} skills and {self.channels} channels.",
+                hint="Tag the trajectories, and store frames as gray or RGB.",
+            )
 
 
 class SegmentationNetwork(nn.Module):

@@ -97,7 +97,10 @@ def load(folder: Path, device: str) -> SegmentationModel:
     with torch.device("meta"):  # the weights come from the file: none are drawn
         network = SegmentationNetwork(spec)
     try:
-        network.load_state_dict(tensor_files.parse((folder / WEIGHTS).read_bytes()), assign=True)
+        weights = tensor_files.parse((folder / WEIGHTS).read_bytes())
+        if any(tensor.dtype != torch.float32 for tensor in weights.values()):
+            raise RuntimeError("not float32")
+        network.load_state_dict(weights, assign=True)
     except (OSError, RuntimeError) as error:
         raise InvalidInput(
             "A model's weights must be those that its card describes; some are missing or have another shape.",

@@ -1,0 +1,317 @@
+"""Image files and trajectories that mean harm: refused by their headers, in our words, while others are served."""
+
+import base64
+import io
+import json
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import PIL.Image
+import pytest
+
+pytestmark = pytest.mark.e2e
+SEGMENT = "/v1/segment"
+MiB = 2**20
+
+
+@pytest.fixture(scope="module")
+def audit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("audit") / "touched.txt"
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any], audit: Path) -> Any:
+    return start_faulty(FAULTY_AUDIT=str(audit))
+
+
+def save(image: PIL.Image.Image, file_format: str, **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, file_format, **options)
+    return buffer.getvalue()
+
+
+def png(width: int, height: int, *, depth: int = 8, colour: int = 0, raw: bytes = b"\0", extra: bytes = b"") -> bytes:
+    """Returns a PNG by hand, whose header may lie."""
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    data = zlib.compress(raw)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + extra + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+SMALL = PIL.Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
+
+
+def send(faulty: Any, *files: bytes) -> httpx.Response:
+    return faulty.http.post(SEGMENT, files=[("images", (f"{t}.png", data)) for t, data in enumerate(files)])
+
+
+def send_json(faulty: Any, *images: dict[str, Any]) -> httpx.Response:
+    return faulty.http.post(SEGMENT, json={"images": images})
+
+
+def image(encoding: str, data: bytes, **size: int) -> dict[str, Any]:
+    return {"encoding": encoding, "data": base64.b64encode(data).decode(), **size}
+
+
+class Growth:
+    """The most memory that a process has held beyond what it held before, in bytes."""
+
+    def __init__(self, process: Any) -> None:
+        self._process, self._done, self.most = process, threading.Event(), 0
+        self._before = process.memory_info().rss
+
+    def __enter__(self) -> "Growth":
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._done.wait(0.002):
+            self.most = max(self.most, self._process.memory_info().rss - self._before)
+
+
+def bombs() -> dict[str, tuple[bytes, int]]:
+    black = PIL.Image.new("L", (8_000, 8_000))
+    return {
+        "a png of 64 million pixels": (save(black, "PNG", compress_level=1), 422),
+        "a png that lies": (png(20_000, 20_000), 422),
+        "a png of 2^62 pixels": (png(2**31 - 1, 2**31 - 1), 422),
+        "jpeg": (save(black, "JPEG", quality=1), 422),
+        "webp": (save(PIL.Image.new("RGB", (4_100, 4_100)), "WEBP", method=0, quality=1), 422),
+        "gif": (save(PIL.Image.new("L", (4_100, 4_100)), "GIF"), 415),
+        "tiff": (save(black, "TIFF", compression="tiff_lzw"), 415),
+        "text that unpacks": (png(4, 4, colour=2, raw=bytes(52), extra=text_bomb()), 422),
+        "colour profile that unpacks": (png(4, 4, colour=2, raw=bytes(52), extra=profile_bomb()), 422),
+    }
+
+
+def text_bomb() -> bytes:
+    return chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(100 * MiB), 1))
+
+
+def profile_bomb() -> bytes:
+    return chunk(b"iCCP", b"a\0\0" + zlib.compress(bytes(100 * MiB), 1))
+
+
+@pytest.mark.fault("S1")
+def test_a_bomb_is_refused_by_its_header_and_takes_no_memory(faulty: Any, refusal: Any) -> None:
+    assert send(faulty, save(SMALL, "PNG")).status_code == 200
+    for name, (data, status) in bombs().items():
+        with Growth(faulty.process) as growth:
+            for reply in (send(faulty, data), send(faulty, save(SMALL, "PNG"), data)):
+                assert reply.status_code == 200 or refusal(reply, status)["field"].startswith("images"), name
+        assert growth.most < 64 * MiB, name
+
+
+def elsewhere(faulty: Any, audit: Path, before: int) -> list[str]:
+    """Returns the files outside of its data that the service opened, and the addresses that it connected to, since."""
+    touched = audit.read_bytes()[before:].decode(errors="replace").splitlines()
+    return [line for line in touched if str(faulty.service.data_dir) not in line]
+
+
+OTHERS = {
+    name: save(PIL.Image.new("RGB", (8, 8)), name) for name in ("GIF", "TIFF", "PPM", "BMP", "ICO", "PDF", "EPS", "TGA")
+} | {
+    "SVG": b"<svg xmlns='http://www.w3.org/2000/svg'><image href='file:///etc/passwd'/></svg>",
+    "PSD": b"8BPS\0\1" + bytes(40),
+    "empty": b"",
+    "text": b"GET / HTTP/1.1\r\n\r\n",
+}
+
+
+@pytest.mark.fault("S2")
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_format_that_is_not_served_is_not_opened(faulty: Any, refusal: Any, audit: Path, name: str) -> None:
+    before = len(audit.read_bytes())
+    refusal(send(faulty, OTHERS[name]), 415)
+    for claimed in ("png", "jpeg", "webp"):
+        refusal(send_json(faulty, image(claimed, OTHERS[name])), 415)
+    assert elsewhere(faulty, audit, before) == []
+
+
+@pytest.mark.fault("S3")
+@pytest.mark.parametrize("encoding", ["png", "jpeg", "webp"])
+def test_a_file_cut_at_any_byte_is_refused_in_our_words(faulty: Any, refusal: Any, encoding: str) -> None:
+    whole = save(SMALL, encoding)
+    for cut in range(0, len(whole), max(1, len(whole) // 60)):
+        reply = send(faulty, whole[:cut])
+        if reply.status_code != 200:  # nothing of the picture may be missing
+            assert "images" in refusal(reply, 415, 422)["detail"]
+
+
+ODD: dict[str, tuple[bytes, int]] = {
+    "animated png": (save(SMALL, "PNG", save_all=True, append_images=[SMALL.rotate(90)]), 422),
+    "animated webp": (save(SMALL, "WEBP", save_all=True, append_images=[SMALL.rotate(90)]), 422),
+    "16-bit gray": (png(4, 4, depth=16, raw=bytes(36)), 422),
+    "16-bit colour": (png(4, 4, depth=16, colour=2, raw=bytes(100)), 422),
+    "cmyk": (save(PIL.Image.new("CMYK", (4, 4), (0, 0, 0, 255)), "JPEG"), 200),
+    "palette with alpha": (save(SMALL.quantize(8), "PNG", transparency=bytes(8)), 200),
+    "turned by exif": (save(SMALL, "JPEG", exif=b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"), 200),
+    "no pixels": (png(0, 0), 422),
+    "one row": (save(PIL.Image.new("RGB", (100_000, 1)), "PNG"), 422),
+    "gray": (save(PIL.Image.new("L", (4, 4)), "PNG"), 422),
+}
+
+
+@pytest.mark.fault("S4")
+@pytest.mark.parametrize("name", ODD)
+def test_an_odd_file_is_converted_as_documented_or_refused(faulty: Any, refusal: Any, name: str) -> None:
+    data, status = ODD[name]
+    reply = send(faulty, data)
+    assert reply.status_code == status
+    if status != 200:
+        refusal(reply, status)
+
+
+@pytest.mark.fault("S5")
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda text: text[:-1],
+        lambda text: text + "=",
+        lambda text: text + "\n",
+        lambda text: text[:8] + " " + text[8:],
+        lambda text: text.replace("+", "-").replace("/", "_") + "-",
+        lambda text: "data:image/png;base64," + text,
+        lambda text: text + "====",
+        lambda _text: "é",
+    ],
+)
+def test_base64_is_strict(faulty: Any, refusal: Any, spoil: Callable[[str], str]) -> None:
+    text = base64.b64encode(save(SMALL, "PNG") + b"x").decode()
+    refusal(send_json(faulty, {"encoding": "png", "data": spoil(text)}), 422)
+
+
+@pytest.mark.fault("S5")
+def test_the_limit_is_on_what_is_sent_and_not_on_what_it_decodes_to(faulty: Any, refusal: Any) -> None:
+    body = b'{"images": [{"encoding": "png", "data": "%s"}]}' % (b"A" * (64 * MiB))
+    headers = {"content-type": "application/json"}
+    with Growth(faulty.process) as growth:
+        refusal(faulty.http.post(SEGMENT, content=body, headers=headers), 413)
+    assert growth.most < 16 * MiB
+
+
+@pytest.mark.fault("S6")
+@pytest.mark.parametrize("url", ["http://127.0.0.1:{port}/healthz", "file:///etc/passwd", "gopher://127.0.0.1/"])
+def test_no_url_is_ever_followed(faulty: Any, refusal: Any, audit: Path, url: str) -> None:
+    address = url.format(port=faulty.service.http_port)
+    before = len(audit.read_bytes())
+    refusal(send_json(faulty, {"encoding": "png", "url": address}), 422)
+    refusal(send_json(faulty, {"encoding": "png", "data": address}), 422)
+    refusal(faulty.http.post(SEGMENT, json={"images": [address]}), 422)
+    refusal(faulty.http.post(SEGMENT, json={"images": address}), 422)
+    refusal(send(faulty, address.encode()), 415)
+    assert elsewhere(faulty, audit, before) == []
+
+
+@pytest.mark.fault("S7")
+def test_too_many_images_are_refused_before_they_are_decoded(faulty: Any, refusal: Any) -> None:
+    many = json.dumps({"images": [image("png", save(PIL.Image.new("1", (100, 100)), "PNG"))] * 10_000})
+    with Growth(faulty.process) as growth:
+        begun = time.monotonic()
+        reply = faulty.http.post(SEGMENT, content=many, headers={"content-type": "application/json"})
+        assert "64000000 pixels" in refusal(reply, 422)["detail"]
+        assert time.monotonic() - begun < 5.0
+    assert growth.most < 64 * MiB
+    most = json.dumps({"images": [image("raw_gray8", b"\0", height=1, width=1)] * 20_001})
+    reply = faulty.http.post(SEGMENT, content=most, headers={"content-type": "application/json"})
+    assert "20001" in refusal(reply, 422)["detail"]
+
+
+@pytest.mark.fault("S8")
+def test_health_is_told_at_once_while_images_are_decoded(faulty: Any, fuzz: bool) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (2_000, 2_000), np.uint8)
+    files = {"images": ("0.png", save(PIL.Image.fromarray(noise), "PNG"))}
+    form = httpx.Request("POST", faulty.service.url + SEGMENT, files=files, headers={"connection": "close"})
+    lines = [f"{name}: {value}" for name, value in form.headers.items()]
+    request = "\r\n".join([f"POST {SEGMENT} HTTP/1.1", *lines, "", ""]).encode() + form.read()
+    alone = latencies(faulty, 100)
+    stop = threading.Event()
+    with ThreadPoolExecutor(1) as health, ThreadPoolExecutor(10) as pool:
+        busy = health.submit(latencies_until, faulty, stop)
+        decoded = list(pool.map(lambda _: faulty.raw(request), range(50 if fuzz else 20)))
+        stop.set()
+    assert {reply.split()[1] for reply in decoded} == {b"422"}  # decoded, and then of another size than the model's
+    assert percentile(busy.result(), 0.99) < max(0.05, 3 * percentile(alone, 0.99)), (alone[-3:], busy.result()[-3:])
+
+
+def latencies(faulty: Any, count: int) -> list[float]:
+    with httpx.Client(base_url=faulty.service.url, timeout=30, trust_env=False) as client:
+        return sorted(latency(client) for _ in range(count))
+
+
+def latencies_until(faulty: Any, stop: threading.Event) -> list[float]:
+    seconds = []
+    with httpx.Client(base_url=faulty.service.url, timeout=30, trust_env=False) as client:
+        while not stop.wait(0.01):
+            seconds.append(latency(client))
+    return sorted(seconds)
+
+
+def latency(client: httpx.Client) -> float:
+    begun = time.perf_counter()
+    assert client.get("/healthz").status_code == 200
+    return time.perf_counter() - begun
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    return values[int(share * (len(values) - 1))]
+
+
+@pytest.mark.fault("S9")
+def test_one_timestep_is_a_trajectory_and_none_is_not(faulty: Any, refusal: Any) -> None:
+    assert faulty.segment(7).json()["segments"] == [{"start": 0, "end": 1, "skill": "odd", "confidence": 1.0}]
+    empty = {"frames": {"datatype": "UINT8", "shape": [0, 4, 4, 3], "raw": ""}}
+    assert "T at least 1" in refusal(faulty.http.post(SEGMENT, json=empty), 422)["detail"]
+    refusal(faulty.http.post(SEGMENT, json={"images": []}), 422)
+
+
+@pytest.mark.fault("S9")
+def test_frames_of_mixed_sizes_are_refused_with_both(faulty: Any, refusal: Any) -> None:
+    detail = refusal(send(faulty, save(SMALL, "PNG"), save(SMALL.resize((5, 4)), "PNG")), 422)["detail"]
+    assert "(4, 4, 3)" in detail
+    assert "(4, 5, 3)" in detail
+
+
+@pytest.mark.fault("S9")
+def test_a_trajectory_that_is_too_long_is_too_large_and_the_longest_is_answered(faulty: Any, refusal: Any) -> None:
+    with Growth(faulty.process) as growth:
+        problem = refusal(faulty.segment(*bytes(100_000)), 413)
+    assert "20000" in problem["detail"]
+    assert "100000" in problem["detail"]
+    assert growth.most < 64 * MiB
+    brightness = [t // 100 for t in range(20_000)]
+    reply = faulty.segment(*(value % 256 for value in brightness))
+    assert reply.json()["labels"] == [value % 2 for value in brightness]
+
+
+@pytest.mark.fault("S9")
+def test_an_unknown_model_is_told_from_one_that_was_never_fitted(faulty: Any, refusal: Any) -> None:
+    request = faulty.trajectory()
+    refusal(faulty.http.post(SEGMENT, json={**request, "model": {"version": "0" * 12}}), 404)
+    problem = refusal(faulty.http.post(SEGMENT, json={**request, "model": {"name": "other"}}), 409)
+    assert "freerein fit segmentation" in problem["hint"]
+
+
+@pytest.mark.fault("S9")
+@pytest.mark.parametrize("smoothing", [5e-324, 1e-300, 0.01, 100.0])
+@pytest.mark.parametrize("min_segment", [0, 1, 1000])
+def test_any_smoothing_and_merging_within_bounds_is_answered(faulty: Any, smoothing: float, min_segment: int) -> None:
+    request = {**faulty.trajectory([0, 1, 1, 0, 1]), "smoothing": smoothing, "min_segment": min_segment}
+    reply = faulty.http.post(SEGMENT, json=request)
+    assert len(reply.json()["labels"]) == 5

@@ -1,0 +1,42 @@
+"""Requests generated from each service's own OpenAPI document, sent to it as a process."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("C1"), pytest.mark.timeout(3_600)]
+CHECKS = "not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance"
+CASES, SECONDS = 20_000, 20  # in `make fuzz`, and in `make test`
+SERVICES = {
+    "segmentation": (str(Path(__file__).with_name("faulty_service.py")), {}),
+    "sim": ("freerein_sim", {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "8"}),
+}
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_no_generated_request_breaks_a_service_or_its_document(
+    start_service: Callable[..., Any], tmp_path: Path, fuzz: bool, name: str
+) -> None:
+    module, environ = SERVICES[name]
+    service = start_service(module, **environ)
+    document = f"{service.url}/openapi.json"
+    operations = len(httpx.get(document, trust_env=False).json()["paths"])
+    budget = ["--max-examples", str(CASES // operations)] if fuzz else ["--max-time", str(SECONDS)]
+    options = ["--continue-on-failure", "--generation-database", "none", "--suppress-health-check", "all", "--no-color"]
+    ran = subprocess.run(
+        [Path(sys.executable).with_name("schemathesis"), "run", document, "--checks", CHECKS, *options, *budget],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert ran.returncode == 0, ran.stdout[-5_000:]
+    assert f"{operations}/{operations}" in ran.stdout
+    assert service.process.poll() is None
+    assert '"event": "bug"' not in service.log.read_text()
+    assert service.stop() == 0

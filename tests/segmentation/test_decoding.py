@@ -1,0 +1,90 @@
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from freerein_segmentation.decoding import decode, merge_short, smooth
+
+Probabilities = npt.NDArray[np.float32]
+
+
+def certain(labels: list[int], *, skills: int = 3, confidence: float = 0.8) -> Probabilities:
+    rest = (1 - confidence) / (skills - 1)
+    return np.where(np.eye(skills, dtype=bool)[labels], confidence, rest).astype(np.float32)
+
+
+@st.composite
+def probabilities(draw: st.DrawFn) -> Probabilities:
+    seed, timesteps, skills = draw(st.tuples(st.integers(0, 10_000), st.integers(1, 60), st.integers(1, 5)))
+    return np.random.default_rng(seed).dirichlet(np.ones(skills), timesteps).astype(np.float32)
+
+
+def test_without_smoothing_and_merging_labels_are_the_likeliest_skills() -> None:
+    decoded = decode(certain([0, 0, 2, 1, 1]), smoothing=0.0, min_segment=0)
+    assert decoded.labels.tolist() == [0, 0, 2, 1, 1]
+    assert decoded.labels.dtype == np.int64
+    assert decoded.confidence.dtype == np.float32
+    assert decoded.confidence.tolist() == pytest.approx([0.8] * 5)
+    assert [(span.start, span.end, span.skill) for span in decoded.spans] == [(0, 2, 0), (2, 3, 2), (3, 5, 1)]
+
+
+def test_a_short_segment_goes_to_the_neighbour_that_its_timesteps_like_better() -> None:
+    flicker = certain([0, 0, 0, 2, 2, 1, 1, 1])
+    flicker[3:5] = [0.1, 0.3, 0.6]
+    decoded = decode(flicker, smoothing=0.0, min_segment=3)
+    assert decoded.labels.tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
+    assert decoded.confidence[3] == pytest.approx(0.3)
+    assert decoded.spans[1].confidence == pytest.approx((0.3 * 2 + 0.8 * 3) / 5)
+
+
+def test_a_flicker_inside_a_segment_joins_its_two_halves() -> None:
+    labels = np.array([0, 0, 1, 0, 0])
+    assert merge_short(labels, certain(labels.tolist()), min_segment=3).tolist() == [0] * 5
+
+
+def test_a_trajectory_shorter_than_a_segment_becomes_one_segment() -> None:
+    decoded = decode(certain([0, 1, 1]), smoothing=0.0, min_segment=100)
+    assert [(span.start, span.end) for span in decoded.spans] == [(0, 3)]
+
+
+def test_smoothing_removes_a_flicker_and_keeps_the_boundary() -> None:
+    decoded = decode(certain([0] * 10 + [1] + [0] * 9 + [2] * 20), smoothing=1.5, min_segment=0)
+    assert decoded.labels.tolist() == [0] * 20 + [2] * 20
+
+
+def test_smoothing_leaves_what_is_constant_alone_up_to_the_ends() -> None:
+    np.testing.assert_allclose(smooth(certain([1] * 7), sigma=3.0), certain([1] * 7), atol=1e-6)
+
+
+def test_smoothing_is_gaussian() -> None:
+    impulse = certain([0] * 30 + [1] + [0] * 30, skills=2, confidence=1.0)
+    smoothed = smooth(impulse, sigma=2.0)[:, 1]
+    assert smoothed[32] / smoothed[30] == pytest.approx(np.exp(-0.5))
+    assert smoothed[34] / smoothed[30] == pytest.approx(np.exp(-2.0))
+
+
+@given(probabilities(), st.floats(0.0, 100.0), st.integers(0, 20))
+def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, sigma: float, least: int) -> None:
+    decoded = decode(given_, smoothing=sigma, min_segment=least)
+    spans = decoded.spans
+    assert [0, *(span.end for span in spans)] == [*(span.start for span in spans), len(given_)]
+    assert all(first.skill != second.skill for first, second in itertools.pairwise(spans))
+    assert all(span.end - span.start >= min(least, len(given_)) for span in spans) or len(spans) == 1
+    assert np.repeat([span.skill for span in spans], [span.end - span.start for span in spans]).tolist() == (
+        decoded.labels.tolist()
+    )
+    assert ((decoded.confidence >= 0) & (decoded.confidence <= 1)).all()
+
+
+@given(probabilities(), st.floats(0.0, 50.0))
+def test_smoothed_probabilities_still_sum_to_one(given_: Probabilities, sigma: float) -> None:
+    np.testing.assert_allclose(smooth(given_, sigma=sigma).sum(axis=1), 1.0, atol=1e-5)
+
+
+def test_twenty_thousand_flickering_timesteps_are_merged_at_once() -> None:
+    noise = np.random.default_rng(0).dirichlet(np.ones(5), 20_000).astype(np.float32)
+    decoded = decode(noise, smoothing=0.0, min_segment=50)
+    assert min(span.end - span.start for span in decoded.spans) >= 50

@@ -1,0 +1,146 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning import tensor_files, weights
+from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, export, load
+from freerein_segmentation.model import network as network_module
+
+CONTINUOUS = ModelSpec(skills=("a", "b", "c"), camera="front", height=20, width=24, channels=3, action_size=2)
+DISCRETE = replace(CONTINUOUS, channels=1, action_size=1, action_choices=5, context="causal")
+BLIND = replace(CONTINUOUS, action_size=0)
+SPECS = pytest.mark.parametrize("spec", [CONTINUOUS, DISCRETE, BLIND], ids=["continuous", "discrete", "no actions"])
+
+
+def make(spec: ModelSpec) -> SegmentationNetwork:
+    network = SegmentationNetwork(spec)
+    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    network.image.calibrate(torch.from_numpy(trajectory(spec, 50)[0]))
+    return network
+
+
+def trajectory(spec: ModelSpec, timesteps: int, *, seed: int = 0) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any]]:
+    rng = np.random.default_rng(seed)
+    frames = rng.integers(0, 256, (timesteps, spec.height, spec.width, spec.channels), np.uint8)
+    if spec.action_choices:
+        return frames, rng.integers(0, spec.action_choices, (timesteps, 1))
+    return frames, rng.uniform(-1, 1, (timesteps, 2)).astype(np.float32)
+
+
+def score(network: SegmentationNetwork, *lengths: int) -> torch.Tensor:
+    """Returns the scores (B, T, K) of random trajectories of these lengths."""
+    parts = [trajectory(network.spec, length, seed=seed) for seed, length in enumerate(lengths)]
+    frames, actions = (torch.from_numpy(np.concatenate(part)) for part in zip(*parts, strict=True))
+    scores, mask = network(frames, actions, torch.tensor(lengths))
+    assert mask.sum(dim=1).tolist() == list(lengths)
+    return scores
+
+
+@SPECS
+def test_padding_and_neighbours_in_the_batch_do_not_matter(spec: ModelSpec) -> None:
+    network = make(spec)
+    torch.testing.assert_close(score(network, 9, 4)[0, :9], score(network, 9)[0])
+    torch.testing.assert_close(score(network, 4, 9)[0, :4], score(network, 4)[0])
+
+
+@SPECS
+def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = make(spec)
+    whole = score(network, 23)[0].softmax(dim=1).detach().numpy()
+    monkeypatch.setattr(network_module, "_TIMESTEPS_AT_ONCE", 5)
+    np.testing.assert_allclose(SegmentationModel(network).probabilities(*trajectory(spec, 23)), whole, atol=1e-6)
+
+
+def test_a_causal_network_does_not_see_the_future_and_a_bidirectional_one_does() -> None:
+    for spec, sees in ((DISCRETE, False), (CONTINUOUS, True)):
+        model = SegmentationModel(make(spec))
+        frames, actions = trajectory(spec, 12)
+        later = frames.copy()
+        later[8:] = 255 - later[8:]
+        before, after = model.probabilities(frames, actions)[:8], model.probabilities(later, actions)[:8]
+        assert (not np.allclose(before, after)) == sees
+
+
+@SPECS
+def test_probabilities_are_float32_and_sum_to_one(spec: ModelSpec) -> None:
+    probabilities = SegmentationModel(make(spec)).probabilities(*trajectory(spec, 1))
+    assert probabilities.shape == (1, 3)
+    assert probabilities.dtype == np.float32
+    assert probabilities.sum() == pytest.approx(1.0)
+
+
+def test_a_model_without_actions_needs_none() -> None:
+    model = SegmentationModel(make(BLIND))
+    frames, actions = trajectory(BLIND, 6)
+    np.testing.assert_array_equal(model.probabilities(frames, None), model.probabilities(frames, actions))
+
+
+def test_read_only_frames_are_labelled_as_they_come_from_the_wire() -> None:
+    frames, actions = trajectory(CONTINUOUS, 3)
+    frames.flags.writeable = actions.flags.writeable = False
+    SegmentationModel(make(CONTINUOUS)).probabilities(frames, actions)
+
+
+@SPECS
+def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_path: Path) -> None:
+    network = make(spec)
+    export(network, tmp_path / "model", card={"seed": 3, "figures": {"validation_loss": 0.9}})
+    model = load(tmp_path / "model", "cpu")
+    seen = trajectory(spec, 7)
+    np.testing.assert_array_equal(model.probabilities(*seen), SegmentationModel(network).probabilities(*seen))
+    assert (model.skills, model.camera, model.height, model.width) == (("a", "b", "c"), "front", 20, 24)
+    assert (model.channels, model.action_size, model.action_choices) == (
+        spec.channels,
+        spec.action_size,
+        spec.action_choices,
+    )
+    card = json.loads((tmp_path / "model" / "card.json").read_text())
+    assert card["seed"] == 3
+    assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.safetensors", "card.json"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hidden": 50},
+        {"hidden": 10**9},
+        {"skills": ["a"]},
+        {"skills": []},
+        {"channels": 2},
+        {"context": "causal"},
+        {"surprise": 1},
+    ],
+)
+def test_a_card_that_does_not_fit_the_weights_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    export(make(CONTINUOUS), tmp_path, card={})
+    card = json.loads((tmp_path / "card.json").read_text())
+    card["spec"].update(change)
+    (tmp_path / "card.json").write_text(json.dumps(card))
+    with pytest.raises(InvalidInput):
+        load(tmp_path, "cpu")
+
+
+@pytest.mark.parametrize("name", ["model.safetensors", "card.json"])
+@pytest.mark.parametrize("data", [None, b"", b"{}", b"[" * 100_000, b"\x80\x04\x95."])
+def test_a_file_that_is_missing_or_something_else_is_refused(tmp_path: Path, name: str, data: bytes | None) -> None:
+    export(make(CONTINUOUS), tmp_path, card={})
+    (tmp_path / name).unlink() if data is None else (tmp_path / name).write_bytes(data)
+    with pytest.raises(InvalidInput) as error:
+        load(tmp_path, "cpu")
+    assert str(tmp_path) not in error.value.detail
+
+
+def test_weights_of_another_dtype_are_refused(tmp_path: Path) -> None:
+    network = make(CONTINUOUS)
+    export(network, tmp_path, card={})
+    halves = {name: tensor.half() for name, tensor in network.state_dict().items()}
+    (tmp_path / "model.safetensors").write_bytes(tensor_files.dump(halves))
+    with pytest.raises(InvalidInput, match="weights"):
+        load(tmp_path, "cpu")

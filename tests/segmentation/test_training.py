@@ -1,0 +1,139 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from freerein import metrics
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.learning.fit import fit
+from freerein_segmentation import training
+from freerein_segmentation.model import Context, SegmentationModel
+from freerein_segmentation.objectives import ObjectiveName
+from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationProblem
+
+SKILLS = ("blue", "green", "red")
+COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
+CPU = torch.device("cpu")
+FAST = SegmentationConfig(
+    steps=100, batch_size=8, learning_rate=5e-3, warmup_steps=10, hidden=16, features=16, evaluate_every=20
+)
+
+
+def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, list[npt.NDArray[np.int64]]]:
+    """Returns noisy frames with a coloured dot, and the labels: the skill of a timestep is the colour of its dot."""
+    rng = np.random.default_rng(seed)
+    frames, actions, labels = [], [], []
+    for _ in range(count):
+        truth = np.repeat(rng.permutation(3)[:skills], rng.integers(3, 8, skills))
+        seen = rng.integers(100, 130, (len(truth), 12, 12, 3), np.uint8)
+        seen[:, 2:6, 2:6] = COLOURS[truth][:, None, None]
+        frames.append(seen)
+        actions.append(rng.uniform(-1, 1, (len(truth), 2)).astype(np.float32))
+        labels.append(truth.astype(np.int64))
+    tags = [tuple(SKILLS[skill] for skill in np.unique(truth)) for truth in labels]
+    return Demonstrations(frames, actions, tags), labels
+
+
+def problem(config: SegmentationConfig = FAST) -> SegmentationProblem:
+    learnt, _ = make(48, seed=0)
+    held_out, _ = make(8, seed=1)
+    spec = training.design(config, learnt, skills=SKILLS, action_choices=0)
+    return SegmentationProblem(config, spec, learnt, held_out, "fingerprint", CPU)
+
+
+@pytest.mark.parametrize(
+    ("objective", "context"),
+    [("lse_per_timestep", "bidirectional"), ("lse_per_timestep", "causal"), ("lse", "bidirectional")],
+)
+def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_trained_on(
+    tmp_path: Path, objective: ObjectiveName, context: Context
+) -> None:
+    config = replace(FAST, objective=objective, context=context)
+    fitted = fit(problem(config), config.plan, tmp_path)
+    assert fitted is not None
+    model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
+    predicted = [
+        model.probabilities(frames, actions).argmax(axis=1)
+        for frames, actions in zip(unseen.frames, unseen.actions, strict=True)
+    ]
+    accuracy = np.mean([metrics.frame_accuracy(*pair) for pair in zip(predicted, labels, strict=True)])
+    assert accuracy > 0.95
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
+    def digest(name: str, seed: int) -> str:
+        config = replace(FAST, steps=5, seed=seed)
+        fitted = fit(problem(config), config.plan, tmp_path / name)
+        assert fitted is not None
+        return weights.sha256(fitted.network)
+
+    assert digest("first", 0) == digest("again", 0) != digest("other", 1)
+
+
+def test_the_loss_on_held_out_trajectories_is_their_mean_however_they_are_batched() -> None:
+    whole = problem()
+    state = whole.init(torch.Generator().manual_seed(0))
+    one_by_one = replace(whole, config=replace(FAST, batch_size=1))
+    assert one_by_one.evaluate(state) == pytest.approx(whole.evaluate(state), abs=1e-6)
+
+
+def test_the_learning_rate_rises_and_falls_to_zero() -> None:
+    rates = [training.learning_rate(FAST, step) for step in range(FAST.steps + 1)]
+    assert rates[0] == pytest.approx(FAST.learning_rate / 10)
+    assert max(rates) == rates[9] <= FAST.learning_rate
+    assert rates[-1] == 0.0
+
+
+def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
+    config = SegmentationConfig.from_mapping({"steps": 20.0, "objective": "lse", "threads": 2.0})
+    assert config == SegmentationConfig(steps=20, objective="lse", threads=2)
+    for wrong in ({"labels": True}, {"steps": 0}, {"objective": "supervised"}, {"context": 1}):
+        with pytest.raises(InvalidInput):
+            SegmentationConfig.from_mapping(wrong)
+
+
+def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
+    learnt, _ = make(4, seed=0)
+    steps = [np.zeros((len(learnt.frames[item]), 1), np.int64) for item in range(4)]
+    discrete = Demonstrations(learnt.frames, steps, learnt.skills)
+    for config in (FAST, replace(FAST, use_actions=False)):
+        spec = training.design(config, discrete, skills=SKILLS, action_choices=5)
+        assert (spec.action_size, spec.action_choices) == ((1, 5) if config.use_actions else (0, 0))
+        whole = SegmentationProblem(config, spec, discrete, discrete, "fingerprint", CPU)
+        state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
+        assert state.step == 1
+        assert np.isfinite(figures["train_loss"])
+
+
+def test_held_out_trajectories_are_a_random_share_that_the_seed_decides() -> None:
+    demonstrations, _ = make(20, seed=0)
+    learnt, held_out = training.hold_out(demonstrations, share=0.2, seed=0)
+    assert (len(learnt), len(held_out)) == (16, 4)
+    frames = {id(each) for part in (learnt, held_out) for each in part.frames}
+    assert frames == {id(each) for each in demonstrations.frames}
+    _, other = training.hold_out(demonstrations, share=0.2, seed=1)
+    assert other.skills != held_out.skills
+    with pytest.raises(InvalidInput, match="at least 2"):
+        training.hold_out(demonstrations.subset([0]), share=0.2, seed=0)
+
+
+def test_demonstrations_that_do_not_fit_together_are_refused() -> None:
+    good, _ = make(3, seed=0)
+    short = [good.actions[0], good.actions[1], good.actions[2][:-1]]
+    for frames, actions, skills in (
+        (good.frames, good.actions, good.skills[:2]),
+        (good.frames, short, good.skills),
+        (good.frames, good.actions, [*good.skills[:2], ()]),
+        ([], [], []),
+    ):
+        with pytest.raises(InvalidInput):
+            Demonstrations(frames, actions, skills)
+
+
+def test_a_tag_that_is_no_skill_of_the_dataset_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="2 skills"):
+        training.design(FAST, make(6, seed=0)[0], skills=SKILLS[:2], action_choices=0)
