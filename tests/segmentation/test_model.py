@@ -16,7 +16,8 @@ from freerein_segmentation.model import network as network_module
 CONTINUOUS = ModelSpec(skills=("a", "b", "c"), camera="front", height=20, width=24, channels=3, action_size=2)
 DISCRETE = replace(CONTINUOUS, channels=1, action_size=1, action_choices=5, context="causal")
 BLIND = replace(CONTINUOUS, action_size=0)
-SPECS = pytest.mark.parametrize("spec", [CONTINUOUS, DISCRETE, BLIND], ids=["continuous", "discrete", "no actions"])
+NAMED = {"continuous": CONTINUOUS, "discrete": DISCRETE, "no actions": BLIND}
+SPECS = pytest.mark.parametrize("spec", NAMED.values(), ids=NAMED.keys())
 
 
 def make(spec: ModelSpec) -> SegmentationNetwork:
@@ -74,6 +75,16 @@ def test_probabilities_are_float32_and_sum_to_one(spec: ModelSpec) -> None:
     assert probabilities.shape == (1, 3)
     assert probabilities.dtype == np.float32
     assert probabilities.sum() == pytest.approx(1.0)
+
+
+def test_with_a_stride_every_timestep_is_labelled_in_the_pass_that_it_belongs_to() -> None:
+    strided = make(replace(CONTINUOUS, stride=3))
+    every = SegmentationModel(make(CONTINUOUS))
+    frames, actions = trajectory(CONTINUOUS, 11)
+    probabilities = SegmentationModel(strided).probabilities(frames, actions)
+    for phase in range(3):
+        np.testing.assert_array_equal(probabilities[phase::3], every.probabilities(frames[phase::3], actions[phase::3]))
+    assert SegmentationModel(strided).probabilities(frames[:2], actions[:2]).shape == (2, 3)
 
 
 def test_a_model_without_actions_needs_none() -> None:

@@ -109,6 +109,17 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
         assert np.isfinite(figures["train_loss"])
 
 
+def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_still_count() -> None:
+    learnt, _ = make(2, seed=0)
+    spec = training.design(replace(FAST, stride=5), learnt, skills=SKILLS, action_choices=0)
+    batch = training.gather(learnt, [0, 1], [2, 4], spec=spec, device=CPU)
+    expected = [learnt.frames[0][2::5], learnt.frames[1][4::5]]
+    assert batch.lengths.tolist() == [len(each) for each in expected]
+    np.testing.assert_array_equal(batch.frames.numpy(), np.concatenate(expected))
+    brief = Demonstrations([learnt.frames[0][:3]], [learnt.actions[0][:3]], [SKILLS[:1]])
+    assert training.gather(brief, [0], [4], spec=spec, device=CPU).lengths.tolist() == [1]
+
+
 def test_held_out_trajectories_are_a_random_share_that_the_seed_decides() -> None:
     demonstrations, _ = make(20, seed=0)
     learnt, held_out = training.hold_out(demonstrations, share=0.2, seed=0)

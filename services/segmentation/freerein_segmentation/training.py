@@ -32,6 +32,8 @@ class SegmentationConfig:
 
     Attributes:
         camera: Whose frames to learn from; empty where the dataset has one camera.
+        stride: Timesteps from one that the network sees to the next: 1 where skills may last a few timesteps only, more
+            where they are long and frames alike, to see more trajectories in the same time.
         objective: `lse`, the dissertation's, or `lse_per_timestep`, ours.
         context: `causal`, the dissertation's, or `bidirectional`: labelling is done after the fact.
         use_actions: Whether the network sees the executed actions.
@@ -53,6 +55,7 @@ class SegmentationConfig:
     objective: ObjectiveName = "lse_per_timestep"
     context: Context = "bidirectional"
     use_actions: bool = True
+    stride: int = bounded(1, least=1, most=100)
     steps: int = bounded(300, least=1, most=10_000_000)
     batch_size: int = bounded(16, least=1, most=1024)
     learning_rate: float = bounded(2e-3, least=1e-7, most=1.0)
@@ -178,6 +181,7 @@ def design(
         channels=channels,
         action_size=action_size,
         action_choices=action_choices if action_size else 0,
+        stride=config.stride,
         context=config.context,
         features=config.features,
         hidden=config.hidden,
@@ -202,12 +206,28 @@ class Batch:
 
 
 def gather(
-    demonstrations: Demonstrations, items: Sequence[int], *, skills: tuple[str, ...], device: torch.device
+    demonstrations: Demonstrations,
+    items: Sequence[int],
+    phases: Sequence[int],
+    *,
+    spec: ModelSpec,
+    device: torch.device,
 ) -> Batch:
-    """Returns some trajectories as tensors on a device."""
-    frames = [demonstrations.frames[item] for item in items]
-    actions: list[npt.NDArray[Any]] = [demonstrations.actions[item] for item in items]
-    tags = [[skill in demonstrations.skills[item] for skill in skills] for item in items]
+    """Returns some trajectories, every `spec.stride`-th timestep of each, as tensors on a device.
+
+    Args:
+        demonstrations: Where they are.
+        items: Which.
+        phases: The first timestep of each; taken modulo its length where it is shorter than the stride.
+        spec: The network that they are for.
+        device: Where it is.
+    """
+    frames, actions = [], []
+    for item, phase in zip(items, phases, strict=True):
+        seen, done = demonstrations.frames[item], demonstrations.actions[item]
+        frames.append(seen[phase % len(seen) :: spec.stride])
+        actions.append(done[phase % len(seen) :: spec.stride])
+    tags = [[skill in demonstrations.skills[item] for skill in spec.skills] for item in items]
     return Batch(
         torch.from_numpy(np.concatenate(frames)).to(device),
         torch.from_numpy(np.concatenate(actions)).to(device),
@@ -247,13 +267,15 @@ def update(state: State, batch: Batch, *, config: SegmentationConfig) -> tuple[S
 @torch.no_grad()
 def evaluate(state: State, demonstrations: Demonstrations, *, config: SegmentationConfig) -> float:
     """Returns the mean loss on held-out trajectories: how well their tags are told, the only truth that may choose."""
-    device, skills = state.network.head.weight.device, state.network.spec.skills
+    spec, device = state.network.spec, state.network.head.weight.device
     batches = [
         range(start, min(start + config.batch_size, len(demonstrations)))
         for start in range(0, len(demonstrations), config.batch_size)
     ]
     losses = [
-        _losses(state.network, gather(demonstrations, batch, skills=skills, device=device), config.objective)
+        _losses(
+            state.network, gather(demonstrations, batch, [0] * len(batch), spec=spec, device=device), config.objective
+        )
         for batch in batches
     ]
     return torch.cat(losses).mean().item()
@@ -301,7 +323,8 @@ class SegmentationProblem:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some trajectories, and its metrics."""
-        batch = gather(self.training, items.tolist(), skills=self.spec.skills, device=self.device)
+        phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
+        batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
         return update(state, batch, config=self.config)
 
     def evaluate(self, state: State) -> float:

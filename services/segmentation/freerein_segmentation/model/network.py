@@ -30,6 +30,7 @@ class ModelSpec:
         channels: 1 or 3.
         action_size: Numbers per action; 0 for a network that sees no actions.
         action_choices: How many different actions there are when they are discrete, else 0.
+        stride: Timesteps from one that the LSTM sees to the next; timesteps in between belong to passes of their own.
         context: What a timestep's score may depend on: the past, as in the dissertation, or all of the trajectory.
         features: Image features.
         hidden: Units of the LSTM, in each direction.
@@ -45,6 +46,7 @@ class ModelSpec:
     channels: int = bounded(3, least=1, most=3)
     action_size: int = bounded(0, least=0, most=256)
     action_choices: int = bounded(0, least=0, most=4096)
+    stride: int = bounded(1, least=1, most=100)
     context: Context = "bidirectional"
     features: int = bounded(64, least=8, most=1024)
     hidden: int = bounded(100, least=8, most=1024)

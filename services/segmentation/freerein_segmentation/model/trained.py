@@ -48,6 +48,7 @@ class SegmentationModel:
         self.camera = spec.camera
         self.height, self.width, self.channels = spec.height, spec.width, spec.channels
         self.action_size, self.action_choices = spec.action_size, spec.action_choices
+        self._stride = spec.stride
         self._network = network.eval()
         self._device = next(network.parameters()).device
 
@@ -60,8 +61,17 @@ class SegmentationModel:
             actions: float32 (T, A) or int64 (T, 1); not looked at by a model without actions.
         """
         done = np.zeros((len(frames), 0), np.float32) if actions is None else actions
+        probabilities = np.empty((len(frames), len(self.skills)), np.float32)
+        for phase in range(min(self._stride, len(frames))):
+            probabilities[phase :: self._stride] = self._pass(
+                frames[phase :: self._stride], done[phase :: self._stride]
+            )
+        return probabilities
+
+    def _pass(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Returns the probabilities of timesteps as far apart as they were in training."""
         windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
-        features = torch.cat([self._network.features(*self._load(frames[at], done[at])) for at in windows])  # (T, D)
+        features = torch.cat([self._network.features(*self._load(frames[at], actions[at])) for at in windows])  # (T, D)
         probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
         return probabilities
 
