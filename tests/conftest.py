@@ -72,7 +72,7 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
 
 @pytest.fixture
 def start_service(tmp_path: Path) -> Iterator[StartService]:
-    """A function that starts a service process, ended with the test: `start_service("freerein_sim", FREEREIN_TOKEN="x")`."""
+    """A function that starts a service process, ended with the test: `start_service("freerein_sim", NAME="value")`."""
     started: list[RunningService] = []
 
     def start(module: str, data_dir: Path | None = None, **environ: str) -> RunningService:

@@ -132,6 +132,22 @@ def refusal() -> Refusal:
     return check
 
 
+LeastOfThree = Callable[..., float]
+
+
+@pytest.fixture
+def least_of_three() -> LeastOfThree:
+    """A function that measures until a value is below a bound, thrice at most: a busy machine only adds to values."""
+
+    def measure_until(measure: Callable[[], float], *, below: float) -> float:
+        least = measure()
+        for _ in range(2):
+            least = least if least < below else min(least, measure())
+        return least
+
+    return measure_until
+
+
 @pytest.fixture
 def repeats() -> int:
     """How often a row is repeated: seldom in `make test`, often in `make fuzz`."""

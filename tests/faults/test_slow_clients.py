@@ -86,11 +86,13 @@ def test_a_slow_answer_is_not_a_slow_client(faulty: Any) -> None:
 
 
 @pytest.mark.fault("C7")
-def test_many_slow_clients_slow_nobody_else(faulty: Any, fuzz: bool) -> None:
-    alone = latencies(faulty, 200)
-    with attack(faulty, 2_000 if fuzz else 300):
-        attacked = latencies(faulty, 200)
-    assert percentile(attacked, 0.99) < max(2 * percentile(alone, 0.99), 0.02), (alone[-5:], attacked[-5:])
+def test_many_slow_clients_slow_nobody_else(faulty: Any, least_of_three: Any, fuzz: bool) -> None:
+    def times_slower() -> float:
+        alone = latencies(faulty, 200)
+        with attack(faulty, 2_000 if fuzz else 300):
+            return percentile(latencies(faulty, 200), 0.99) / max(percentile(alone, 0.99), 0.01)
+
+    assert least_of_three(times_slower, below=2.0) < 2.0
 
 
 @contextlib.contextmanager
