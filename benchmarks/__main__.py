@@ -28,7 +28,7 @@ async def _run(names: Sequence[str], *, quick: bool, out: Path) -> None:
     from benchmarks.rounds import Effort
 
     torch.set_num_threads(1)
-    effort = Effort(rounds=1, turn_s=0.0) if quick else Effort(rounds=15, turn_s=0.15)
+    effort = Effort(rounds=1, turn_s=0.0) if quick else Effort(rounds=31, turn_s=0.07)
     load = os.getloadavg()
     found = report.Findings()
     for name in names:

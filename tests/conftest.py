@@ -70,6 +70,14 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     return RunningService(process, url, address, data_dir, log)
 
 
+@pytest.fixture(autouse=True)
+def _keep_small_numbers() -> Iterator[None]:
+    """Trainings flush denormal numbers to zero for their whole process; the next test wants them back."""
+    yield
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_flush_denormal(False)
+
+
 @pytest.fixture
 def start_service(tmp_path: Path) -> Iterator[StartService]:
     """A function that starts a service process, ended with the test: `start_service("freerein_sim", NAME="value")`."""

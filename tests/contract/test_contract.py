@@ -326,6 +326,51 @@ async def test_a_watcher_that_goes_away_before_an_event_comes_is_let_go(open_doo
     assert sent[0]["status"] == 499
 
 
-def test_every_code_of_an_error_is_of_one_class() -> None:
-    codes = {code for row in SERVICES.values() for code in (case.code for case in row.cases) if code}
-    assert {errors.by_code(code).code for code in codes} == codes
+ERRORS = [cls for cls in vars(errors).values() if isinstance(cls, type) and issubclass(cls, ServiceError)]
+
+
+@pytest.mark.parametrize("cls", [cls for cls in ERRORS if cls is not ServiceError], ids=lambda cls: cls.code)
+async def test_every_error_crosses_every_door_as_the_class_that_it_is(
+    open_doors: OpenDoors, cls: type[ServiceError]
+) -> None:
+    raised = cls("Expected this; got that.", field="name", hint="Send this.")
+
+    class Refusing:
+        async def list_models(self, _request: object) -> None:
+            raise raised
+
+        async def activate_model(self, _request: object) -> None:
+            raise raised
+
+    async def nothing() -> None: ...
+
+    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], Refusing())
+    doors = await open_doors(lambda _data_dir, _health: Service("refusing", methods, nothing, nothing, lambda: ""))
+    for door in doors.all:
+        with pytest.raises(ServiceError) as caught:
+            await door(doors.method("ListModels"), learning.ListModelsRequest())
+        assert type(caught.value) is cls
+        assert (caught.value.detail, caught.value.field, caught.value.hint) == (raised.detail, "name", "Send this.")
+    with pytest.raises(grpc.aio.AioRpcError) as status:
+        await doors.channel.unary_unary("/freerein.api.learning.v1.ModelService/ListModels")(b"")
+    assert status.value.code().name == cls.grpc_status
+
+
+async def test_a_bug_is_internal_through_both_doors_and_says_nothing_of_itself(
+    open_doors: OpenDoors, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Broken:
+        async def list_models(self, _request: object) -> None:
+            raise KeyError("secret")
+
+        async def activate_model(self, _request: object) -> None: ...
+
+    async def nothing() -> None: ...
+
+    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], Broken())
+    doors = await open_doors(lambda _data_dir, _health: Service("broken", methods, nothing, nothing, lambda: ""))
+    for door in (doors.rest, doors.grpc):
+        with pytest.raises(errors.Internal) as caught:
+            await door(doors.method("ListModels"), learning.ListModelsRequest())
+        assert "secret" not in caught.value.detail + caught.value.hint
+    assert [record.message for record in caplog.records if record.exc_info] == ["bug", "bug"]

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -244,11 +245,40 @@ def test_a_malformed_length_is_malformed(faulty: Any, headers: tuple[str, ...]) 
 
 
 @pytest.mark.fault("C5")
+def test_a_body_of_small_values_takes_no_more_memory_than_its_bytes(faulty: Any, refusal: Any) -> None:
+    body = b'{"images": [%s[]]}' % (b"[]," * (20 * MiB))
+    with Growth(faulty.process) as growth:
+        refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
+    assert growth.most < 3 * len(body)  # in parts, whole, and what the allocator holds back
+
+
+@pytest.mark.fault("C5")
 def test_a_compressed_body_is_not_opened(faulty: Any, refusal: Any) -> None:
     with Growth(faulty.process) as growth:
         headers = {**JSON, "content-encoding": "gzip"}
         refusal(faulty.http.post(SEGMENT, content=b"\x1f\x8b" + b"\0" * MiB, headers=headers), 415)
     assert growth.most < 16 * MiB
+
+
+@pytest.mark.fault("C10")
+@pytest.mark.parametrize(
+    "data",
+    [
+        raw_request("POST", SEGMENT, b"0\r\n\r\n", "content-length: 2", "transfer-encoding: chunked"),
+        raw_request("POST", SEGMENT, b"zz\r\nxx\r\n", "transfer-encoding: chunked"),
+        raw_request("POST", SEGMENT, b"2\r\n{}\r\nzz\r\n", "transfer-encoding: chunked"),
+        raw_request("GET", "/healthz", b"", "host: y"),
+        raw_request("GET", "/healthz", b"", "x-a : 1"),
+        raw_request("GET", "/\xff", b""),
+        b"GET /healthz HTTP/1.1\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n",
+    ],
+    ids=["two lengths", "no size", "no second size", "two hosts", "space", "not ASCII", "no host", "TLS"],
+)
+def test_what_could_be_read_as_two_requests_is_none_and_ends_the_connection(faulty: Any, data: bytes) -> None:
+    reply = faulty.raw(data + raw_request("GET", "/metrics"))
+    assert status(reply) == 400
+    assert len(re.findall(rb"HTTP/1.1 \d", reply)) == 1
 
 
 @pytest.mark.fault("C9")

@@ -169,10 +169,19 @@ async def test_an_error_names_the_field_and_repeats_nothing(value: object, field
     assert error.value.hint
 
 
-async def test_a_million_bad_items_are_a_short_error() -> None:
+@pytest.mark.parametrize("items", [900_000, 1_100_000])
+async def test_a_million_bad_items_are_a_short_error(items: int) -> None:
     with pytest.raises(InvalidInput) as error:
-        await read(b'{"images": [%s1]}' % (b"1," * 1_000_000), SegmentRequest)
+        await read(b'{"images": [%s1]}' % (b"1," * items), SegmentRequest)
     assert len(error.value.detail) < 500
+
+
+@pytest.mark.parametrize("data", [b'{"images": [%s[]]}', b'{"images": [%s{}]}', b'{"images": %s'])
+async def test_small_values_that_would_fill_the_memory_are_not_parsed(data: bytes) -> None:
+    with pytest.raises(InvalidInput, match="1000000 values"):
+        await read(data % (b"[]," * 1_000_000), SegmentRequest)
+    with pytest.raises(InvalidInput, match="1000000 values"):
+        await read(form(part("model", b"[%s[]]" % (b"[]," * 1_000_000))), SegmentRequest, MULTIPART)
 
 
 # --- media types

@@ -59,6 +59,13 @@ def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, mon
     np.testing.assert_allclose(SegmentationModel(network).probabilities(*trajectory(spec, 23)), whole, atol=1e-6)
 
 
+def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with_a_trajectory() -> None:
+    network, encoded = make(CONTINUOUS), list[int]()
+    network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0])))
+    SegmentationModel(network).probabilities(*trajectory(CONTINUOUS, 600))
+    assert encoded == [256, 256, 88]
+
+
 def test_a_causal_network_does_not_see_the_future_and_a_bidirectional_one_does() -> None:
     for spec, sees in ((DISCRETE, False), (CONTINUOUS, True)):
         model = SegmentationModel(make(spec))

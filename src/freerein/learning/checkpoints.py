@@ -53,6 +53,8 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
     Raises:
         OSError: The disk is full or broken; the checkpoints before are untouched.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    sync_folder(folder.parent)
     target = folder / f"step-{checkpoint.step:09d}"
     unfinished = target.with_name(target.name + UNFINISHED)
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -84,7 +86,7 @@ def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoin
 
 
 def _write(path: Path, checkpoint: Checkpoint) -> None:
-    path.mkdir(parents=True)
+    path.mkdir()
     document = json.dumps(dict(checkpoint.document), allow_nan=False).encode()
     tensors = tensor_files.dump(checkpoint.tensors)
     write_durably(path / _DOCUMENT, document)

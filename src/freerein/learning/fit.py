@@ -5,7 +5,8 @@
 
 What is to be learnt comes as a `Problem`. The loop keeps the weights that did best on held-out data, by the training's
 own signal, and returns them. Bits depend on the problem, the plan (threads among it), torch's version and the device,
-which are written into each checkpoint and compared on resume; never on clocks, interruptions or logging.
+which are written into each checkpoint and compared on resume; never on clocks, interruptions or logging. That much is
+tested on the CPU; on CUDA it holds as far as the kernels are deterministic, which cuDNN's LSTM does not promise.
 """
 
 import math

@@ -85,6 +85,8 @@ class Edge:
             raise UnsupportedMedia(
                 "The body must come without Content-Encoding; it names one.", hint="Send it uncompressed."
             )
+        if "content-length" in headers and "transfer-encoding" in headers:
+            raise MalformedRequest("A body has one length; two headers tell of it.", hint="Leave it to the client.")
         length = headers.get("content-length", "0")
         if not length.isascii() or not length.isdecimal():
             raise MalformedRequest(

@@ -93,8 +93,7 @@ def protocol_class(limits: Limits) -> type[DeadlineProtocol]:
 def _response(error: ServiceError) -> bytes:
     """Returns the bytes of a reply to what is no request."""
     request_id = uuid.uuid4().hex
-    headers = {**problems.headers(error, request_id), "connection": "close"}
-    body = problems.document(error, request_id)
+    body, headers = problems.document(error, request_id), problems.headers(error, request_id)
     lines = [f"HTTP/1.1 {error.http_status} ", *(f"{key}: {value}" for key, value in headers.items())]
     return "\r\n".join([*lines, f"content-length: {len(body)}", "", ""]).encode() + body
 

@@ -49,6 +49,6 @@ def headers(error: ServiceError, request_id: str) -> dict[str, str]:
         result["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
     if error.http_status == 401:
         result["www-authenticate"] = "Bearer"
-    if error.http_status == 413:
-        result["connection"] = "close"  # the rest of the body is not read
+    if error.http_status in (400, 413):
+        result["connection"] = "close"  # where this request ends is not known, or is not waited for
     return result

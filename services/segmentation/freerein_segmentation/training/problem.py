@@ -1,0 +1,96 @@
+"""Segmentation as the resumable loop of `freerein.learning.fit` knows it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.checkpoints import JSON
+from freerein_segmentation.model import ModelSpec
+from freerein_segmentation.training.config import SegmentationConfig
+from freerein_segmentation.training.demonstrations import Demonstrations, gather
+from freerein_segmentation.training.updates import State, evaluate, init, update
+
+
+def design(
+    config: SegmentationConfig, demonstrations: Demonstrations, *, skills: tuple[str, ...], action_choices: int
+) -> ModelSpec:
+    """Returns the network that fits the demonstrations.
+
+    Args:
+        config: What was chosen.
+        demonstrations: Whose first trajectory shows the sizes.
+        skills: All skills, in the order of their labels.
+        action_choices: How many different actions there are when they are discrete, else 0.
+
+    Raises:
+        InvalidInput: A trajectory is tagged with a skill that is not in `skills`.
+    """
+    unknown = {skill for tags in demonstrations.skills for skill in tags} - set(skills)
+    if unknown:
+        raise InvalidInput(
+            f"Trajectories must be tagged with the {len(skills)} skills of the dataset; {len(unknown)} tags are others."
+        )
+    height, width, channels = demonstrations.frames[0].shape[1:]
+    action_size = demonstrations.actions[0].shape[1] if config.use_actions else 0
+    return ModelSpec(
+        skills=skills,
+        camera=config.camera,
+        height=height,
+        width=width,
+        channels=channels,
+        action_size=action_size,
+        action_choices=action_choices if action_size else 0,
+        stride=config.stride,
+        context=config.context,
+        features=config.features,
+        hidden=config.hidden,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentationProblem:
+    """A network to fit to some demonstrations, and others to choose the best weights by.
+
+    Attributes:
+        config: What was chosen.
+        spec: The network.
+        training: To learn from.
+        validation: Held out.
+        fingerprint: Of the dataset.
+        device: Where to compute.
+    """
+
+    config: SegmentationConfig
+    spec: ModelSpec
+    training: Demonstrations
+    validation: Demonstrations
+    fingerprint: str
+    device: torch.device
+
+    @property
+    def size(self) -> int:
+        """Trajectories to learn from."""
+        return len(self.training)
+
+    @property
+    def identity(self) -> Mapping[str, JSON]:
+        """What the result depends on."""
+        return {"config": asdict(self.config), "data": self.fingerprint}
+
+    def init(self, generator: torch.Generator) -> State:
+        """Returns the state before the first update."""
+        return init(self.config, self.spec, self.training, generator=generator, device=self.device)
+
+    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
+        """Returns the state after one update on some trajectories, and its metrics."""
+        phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
+        batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
+        return update(state, batch, config=self.config)
+
+    def evaluate(self, state: State) -> float:
+        """Returns the loss on the held-out trajectories."""
+        return evaluate(state, self.validation, config=self.config)
