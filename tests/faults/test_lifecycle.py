@@ -72,6 +72,7 @@ def children(faulty: Any) -> list[psutil.Process]:
 
 
 @pytest.mark.fault("C18")
+@pytest.mark.timeout(600)
 async def test_told_to_stop_it_answers_what_it_took_and_takes_nothing_new(
     start_faulty: Callable[..., Any], tmp_path: Path, repeats: int
 ) -> None:

@@ -91,6 +91,7 @@ def child(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
         yield process
 
 
+@pytest.mark.fault("O1")
 def test_a_training_killed_by_sigkill_goes_on_to_the_same_bits(
     child: "subprocess.Popen[str]", tmp_path: Path, undisturbed: tuple[str, str]
 ) -> None:
@@ -122,6 +123,7 @@ def test_a_training_stopped_after_any_update_goes_on_to_the_same_bits(
     assert (run(tmp_path / "cut")[0], rows(tmp_path / "cut")) == undisturbed
 
 
+@pytest.mark.fault("O3")
 def test_a_damaged_newest_checkpoint_is_told_and_the_one_before_serves(
     tmp_path: Path, undisturbed: tuple[str, str]
 ) -> None:
@@ -138,6 +140,7 @@ def test_a_finished_training_is_not_made_again(tmp_path: Path, undisturbed: tupl
     assert events == [FitEvent("resumed", 12)]
 
 
+@pytest.mark.fault("O7")
 @pytest.mark.parametrize(
     ("plan", "changed"),
     [(replace(PLAN, threads=2), "plan.threads was 1 and is 2"), (replace(PLAN, seed=2), "plan.seed was 1 and is 2")],
@@ -166,6 +169,7 @@ def test_a_loss_that_is_not_finite_ends_the_training_with_advice(tmp_path: Path)
     assert "learning rate" in error.value.hint
 
 
+@pytest.mark.fault("O5")
 def test_a_full_disk_is_told_and_survived_until_it_stays_full(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "checkpoints").write_bytes(b"a file where the folder should be: every save fails")

@@ -32,6 +32,7 @@ def test_the_same_tensors_give_the_same_bytes_wherever_they_lie_in_memory() -> N
     assert tensor_files.dump(turned) == FILE
 
 
+@pytest.mark.fault("O13")
 @pytest.mark.parametrize(
     "data",
     [
@@ -52,6 +53,7 @@ def test_what_is_not_safetensors_or_over_a_cap_is_refused(data: bytes) -> None:
         tensor_files.parse(data)
 
 
+@pytest.mark.fault("O13")
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255))
 def test_a_changed_byte_is_refused_or_read_but_never_a_crash(place: int, change: int) -> None:

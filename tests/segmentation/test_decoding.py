@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from freerein_segmentation.decoding import decode, merge_short, smooth
@@ -66,6 +66,7 @@ def test_smoothing_is_gaussian() -> None:
     assert smoothed[34] / smoothed[30] == pytest.approx(np.exp(-2.0))
 
 
+@settings(deadline=None)
 @given(probabilities(), st.floats(0.0, 100.0), st.integers(0, 20))
 def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, sigma: float, least: int) -> None:
     decoded = decode(given_, smoothing=sigma, min_segment=least)
@@ -79,6 +80,7 @@ def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, 
     assert ((decoded.confidence >= 0) & (decoded.confidence <= 1)).all()
 
 
+@settings(deadline=None)
 @given(probabilities(), st.floats(0.0, 50.0))
 def test_smoothed_probabilities_still_sum_to_one(given_: Probabilities, sigma: float) -> None:
     np.testing.assert_allclose(smooth(given_, sigma=sigma).sum(axis=1), 1.0, atol=1e-5)

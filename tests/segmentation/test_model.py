@@ -59,6 +59,7 @@ def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, mon
     np.testing.assert_allclose(SegmentationModel(network).probabilities(*trajectory(spec, 23)), whole, atol=1e-6)
 
 
+@pytest.mark.fault("S9")
 def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with_a_trajectory() -> None:
     network, encoded = make(CONTINUOUS), list[int]()
     network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0])))
@@ -145,6 +146,7 @@ def test_a_card_that_does_not_fit_the_weights_is_refused(tmp_path: Path, change:
         load(tmp_path, "cpu")
 
 
+@pytest.mark.fault("O13")
 @pytest.mark.parametrize("name", ["model.safetensors", "card.json"])
 @pytest.mark.parametrize("data", [None, b"", b"{}", b"[" * 100_000, b"\x80\x04\x95."])
 def test_a_file_that_is_missing_or_something_else_is_refused(tmp_path: Path, name: str, data: bytes | None) -> None:

@@ -51,7 +51,7 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
 
 
 def _suggestion(key: str, known: Iterable[str]) -> str:
-    nearest = difflib.get_close_matches(key, list(known), n=1)
+    nearest = difflib.get_close_matches(key[:64], list(known), n=1)
     return f"Did you mean `{nearest[0]}`?" if nearest else "Leave it out."
 
 

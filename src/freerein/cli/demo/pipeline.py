@@ -51,8 +51,8 @@ class Recipe:
     config: Mapping[str, object]
 
 
-GRID = Recipe("grid", 1000, (2, 4), 100, 5, {"steps": 150, "batch_size": 32, "learning_rate": 2e-3})
-BLOCKS = Recipe("blocks", 400, (2, 3), 60, 4, {"steps": 500, "batch_size": 8, "learning_rate": 1e-3})
+GRID = Recipe("grid", 1000, (2, 4), 100, 5, {"steps": 300, "batch_size": 16})
+BLOCKS = Recipe("blocks", 400, (2, 3), 60, 4, {"stride": 3})
 
 
 @dataclass(frozen=True, eq=False)
