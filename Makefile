@@ -30,8 +30,8 @@ test: dev ## Run the tests
 bench: dev ## Measure freerein beside its peers
 	$(BIN)/python -m benchmarks
 
-fuzz: dev ## Send generated requests to every REST door
-	$(BIN)/python tests/fuzz/fuzz.py
+fuzz: dev ## The fault tests with their large counts: 20 000 generated requests to each REST door, 20 kills, and so on
+	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
 	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run

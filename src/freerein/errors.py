@@ -144,7 +144,7 @@ class Unavailable(ServiceError):
 
 
 class ModelFault(Unavailable):
-    """The model raised, or answered with the wrong shape or with NaN."""
+    """The model raised, or answered with the wrong shape."""
 
     code = "model_fault"
 

@@ -76,7 +76,7 @@ class ModelStore:
         for root in self._roots:
             path = root / name / "active.json"
             if path.is_file():
-                return str(json.loads(path.read_bytes())["version"])
+                return _version(path)
         return ""
 
     def names(self) -> tuple[str, ...]:
@@ -118,6 +118,17 @@ class ModelStore:
 def card(folder: Path) -> dict[str, Any]:
     """Returns what a model's card says."""
     return dict(json.loads((folder / CARD).read_bytes()))
+
+
+def _version(path: Path) -> str:
+    try:
+        return str(json.loads(path.read_bytes())["version"])
+    except (ValueError, KeyError, TypeError):
+        raise FailedPrecondition(
+            f"The record of which version of {path.parent.name} is active must be whole; it is not.",
+            field="model",
+            hint="Delete its active.json and activate a version again.",
+        ) from None
 
 
 def _check(folder: Path, ref: ModelRef) -> None:
