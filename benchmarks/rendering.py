@@ -1,8 +1,8 @@
 """Frames per second of the blocks world, beside `mujoco.Renderer` on the same scene.
 
-The peer that counts draws our compiled scene, with our one light, at the quality that MuJoCo has by default: shadow
-maps and four samples per pixel. Lights cast shadows unless told otherwise, so there is a second peer for whom the light
-does; it is many times slower where a processor draws. The third has our settings too, and shows what is left to gain.
+The peer that counts draws our compiled scene as MuJoCo draws it by default: its light casts shadows, and a pixel has
+four samples. Where a processor draws, shadows cost most of that, so that the light of a second peer casts none. The
+third peer has all our settings, and shows that nothing is gained by the loop itself.
 """
 
 import copy
@@ -29,7 +29,11 @@ async def measure(effort: Effort) -> Findings:
         world.reset(np.random.default_rng(0))
         tuned = scene.build(COLOURS).model
         stock = _with_stock_quality(tuned)
-        models = {"stock": stock, "stock-casting-shadows": _with_cast_shadows(stock), "stock-with-our-settings": tuned}
+        models = {
+            "stock": _with_cast_shadows(stock),
+            "stock-without-shadows": stock,
+            "stock-with-our-settings": tuned,
+        }
         peers = {name: opened.enter_context(closing(StockRenderer(model, world))) for name, model in models.items()}
         _check_same_scene(world, peers["stock-with-our-settings"])
 
@@ -42,7 +46,7 @@ async def measure(effort: Effort) -> Findings:
     return Findings(
         ratios=(
             Ratio("render.blocks_vs_stock", times.speedup("ours", over="stock"), Bar("at least", 3.0)),
-            Ratio("render.blocks_vs_stock_casting_shadows", times.speedup("ours", over="stock-casting-shadows")),
+            Ratio("render.blocks_vs_stock_without_shadows", times.speedup("ours", over="stock-without-shadows")),
             Ratio("render.blocks_vs_stock_with_our_settings", times.speedup("ours", over="stock-with-our-settings")),
         ),
         raw={"render": times},
