@@ -1,0 +1,144 @@
+"""The fault rows of the simulation, over the gRPC door of a real service process."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from freerein.clients import Channel, SimClient, Synchronous
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded, WorkerLost
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CreateSessionRequest,
+    ResetRequest,
+    RestoreRequest,
+    SnapshotRequest,
+    StepRequest,
+)
+from freerein_sim.workers.envs import Envs
+from freerein_sim.worlds.tasks import tasks
+
+pytestmark = pytest.mark.e2e
+
+RIGHT = np.array([[3]], np.int64)
+
+
+@pytest.fixture(scope="module")
+def service(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
+
+
+@pytest.fixture
+def sim(service: Any) -> Iterator[Any]:
+    with Synchronous(SimClient(Channel(service.address))) as client:
+        yield client
+
+
+@pytest.fixture
+def session(sim: Any) -> Iterator[str]:
+    created = sim.create_session(CreateSessionRequest("grid", seed=5))
+    sim.reset(ResetRequest(created.session))
+    yield created.session
+    sim.close_session(CloseSessionRequest(created.session))
+
+
+@pytest.mark.fault("M4")
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1.5])
+def test_an_action_that_is_not_finite_or_out_of_range_is_refused_and_changes_nothing(sim: Any, value: float) -> None:
+    created = sim.create_session(CreateSessionRequest("blocks", seed=1))
+    sim.reset(ResetRequest(created.session))
+    before = sim.snapshot(SnapshotRequest(created.session)).snapshot
+    with pytest.raises(InvalidInput):
+        sim.step(StepRequest(created.session, 1, np.full((1, 3), value, np.float32)))
+    assert sim.snapshot(SnapshotRequest(created.session)).snapshot == before
+    sim.close_session(CloseSessionRequest(created.session))
+
+
+@pytest.mark.fault("M6")
+def test_a_killed_worker_takes_its_own_sessions_and_no_other(sim: Any, service: Any) -> None:
+    sessions = [sim.create_session(CreateSessionRequest("grid", seed=i)).session for i in range(2)]
+    for each in sessions:
+        sim.reset(ResetRequest(each))
+    os.kill(psutil.Process(service.process.pid).children()[0].pid, signal.SIGSEGV)
+    outcomes = [_outcome(lambda each=each: sim.step(StepRequest(each, 1, RIGHT))) for each in sessions]
+    assert sorted(outcomes) == ["StepResponse", "WorkerLost"]
+    again = sim.create_session(CreateSessionRequest("grid", seed=0)).session
+    for each in (*sessions, again):
+        sim.close_session(CloseSessionRequest(each))
+
+
+@pytest.mark.fault("M7")
+def test_a_session_that_is_unknown_closed_or_out_of_turn_says_so(sim: Any, session: str) -> None:
+    with pytest.raises(NotFound):
+        sim.step(StepRequest("0" * 32, 1, RIGHT))
+    with pytest.raises(FailedPrecondition):
+        sim.step(StepRequest(session, 3, RIGHT))
+    sim.close_session(CloseSessionRequest(session))
+    with pytest.raises(NotFound):
+        sim.step(StepRequest(session, 1, RIGHT))
+
+
+@pytest.mark.fault("M8")
+def test_over_its_quota_the_service_refuses_and_a_closed_session_makes_room(sim: Any) -> None:
+    sessions = [sim.create_session(CreateSessionRequest("grid")).session for _ in range(4)]
+    with pytest.raises(Overloaded) as refused:
+        sim.create_session(CreateSessionRequest("grid"))
+    assert refused.value.retry_after_s
+    sim.close_session(CloseSessionRequest(sessions.pop()))
+    sessions.append(sim.create_session(CreateSessionRequest("grid")).session)
+    for each in sessions:
+        sim.close_session(CloseSessionRequest(each))
+
+
+@pytest.mark.fault("M10")
+def test_a_restored_snapshot_goes_on_to_the_same_bits_and_a_tampered_one_is_refused(sim: Any, session: str) -> None:
+    kept = sim.snapshot(SnapshotRequest(session)).snapshot
+    first = sim.step(StepRequest(session, 1, RIGHT, ("top",)))
+    assert sim.restore(RestoreRequest(session, kept)).step_id == 0
+    second = sim.step(StepRequest(session, 1, RIGHT, ("top",)))
+    assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
+    with pytest.raises(InvalidInput):
+        sim.restore(RestoreRequest(session, kept[:-1] + bytes([kept[-1] ^ 1])))
+
+
+@pytest.mark.fault("M11")
+@pytest.mark.parametrize("name", ["grid", "blocks"])
+def test_the_same_seed_and_actions_give_the_same_bits_as_in_process(sim: Any, name: str) -> None:
+    task = next(task for task in tasks().values() if task.name == name)
+    camera, action = task.spec.cameras[0].name, task.spec.action
+    created = sim.create_session(CreateSessionRequest(name, num_envs=2, seed=9, privileged=True))
+    local = Envs(task, num_envs=2, seed=9, privileged=True)
+    sim.reset(ResetRequest(created.session))
+    local.reset()
+    rng = np.random.default_rng(0)
+    for step_id in range(1, 60):
+        if action.choices:
+            actions: Any = rng.integers(0, action.choices, (2, 1))
+        else:
+            actions = rng.uniform(-1, 1, (2, action.size)).astype(np.float32)
+        over_network = sim.step(StepRequest(created.session, step_id, actions, (camera,)))
+        in_process = local.step(actions, (camera,))
+        assert over_network.frames[camera].tobytes() == in_process.frames[camera].tobytes()
+        assert over_network.truth.state.tobytes() == in_process.truth.state.tobytes()
+    local.close()
+    sim.close_session(CloseSessionRequest(created.session))
+
+
+@pytest.mark.fault("M13")
+def test_a_step_asked_for_again_is_answered_as_it_was_and_made_once(sim: Any, session: str) -> None:
+    first = sim.step(StepRequest(session, 1, RIGHT, ("top",)))
+    kept = sim.snapshot(SnapshotRequest(session)).snapshot
+    again = sim.step(StepRequest(session, 1, RIGHT, ("top",)))
+    assert again.frames["top"].tobytes() == first.frames["top"].tobytes()
+    assert sim.snapshot(SnapshotRequest(session)).snapshot == kept
+
+
+def _outcome(call: Callable[[], object]) -> str:
+    try:
+        return type(call()).__name__
+    except WorkerLost as error:
+        return type(error).__name__
