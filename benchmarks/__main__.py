@@ -9,7 +9,9 @@ from ctypes.util import find_library
 from pathlib import Path
 
 _BENCHMARKS = ("rendering", "stepping", "segmenting", "batching")
-_ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}  # of BLAS and torch, and of Mesa
+_ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
+"""For BLAS and torch, and for Mesa, whose 0 is no thread beside the caller's, as in the workers of the service."""
+
 _OUT = Path("var/bench/summary.json")
 
 

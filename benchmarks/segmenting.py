@@ -25,10 +25,11 @@ from benchmarks.services import running
 from freerein import images, tensors
 from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
+from freerein.learning.exports import export
 from freerein.serving.models import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import SegmentRequest
-from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, export, load
+from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.wander import Wander
 

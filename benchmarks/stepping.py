@@ -24,14 +24,8 @@ from benchmarks.rounds import Contestant, Effort, Times, race
 from benchmarks.services import running
 from benchmarks.world_env import WorldEnv
 from freerein.clients import Channel, SimClient
-from freerein.types.sim import (
-    ActionSpec,
-    CloseSessionRequest,
-    ConnectRequest,
-    CreateSessionRequest,
-    ResetRequest,
-    StepRequest,
-)
+from freerein.types.common import ActionSpec
+from freerein.types.sim import CloseSessionRequest, ConnectRequest, CreateSessionRequest, ResetRequest, StepRequest
 from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import Task

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec
 from freerein_sim.worlds.world import Frame, Task
 
 

@@ -25,7 +25,9 @@ from google.protobuf.message import Message
 
 from freerein import tensors
 from freerein.api.common.v1 import common_pb2
+from freerein.api.imitation.v1 import imitation_pb2
 from freerein.api.learning.v1 import learning_pb2
+from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
 from freerein.errors import InvalidInput
@@ -35,7 +37,9 @@ T = TypeVar("T")
 _MAX_DEPTH = 30  # of a `Struct`: protobuf itself reads 100 messages deep, which is 33 levels
 _MESSAGES = {
     "freerein.types.common": common_pb2,
+    "freerein.types.imitation": imitation_pb2,
     "freerein.types.learning": learning_pb2,
+    "freerein.types.reward": reward_pb2,
     "freerein.types.segmentation": segmentation_pb2,
     "freerein.types.sim": sim_pb2,
 }

@@ -7,8 +7,7 @@ from pathlib import Path
 import scene
 
 from freerein.data import DatasetSpec, create
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 root = Path(sys.argv[1])
 spec = DatasetSpec(

@@ -20,10 +20,9 @@ import pytest
 from freerein import wire
 from freerein.data import DatasetSpec, create
 from freerein.serving.models import ModelStore
-from freerein.types.common import Trajectory
+from freerein.types.common import ActionSpec, Trajectory
 from freerein.types.learning import WatchFitRequest
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
-from freerein.types.sim import ActionSpec
 
 pytestmark = pytest.mark.e2e
 SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"

@@ -13,9 +13,10 @@ import torch
 
 from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
+from freerein.learning.exports import export
 from freerein.serving.models import ModelStore
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
-from freerein_segmentation.model import ModelSpec, SegmentationNetwork, export
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 
 T = 10_000
 MIB = 2**20

@@ -20,8 +20,7 @@ from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 _SPEC = DatasetSpec(
     fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm", skills=("pick", "place")

@@ -19,9 +19,8 @@ from freerein import wire
 from freerein.api.sim.v1 import sim_pb2_grpc
 from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
-    ActionSpec,
-    Camera,
     CloseSessionResponse,
     CreateSessionRequest,
     CreateSessionResponse,

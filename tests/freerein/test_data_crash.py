@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from freerein.data import Dataset, DatasetSpec, create, open_writer, truth, verify
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 WRITER = """
 import sys

@@ -8,8 +8,7 @@ import pytest
 
 from freerein.data import Dataset, DatasetSpec, Writer, create, dataset_path, inspect, integer_fps, open_writer, truth
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 SPEC = DatasetSpec(
     fps=20,

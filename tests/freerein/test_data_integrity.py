@@ -9,8 +9,7 @@ import pytest
 
 from freerein.data import Dataset, DatasetSpec, check, create, truth, verify
 from freerein.errors import InvalidInput, NotFound
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 SPEC = DatasetSpec(
     fps=10,

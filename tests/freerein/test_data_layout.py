@@ -9,8 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from freerein.data import DatasetSpec, create
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 COUNTER = {"dtype": "int64", "shape": [1], "names": None}
 INFO = {

@@ -11,8 +11,7 @@ import pytest
 import freerein.data
 from freerein.data import Dataset, DatasetSpec, create, truth
 from freerein.errors import NotFound
-from freerein.types.common import Trajectory
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, Trajectory
 
 PACKAGE = Path(freerein.data.__file__).parent
 LEARNER = """

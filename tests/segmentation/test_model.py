@@ -10,7 +10,8 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files, weights
-from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, export, load
+from freerein.learning.exports import export
+from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
 from freerein_segmentation.model import network as network_module
 
 CONTINUOUS = ModelSpec(skills=("a", "b", "c"), camera="front", height=20, width=24, channels=3, action_size=2)

@@ -81,13 +81,6 @@ def test_the_loss_on_held_out_trajectories_is_their_mean_however_they_are_batche
     assert one_by_one.evaluate(state) == pytest.approx(whole.evaluate(state), abs=1e-6)
 
 
-def test_the_learning_rate_rises_and_falls_to_zero() -> None:
-    rates = [training.learning_rate(FAST, step) for step in range(FAST.steps + 1)]
-    assert rates[0] == pytest.approx(FAST.learning_rate / 10)
-    assert max(rates) == rates[9] <= FAST.learning_rate
-    assert rates[-1] == 0.0
-
-
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
     config = SegmentationConfig.from_mapping({"steps": 20.0, "objective": "lse", "threads": 2.0})
     assert config == SegmentationConfig(steps=20, objective="lse", threads=2)

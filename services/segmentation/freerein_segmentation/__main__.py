@@ -6,18 +6,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from freerein.api.learning.v1 import learning_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.fits import Fits
 from freerein.serving.health import Health
+from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.loaded import LoadedModels
-from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
 from freerein_segmentation import fit, model
 from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
 from freerein_segmentation.settings import SegmentationSettings
@@ -43,14 +41,13 @@ def build(
         load: Returns the model of a folder, on a device.
     """
     torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
-    store = ModelStore(settings.data_dir / "models" / NAME)
+    store = open_store(NAME, settings)
     models: LoadedModels[SkillModel] = LoadedModels(
         store,
         lambda folder: _warm(load(folder, settings.device)),
         fit_command="freerein fit segmentation DATASET",
     )
     batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
-    segmenter = Segmenter(models, batcher, timeout_s=limits.unary_s)
     fits = Fits(
         FitRecords(settings.data_dir / "fits" / NAME),
         module="freerein_segmentation.fit",
@@ -59,27 +56,9 @@ def build(
         resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
         health=health,
     )
-
-    async def start() -> None:
-        await models.start()
-        await fits.start()
-
-    async def close() -> None:
-        await fits.close()
-        batcher.close()
-
-    services = {**segmentation_pb2.DESCRIPTOR.services_by_name, **learning_pb2.DESCRIPTOR.services_by_name}
-    return Service(
-        name=NAME,
-        methods=(
-            *methods_of(services["SegmentationService"], segmenter),
-            *methods_of(services["FitService"], fits),
-            *methods_of(services["ModelService"], models),
-        ),
-        start=start,
-        close=close,
-        not_ready=lambda: models.not_ready() or batcher.not_ready(),
-    )
+    core = Segmenter(models, batcher, timeout_s=limits.unary_s)
+    contract = segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"]
+    return learned_service(NAME, contract, core, models=models, batchers=(batcher,), fits=fits)
 
 
 def _warm(loaded: SkillModel) -> SkillModel:

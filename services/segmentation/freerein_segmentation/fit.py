@@ -1,24 +1,20 @@
 """A fit as a process of its own: `python -m freerein_segmentation.fit FOLDER DATA_DIR DEVICE`.
 
-FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. Exit code 0 says that it
-is there, 1 that the fit was stopped and can go on, 2 that it cannot succeed, for the reason on stderr's last line.
+FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. The exit codes are those
+of `freerein.serving.fit_child.run`.
 """
 
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from freerein.data import Dataset, dataset_path
-from freerein.errors import InvalidInput, NotFound, ServiceError
+from freerein.data import Dataset
+from freerein.errors import InvalidInput
+from freerein.learning.exports import choose_device, export
 from freerein.learning.fit import Fitted, fit, stop_on_sigterm
-from freerein.serving.child import end_with_parent
-from freerein.serving.fits import HOPELESS
-from freerein_segmentation import model
+from freerein.serving import fit_child
 from freerein_segmentation.training import (
     Demonstrations,
     SegmentationConfig,
@@ -26,8 +22,6 @@ from freerein_segmentation.training import (
     design,
     hold_out,
 )
-
-STOPPED = 1
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
@@ -44,8 +38,8 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
         InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
     """
     config = SegmentationConfig.from_mapping({"threads": threads, **values})
-    opened = _open(data_dir, dataset)
-    config = replace(config, camera=_camera(opened, config.camera))
+    opened = fit_child.open_dataset(data_dir, dataset)
+    config = replace(config, camera=fit_child.choose_camera(opened, config.camera))
     if not opened.spec.skills or not all(opened.skills):
         raise InvalidInput(
             f"A dataset to learn from must name the skills of each of its {len(opened)} trajectories; some have none.",
@@ -57,23 +51,22 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
 
 def main(folder: Path, data_dir: Path, device: str) -> int:
     """Fits a model, or goes on fitting it; returns the process's exit code."""
-    end_with_parent()
-    asked = json.loads((folder / "config.json").read_bytes())
-    try:
-        return _fit(folder, _open(data_dir, asked["dataset"]), SegmentationConfig.from_mapping(asked["config"]), device)
-    except ServiceError as error:
-        sys.stderr.write(f"{error.detail} {error.hint}\n")
-        return HOPELESS
+
+    def train(dataset: str, values: Mapping[str, Any]) -> bool:
+        config = SegmentationConfig.from_mapping(values)
+        return _fit(folder, fit_child.open_dataset(data_dir, dataset), config, device)
+
+    return fit_child.run(folder, train)
 
 
-def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> int:
+def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> bool:
     problem = _problem(dataset, config, device)
     with stop_on_sigterm() as stop:
         fitted = fit(problem, config.plan, folder, stop=stop)
     if fitted is None:
-        return STOPPED
-    model.export(fitted.network, folder / "model", card=_card(dataset, problem, fitted))
-    return 0
+        return False
+    export(fitted.network, folder / "model", card=_card(dataset, problem, fitted))
+    return True
 
 
 def _problem(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationProblem:
@@ -81,8 +74,7 @@ def _problem(dataset: Dataset, config: SegmentationConfig, device: str) -> Segme
     action = dataset.spec.action
     spec = design(config, demonstrations, skills=dataset.spec.skills, action_choices=action.choices)
     training, validation = hold_out(demonstrations, share=config.validation_share, seed=config.seed)
-    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    return SegmentationProblem(config, spec, training, validation, dataset.fingerprint, torch.device(chosen))
+    return SegmentationProblem(config, spec, training, validation, dataset.fingerprint, choose_device(device))
 
 
 def _card(dataset: Dataset, problem: SegmentationProblem, fitted: Fitted[Any]) -> dict[str, Any]:
@@ -93,28 +85,6 @@ def _card(dataset: Dataset, problem: SegmentationProblem, fitted: Fitted[Any]) -
         "figures": {"validation_loss": fitted.validation_loss, "best_step": fitted.best_step},
         "supervision": "the set of skills of each trajectory",
     }
-
-
-def _open(data_dir: Path, name: str) -> Dataset:
-    path = dataset_path(data_dir, name)
-    if not path.is_dir():
-        raise NotFound(
-            "The dataset must be one of those in the data directory; there is none of that name.",
-            field="dataset",
-            hint="Record one: freerein sim demonstrate TASK --out NAME.",
-        )
-    return Dataset(path)
-
-
-def _camera(dataset: Dataset, asked: str) -> str:
-    cameras = tuple(dataset.spec.cameras)
-    if asked not in (cameras if asked or len(cameras) > 1 else ("",)):
-        raise InvalidInput(
-            f"`camera` must name one of the dataset's, {', '.join(cameras)}; got {'another' if asked else 'none'}.",
-            field="config.camera",
-            hint="A model sees one camera.",
-        )
-    return asked or cameras[0]
 
 
 if __name__ == "__main__":

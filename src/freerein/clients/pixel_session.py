@@ -12,9 +12,8 @@ from freerein.clients.channel import Channel
 from freerein.clients.sim import SimClient
 from freerein.clients.synchronous import Synchronous
 from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
-    ActionSpec,
-    Camera,
     CloseSessionRequest,
     CreateSessionRequest,
     CreateSessionResponse,

@@ -8,8 +8,10 @@ whose calls fail, so that an outage is not made worse by those who wait for its 
 import json
 
 IDEMPOTENT = {
+    "freerein.api.imitation.v1.ImitationService": ("GetSpec", "Act"),
     "freerein.api.learning.v1.FitService": ("StartFit", "GetFit", "ListFits", "WatchFit", "CancelFit"),
     "freerein.api.learning.v1.ModelService": ("ListModels",),
+    "freerein.api.reward.v1.RewardService": ("Reward", "Ground", "Describe", "EmbedGoal"),
     "freerein.api.segmentation.v1.SegmentationService": ("Segment", "ListSkills"),
     "freerein.api.sim.v1.SimService": (
         "ListTasks",
@@ -26,7 +28,7 @@ IDEMPOTENT = {
 
 `StartFit` and `CreateSession` are among them because clients always send an idempotency key, `Step` because of its
 `step_id`. `Reset` is not: it draws from the generators. `ActivateModel` is not: its second attempt would not find the
-version that it expects. A stream is begun again only while nothing of it has arrived; `Connect` never.
+version that it expects. A stream is begun again only while nothing of it has arrived; `Connect` and `Control` never.
 """
 
 MAX_ATTEMPTS = 4

@@ -13,7 +13,7 @@ from freerein.data import layout
 from freerein.data.rows import refusing_corruption
 from freerein.data.spec import DatasetSpec
 from freerein.errors import InvalidInput, NotFound
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec
 
 _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_index"]
 

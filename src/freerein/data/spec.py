@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from freerein.errors import InvalidInput
-from freerein.types.common import check_name
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec, check_name
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What more than one service speaks of: images, trajectories, models, timing."""
+"""What more than one service speaks of: images, trajectories, cameras, actions, goals, models, timing."""
 
 import re
 from dataclasses import dataclass
@@ -78,6 +78,67 @@ class Trajectory:
     frames: dict[str, npt.NDArray[np.uint8]]
     actions: npt.NDArray[Any]
     skills: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera, of a world or of a robot.
+
+    Attributes:
+        name: Its name.
+        height: Height of its frames, in pixels; of a world, that rendered when none is asked for.
+        width: Width of its frames, in pixels; as `height`.
+        channels: 1 or 3.
+    """
+
+    name: str
+    height: int
+    width: int
+    channels: int
+
+
+@dataclass(frozen=True)
+class ActionSpec:
+    """What an action is.
+
+    Attributes:
+        size: Numbers per action.
+        choices: How many choices there are when it is discrete (int64, size 1); 0 when it is continuous, float32 in
+            [-1, 1].
+        names: What each number, or each choice, means.
+        unit: The physical unit of each number at scale; empty when the action is discrete.
+        scale: What an action of 1.0 does, in `unit` per control step, for each number.
+    """
+
+    size: int
+    choices: int
+    names: tuple[str, ...]
+    unit: str = ""
+    scale: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a robot observes at one moment.
+
+    Attributes:
+        images: One per camera; where the model sees a single one, `camera` may be left empty.
+    """
+
+    images: tuple[Image, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """What a robot is to achieve: exactly one of the two.
+
+    Attributes:
+        images: A goal image, or a sequence of landmarks to reach one after the other.
+        recipe: Skills to execute one after the other.
+    """
+
+    images: tuple[Image, ...] = ()
+    recipe: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

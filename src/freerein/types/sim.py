@@ -6,48 +6,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from freerein.types.common import Draining, Error, Trajectory
+from freerein.types.common import ActionSpec, Camera, Draining, Error, Trajectory
 
 Behaviour = Literal["expert", "random"]
 Frames = dict[str, npt.NDArray[np.uint8]]
 """By camera: uint8 (N, H, W, C)."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A camera of a world.
-
-    Attributes:
-        name: Its name.
-        height: Height rendered when none is asked for, in pixels.
-        width: Width rendered when none is asked for, in pixels.
-        channels: 1 or 3.
-    """
-
-    name: str
-    height: int
-    width: int
-    channels: int
-
-
-@dataclass(frozen=True)
-class ActionSpec:
-    """What an action is.
-
-    Attributes:
-        size: Numbers per action.
-        choices: How many choices there are when it is discrete (int64, size 1); 0 when it is continuous, float32 in
-            [-1, 1].
-        names: What each number, or each choice, means.
-        unit: The physical unit of each number at scale; empty when the action is discrete.
-        scale: What an action of 1.0 does, in `unit` per control step, for each number.
-    """
-
-    size: int
-    choices: int
-    names: tuple[str, ...]
-    unit: str = ""
-    scale: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

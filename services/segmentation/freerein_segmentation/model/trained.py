@@ -1,12 +1,5 @@
-"""A trained network as the service knows it: numpy in, numpy out, and a folder on disk.
+"""A trained network as the service knows it: numpy in, numpy out, and a folder on disk."""
 
-<folder>/model.safetensors   weights
-         card.json           `spec`: what the network is; and what it was trained on, how, with which figures
-"""
-
-import json
-from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.durable import write_durably
-from freerein.errors import InvalidInput
-from freerein.learning import tensor_files
-from freerein.learning.checkpoints import JSON
-from freerein.learning.config import parse
+from freerein.learning import exports
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 
-WEIGHTS, CARD = "model.safetensors", "card.json"
 _FRAMES_AT_ONCE = 256
-_MAX_CARD_BYTES = 1 << 20
 
 
 class SegmentationModel:
@@ -80,53 +67,14 @@ class SegmentationModel:
         return tuple(torch.tensor(array, device=self._device) for array in arrays)
 
 
-def export(network: SegmentationNetwork, folder: Path, *, card: Mapping[str, JSON]) -> None:
-    """Writes a trained network as a folder that `load` reads.
-
-    Args:
-        network: Trained.
-        folder: Made when missing; its files are written over.
-        card: What to tell about the model beside its `spec`: configuration, seed, data, figures.
-    """
-    write_durably(folder / WEIGHTS, tensor_files.dump(network.state_dict()))
-    document = {**card, "spec": asdict(network.spec)}
-    write_durably(folder / CARD, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
-
-
 def load(folder: Path, device: str) -> SegmentationModel:
     """Returns the model in a folder.
 
     Args:
-        folder: Written by `export`; read as untrusted.
+        folder: Written by `freerein.learning.exports.export`; read as untrusted.
         device: `auto`, `cpu` or `cuda:N`.
 
     Raises:
         InvalidInput: A file is missing, or is not what `export` writes.
     """
-    spec = _read_spec(folder / CARD)
-    with torch.device("meta"):  # the weights come from the file: none are drawn
-        network = SegmentationNetwork(spec)
-    try:
-        weights = tensor_files.parse((folder / WEIGHTS).read_bytes())
-        if any(tensor.dtype != torch.float32 for tensor in weights.values()):
-            raise RuntimeError("not float32")
-        network.load_state_dict(weights, assign=True)
-    except (OSError, RuntimeError) as error:
-        raise InvalidInput(
-            "A model's weights must be those that its card describes; some are missing or have another shape.",
-            hint="Fit the model again, or restore its folder from a copy.",
-        ) from error
-    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    return SegmentationModel(network.to(chosen))
-
-
-def _read_spec(path: Path) -> ModelSpec:
-    try:
-        if path.stat().st_size > _MAX_CARD_BYTES:
-            raise ValueError("too large")
-        return parse(ModelSpec, json.loads(path.read_bytes())["spec"])
-    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
-        raise InvalidInput(
-            f"A model's card must be JSON of at most {_MAX_CARD_BYTES} bytes with a `spec`; it is not.",
-            hint="Fit the model again, or restore its folder from a copy.",
-        ) from error
+    return SegmentationModel(exports.load(folder, ModelSpec, SegmentationNetwork, device=device))

@@ -3,7 +3,7 @@
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.demonstrations import Batch, Demonstrations, Trajectories, gather, hold_out
 from freerein_segmentation.training.problem import SegmentationProblem, design
-from freerein_segmentation.training.updates import State, evaluate, init, learning_rate, update
+from freerein_segmentation.training.updates import State, evaluate, init, update
 
 __all__ = [
     "Batch",
@@ -17,6 +17,5 @@ __all__ = [
     "gather",
     "hold_out",
     "init",
-    "learning_rate",
     "update",
 ]

@@ -1,14 +1,12 @@
 """One update, and the loss on held-out trajectories."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from freerein.learning import weights
+from freerein.learning.descent import descend, learning_rate
 from freerein.learning.progress import TrainingState
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, ObjectiveName
@@ -18,7 +16,6 @@ from freerein_segmentation.training.demonstrations import Batch, Demonstrations,
 State = TrainingState[SegmentationNetwork]
 
 _CALIBRATION_FRAMES = 2000
-_GRADIENT_NORM = 1.0
 
 
 def init(
@@ -39,14 +36,9 @@ def init(
 
 def update(state: State, batch: Batch, *, config: SegmentationConfig) -> tuple[State, dict[str, float]]:
     """Returns the state after one update, and its `train_loss`."""
-    for group in state.optimiser.param_groups:
-        group["lr"] = learning_rate(config, state.step)
     loss = _losses(state.network, batch, config.objective).mean()
-    state.optimiser.zero_grad()
-    loss.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
-    nn.utils.clip_grad_norm_(state.network.parameters(), _GRADIENT_NORM)
-    state.optimiser.step()
-    return replace(state, step=state.step + 1), {"train_loss": loss.item()}
+    rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+    return descend(state, loss, rate=rate), {"train_loss": loss.item()}
 
 
 @torch.no_grad()
@@ -64,12 +56,6 @@ def evaluate(state: State, demonstrations: Demonstrations, *, config: Segmentati
         for batch in batches
     ]
     return torch.cat(losses).mean().item()
-
-
-def learning_rate(config: SegmentationConfig, step: int) -> float:
-    """Returns the learning rate of the update after `step` others: a linear rise, then half a cosine down to zero."""
-    rise = min(1.0, (step + 1) / config.warmup_steps)
-    return config.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / config.steps))
 
 
 def _losses(network: SegmentationNetwork, batch: Batch, objective: ObjectiveName) -> Tensor:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.common import Trajectory
-from freerein.types.sim import Camera, DemonstrateRequest, DemonstrateResponse
+from freerein.types.common import Camera, Trajectory
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_sim.workers.snapshots import generator
 from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
 from freerein_sim.worlds.wander import Wander

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
-from freerein.types.sim import Camera, Frames, RenderResponse, ResetResponse, StepResponse, Truth
+from freerein.types.common import Camera
+from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds.world import Task, check_view
 

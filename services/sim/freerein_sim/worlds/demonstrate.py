@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec
 from freerein_sim.worlds.world import Action, Behaviour, Frame, World
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein.types.sim import ActionSpec, Camera
+from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.world import (
     Action,
     Decision,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from freerein.types.sim import ActionSpec
+from freerein.types.common import ActionSpec
 from freerein_sim.worlds.world import NO_SKILL, Decision
 
 _MEAN_HOLD_STEPS = 6.0

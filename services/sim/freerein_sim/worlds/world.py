@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 import freerein.types.sim
 from freerein.errors import InvalidInput
-from freerein.types.common import check_name
-from freerein.types.sim import ActionSpec, Camera
+from freerein.types.common import ActionSpec, Camera, check_name
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (A,) in [-1, 1] where the world is continuous, int64 (1,) where it is discrete; (T, A) for T timesteps."""

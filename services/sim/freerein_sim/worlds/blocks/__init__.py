@@ -1,12 +1,13 @@
 """A Fetch gripper above coloured blocks on a table, moving in a plane: the tasks. MuJoCo is imported when one is made.
 
 `blocks` has all four blocks and no goal. A goal task has two, and an oracle: `blocks.red-left-of-green`.
+`blocks.scatter` shows two of the four, anywhere: pictures for reward models to learn from (dissertation, 4.2).
 """
 
 from functools import partial
 from itertools import permutations
 
-from freerein.types.sim import ActionSpec, Camera
+from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.blocks.relations import Goal, Relation
 from freerein_sim.worlds.world import Task, World, WorldSpec
 
@@ -25,6 +26,7 @@ _ACTION = ActionSpec(
 )
 _DEMONSTRATION_STEPS = 150
 _GOAL_STEPS = 100
+_SCATTER_STEPS = 6
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
@@ -44,21 +46,35 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
     )
 
 
-def _make(spec: WorldSpec, colours: tuple[str, ...], goal: Goal | None) -> World:
-    from freerein_sim.worlds.blocks.simulation import Blocks
+def _make_free_play() -> World:
+    from freerein_sim.worlds.blocks import simulation, starts
 
-    return Blocks(spec, colours, goal)
+    return simulation.Blocks(_FREE_PLAY, COLOURS, starts.line)
+
+
+def _make_scatter() -> World:
+    from freerein_sim.worlds.blocks import simulation, starts
+
+    return simulation.Blocks(_SCATTER, COLOURS, starts.scatter, pad=True)
+
+
+def _make_goal(spec: WorldSpec, goal: Goal) -> World:
+    from freerein_sim.worlds.blocks import simulation, starts
+
+    return simulation.Blocks(spec, (goal.first, goal.second), starts.pair, goal=goal)
 
 
 def _goal_task(first: str, second: str, relation: Relation) -> Task:
     goal = Goal(first, relation, second)
     spec = _spec((first, second), (first,), _GOAL_STEPS)
-    return Task(f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make, spec, (first, second), goal))
+    return Task(f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make_goal, spec, goal))
 
 
 _FREE_PLAY = _spec(COLOURS, COLOURS, _DEMONSTRATION_STEPS)
+_SCATTER = _spec(COLOURS, (), _SCATTER_STEPS)
 
 TASKS = (
-    Task("blocks", "blocks", "", _FREE_PLAY, partial(_make, _FREE_PLAY, COLOURS, None)),
+    Task("blocks", "blocks", "", _FREE_PLAY, _make_free_play),
+    Task("blocks.scatter", "blocks", "", _SCATTER, _make_scatter),
     *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in Relation),
 )

@@ -22,6 +22,15 @@ GRIPPER_Z_M = (0.043, 0.26)
 FINGER_M = (0.0, 0.034)
 """How far each finger can be from the middle."""
 
+FINGER_BASE_M = 0.001
+"""How far from the middle a finger's inner side is when it is closed."""
+
+FINGER_HALF_M = (0.0385, 0.005, 0.0135)
+"""Half of a finger's extent along the gripper's own axes: down, y and to the front."""
+
+PAD_M = (-1.2, 0.0, -0.01)
+"""Centre of the pad, behind the back wall; its top is as high as the table's."""
+
 TIMESTEP_S = 0.002
 
 _RGBA = {
@@ -39,7 +48,7 @@ _CACHED_SCENES = 16
 _LINK_KG, _FINGER_KG, _BLOCK_KG = 0.3, 0.1, 0.1
 _SERVO_KP, _SERVO_KV, _SERVO_N = 4000.0, 140.0, 120.0
 _FINGER_KP, _FINGER_KV, _FINGER_ARMATURE_KG = 500.0, 20.0, 0.1
-_FINGER_HALF_M = (0.0385, 0.005, 0.0135)
+_PAD_HALF_M = (0.1, 0.3, 0.01)
 _CAMERAS = {
     "front": ((1.00, 0.0, 0.31), (0.0, 0.0, 0.12), 27.5),
     "left": ((0.0, -1.00, 0.31), (0.0, 0.0, 0.12), 27.5),
@@ -62,8 +71,12 @@ class Scene:
 
 
 @lru_cache(maxsize=_CACHED_SCENES)
-def build(colours: tuple[str, ...]) -> Scene:
+def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
     """Returns the scene with one block of each colour. Compiling takes a tenth of a second, so scenes are kept.
+
+    Args:
+        colours: Colours of the blocks.
+        pad: Whether there is a pad behind the back wall, for blocks that no camera is to see.
 
     Raises:
         FailedPrecondition: The wheel that holds the gripper's meshes is not installed.
@@ -80,6 +93,8 @@ def build(colours: tuple[str, ...]) -> Scene:
     _add_gripper(spec)
     for colour in colours:
         _add_block(spec.worldbody, colour)
+    if pad:
+        spec.worldbody.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=_PAD_HALF_M, pos=PAD_M)
     model = spec.compile()
     compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, compiled)
@@ -153,7 +168,7 @@ def _add_gripper(spec: mujoco.MjSpec) -> None:
 
 
 def _add_finger(gripper: mujoco.MjsBody, side: str, sign: int) -> None:
-    finger = gripper.add_body(name=f"finger.{side}", pos=[0, sign * 0.001, 0], gravcomp=1)
+    finger = gripper.add_body(name=f"finger.{side}", pos=[0, sign * FINGER_BASE_M, 0], gravcomp=1)
     finger.add_joint(
         name=f"finger.{side}",
         type=mujoco.mjtJoint.mjJNT_SLIDE,
@@ -164,8 +179,8 @@ def _add_finger(gripper: mujoco.MjsBody, side: str, sign: int) -> None:
     )
     finger.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=_FINGER_HALF_M,
-        pos=[0, sign * _FINGER_HALF_M[1], 0],
+        size=FINGER_HALF_M,
+        pos=[0, sign * FINGER_HALF_M[1], 0],
         rgba=_RUBBER,
         mass=_FINGER_KG,
         condim=4,

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
 from freerein_sim.worlds.blocks.expert import BlocksExpert
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, holds
+from freerein_sim.worlds.blocks.relations import Goal, Position, holds
+from freerein_sim.worlds.blocks.starts import DrawStart
 from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import (
     Action,
@@ -32,33 +33,36 @@ _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
 _HEADER = struct.Struct("<4sI")
 _MAGIC = b"fblk"
 
-PITCH_M = 0.08
-"""Distance of neighbouring places on the line: room for a block and an open gripper."""
-
-_PLACES = 6
-_LINE_JITTER_M, _PLACE_JITTER_M = 0.01, 0.0015
-_GOAL_PLACES_M = (-0.07, 0.07)
-_GOAL_SPREAD_M = BLOCK_M
-_START_Y_M, _START_Z_M = (-0.2, 0.2), (0.13, 0.22)
 _FALLEN_M = -0.01
 _LEAD_M = 0.07
 
 
 class Blocks:
-    """A gripper and blocks; blocks start on the table, in the plane in which the gripper moves.
+    """A gripper and blocks, in the plane in which the gripper moves.
 
     Args:
         spec: What the world offers.
         colours: Colours of its blocks.
+        draw_start: Draws where an episode begins.
         goal: What the oracle judges; None for a world without a goal.
+        pad: Whether there is a pad for blocks that are not on show.
     """
 
-    def __init__(self, spec: WorldSpec, colours: tuple[str, ...], goal: Goal | None) -> None:
+    def __init__(
+        self,
+        spec: WorldSpec,
+        colours: tuple[str, ...],
+        draw_start: DrawStart,
+        *,
+        goal: Goal | None = None,
+        pad: bool = False,
+    ) -> None:
         self.spec = spec
         self.colours = colours
         self.goal = goal
+        self._draw_start = draw_start
         mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
-        built = scene.build(colours)
+        built = scene.build(colours, pad=pad)
         self.fingerprint = built.fingerprint
         self._model = built.model
         self._data = mujoco.MjData(self._model)
@@ -68,14 +72,15 @@ class Blocks:
         """Draws where the blocks lie and where the gripper is; the recipe changes nothing that can be seen."""
         skill_indices(self.spec, recipe)
         mujoco.mj_resetData(self._model, self._data)
-        places = self._draw_line(rng) if self.goal is None else self._draw_pair(rng)
-        for colour, y in zip(self.colours, places, strict=True):
-            self._data.joint(colour).qpos = (0, y, BLOCK_M / 2, 1, 0, 0, 0)
-        opening = rng.uniform(*scene.FINGER_M)
-        targets = (rng.uniform(*_START_Y_M), rng.uniform(*_START_Z_M), opening, opening)
-        for name, target in zip(("gripper.y", "gripper.z", "finger.left", "finger.right"), targets, strict=True):
-            self._data.joint(name).qpos = target
-            self._data.actuator(name).ctrl = target
+        start = self._draw_start(rng)
+        for colour, place in zip(self.colours, start.blocks, strict=True):
+            self._data.joint(colour).qpos = (*place, 1, 0, 0, 0)
+        gripper = start.gripper
+        here = (*gripper.at, gripper.finger_m, gripper.finger_m)
+        targets = (*gripper.at, gripper.target_m, gripper.target_m)
+        for i, name in enumerate(("gripper.y", "gripper.z", "finger.left", "finger.right")):
+            self._data.joint(name).qpos = here[i]
+            self._data.actuator(name).ctrl = targets[i]
         self._refresh()
 
     def step(self, action: Action) -> Outcome:
@@ -158,15 +163,6 @@ class Blocks:
     def position(self, colour: str) -> Position:
         """Returns where the centre of a block is."""
         return np.array(self._data.joint(colour).qpos[:3])
-
-    def _draw_line(self, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-        line = (np.arange(_PLACES) - (_PLACES - 1) / 2) * PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
-        places = rng.choice(line, size=len(self.colours), replace=False)
-        return places + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=places.shape)
-
-    def _draw_pair(self, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-        """Draws two places one block's width wide each, too far from one another for any goal to hold."""
-        return rng.permutation(_GOAL_PLACES_M) + rng.uniform(-_GOAL_SPREAD_M / 2, _GOAL_SPREAD_M / 2, size=2)
 
     def _refresh(self) -> None:
         """Brings what is drawn up to the state; MuJoCo leaves it at the start of the last substep."""

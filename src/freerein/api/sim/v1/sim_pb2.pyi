@@ -21,82 +21,6 @@ else:
 DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
-class Camera(_message.Message):
-    """A camera of a world."""
-
-    DESCRIPTOR: _descriptor.Descriptor
-
-    NAME_FIELD_NUMBER: _builtins.int
-    HEIGHT_FIELD_NUMBER: _builtins.int
-    WIDTH_FIELD_NUMBER: _builtins.int
-    CHANNELS_FIELD_NUMBER: _builtins.int
-    name: _builtins.str
-    """Its name."""
-    height: _builtins.int
-    """Height rendered when none is asked for, in pixels."""
-    width: _builtins.int
-    """Width rendered when none is asked for, in pixels."""
-    channels: _builtins.int
-    """Channels, 1 or 3."""
-    def __init__(
-        self,
-        *,
-        name: _builtins.str = ...,
-        height: _builtins.int = ...,
-        width: _builtins.int = ...,
-        channels: _builtins.int = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["channels", b"channels", "height", b"height", "name", b"name", "width", b"width"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___Camera: _TypeAlias = Camera  # noqa: Y015
-
-@_typing.final
-class ActionSpec(_message.Message):
-    """What an action is."""
-
-    DESCRIPTOR: _descriptor.Descriptor
-
-    SIZE_FIELD_NUMBER: _builtins.int
-    CHOICES_FIELD_NUMBER: _builtins.int
-    NAMES_FIELD_NUMBER: _builtins.int
-    UNIT_FIELD_NUMBER: _builtins.int
-    SCALE_FIELD_NUMBER: _builtins.int
-    size: _builtins.int
-    """Numbers per action: actions are (num_envs, size)."""
-    choices: _builtins.int
-    """How many choices there are when the action is discrete (INT64, size 1); 0 when it is continuous (FP32 in [-1, 1])."""
-    unit: _builtins.str
-    """The physical unit of each number at scale, such as `m`; empty when the action is discrete."""
-    @_builtins.property
-    def names(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """What each number, or each choice, means."""
-
-    @_builtins.property
-    def scale(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """What an action of 1.0 does, in `unit` per control step, for each number."""
-
-    def __init__(
-        self,
-        *,
-        size: _builtins.int = ...,
-        choices: _builtins.int = ...,
-        names: _abc.Iterable[_builtins.str] | None = ...,
-        unit: _builtins.str = ...,
-        scale: _abc.Iterable[_builtins.float] | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["choices", b"choices", "names", b"names", "scale", b"scale", "size", b"size", "unit", b"unit"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___ActionSpec: _TypeAlias = ActionSpec  # noqa: Y015
-
-@_typing.final
 class Task(_message.Message):
     """A world with a goal and an oracle."""
 
@@ -124,11 +48,11 @@ class Task(_message.Message):
     snapshots: _builtins.bool
     """Whether Snapshot and Restore work, bit for bit."""
     @_builtins.property
-    def cameras(self) -> _containers.RepeatedCompositeFieldContainer[Global___Camera]:
+    def cameras(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Camera]:
         """The cameras."""
 
     @_builtins.property
-    def action(self) -> Global___ActionSpec:
+    def action(self) -> _common_pb2.ActionSpec:
         """The action."""
 
     @_builtins.property
@@ -141,8 +65,8 @@ class Task(_message.Message):
         name: _builtins.str = ...,
         world: _builtins.str = ...,
         goal_text: _builtins.str = ...,
-        cameras: _abc.Iterable[Global___Camera] | None = ...,
-        action: Global___ActionSpec | None = ...,
+        cameras: _abc.Iterable[_common_pb2.Camera] | None = ...,
+        action: _common_pb2.ActionSpec | None = ...,
         control_dt_s: _builtins.float = ...,
         skills: _abc.Iterable[_builtins.str] | None = ...,
         max_episode_steps: _builtins.int = ...,

@@ -1,0 +1,82 @@
+"""What the services whose core is a model have in common: where models lie, what serves them, what fits them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from google.protobuf.descriptor import ServiceDescriptor
+from pydantic import Field
+
+from freerein.api.learning.v1 import learning_pb2
+from freerein.serving.batcher import Batcher
+from freerein.serving.fits import Fits
+from freerein.serving.lifecycle import Service
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.methods import methods_of
+from freerein.serving.models import ModelStore
+from freerein.serving.settings import ServiceSettings
+
+M = TypeVar("M")
+_IN_A_CLONE = Path(__file__).parents[3] / "models"
+
+
+class LearnedSettings(ServiceSettings):
+    """Settings of a service whose core is a model.
+
+    Attributes:
+        device: Where models run: `auto`, `cpu` or `cuda:N`.
+        train_threads: Threads of a fit that does not say; small networks are as fast on one as on two.
+        shipped_dir: Where the models lie that came with freerein; unset for `models/` of the clone it runs from.
+    """
+
+    device: str = Field(default="auto", pattern=r"^(auto|cpu|cuda:\d+)$")
+    train_threads: int = Field(default=1, ge=1, le=256)
+    shipped_dir: Path | None = None
+
+
+def open_store(name: str, settings: LearnedSettings) -> ModelStore:
+    """Returns the models of a service: its own in the data directory, and those shipped."""
+    return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or _IN_A_CLONE) / name)
+
+
+def learned_service(
+    name: str,
+    contract: ServiceDescriptor,
+    core: object,
+    *,
+    models: LoadedModels[M],
+    batchers: Sequence[Batcher[Any, Any]],
+    fits: Fits,
+) -> Service:
+    """Returns a service that answers with models and fits them.
+
+    Args:
+        name: Its name.
+        contract: What its core answers; `FitService` and `ModelService` are added.
+        core: The core.
+        models: The models that it answers with.
+        batchers: The threads that run them.
+        fits: Its fits.
+    """
+
+    async def start() -> None:
+        await models.start()
+        await fits.start()
+
+    async def close() -> None:
+        await fits.close()
+        for batcher in batchers:
+            batcher.close()
+
+    learning = learning_pb2.DESCRIPTOR.services_by_name
+    return Service(
+        name=name,
+        methods=(
+            *methods_of(contract, core),
+            *methods_of(learning["FitService"], fits),
+            *methods_of(learning["ModelService"], models),
+        ),
+        start=start,
+        close=close,
+        not_ready=lambda: models.not_ready() or next(filter(None, (each.not_ready() for each in batchers)), ""),
+    )
