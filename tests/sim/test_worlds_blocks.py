@@ -49,7 +49,7 @@ def test_there_is_a_goal_task_for_each_relation_of_each_ordered_pair_of_colours(
         for relation in ("left-of", "right-of", "on-top-of")
     }
 
-    assert set(BY_NAME) == {"blocks"} | expected
+    assert set(BY_NAME) == {"blocks", "blocks.scatter"} | expected
     assert BY_NAME["blocks.red-left-of-green"].goal_text == "a red block to the left of a green block"
     assert BY_NAME["blocks.blue-on-top-of-red"].goal_text == "a blue block on top of a red block"
     assert BY_NAME["blocks"].goal_text == ""

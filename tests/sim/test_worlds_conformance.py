@@ -10,6 +10,7 @@ CHECKED = (
     "grid",
     "grid-no-indicator",
     "blocks",
+    "blocks.scatter",
     "blocks.red-left-of-green",
     "blocks.yellow-right-of-blue",
     "blocks.blue-on-top-of-red",
