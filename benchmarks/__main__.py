@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
-_BENCHMARKS = ("rendering", "stepping", "segmenting", "batching")
+_BENCHMARKS = ("rendering", "stepping", "segmenting", "batching", "acting", "streaming", "rewarding")
 _ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
 """For BLAS and torch, and for Mesa, whose 0 is no thread beside the caller's, as in the workers of the service."""
 
@@ -27,10 +27,10 @@ async def _run(names: Sequence[str], *, quick: bool, out: Path) -> None:
     import torch
 
     from benchmarks import report
-    from benchmarks.rounds import Effort
+    from benchmarks.rounds import QUICK, THOROUGH
 
     torch.set_num_threads(1)
-    effort = Effort(rounds=1, turn_s=0.0) if quick else Effort(rounds=31, turn_s=0.07)
+    effort = QUICK if quick else THOROUGH
     load = os.getloadavg()
     found = report.Findings()
     for name in names:

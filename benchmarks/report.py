@@ -12,9 +12,11 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.latencies import Latencies
 from benchmarks.rounds import Times
 
 _PACKAGES = ("freerein", "grpcio", "gymnasium", "httpx", "mujoco", "numpy", "protobuf", "torch", "uvicorn", "uvloop")
+_SHARES = {"p50": 0.5, "p99": 0.99}
 
 
 @dataclass(frozen=True)
@@ -64,27 +66,37 @@ class Findings:
     Attributes:
         ratios: The figures.
         raw: By name, what the figures were made from.
+        latencies: By name, what figures about single calls were made from.
     """
 
     ratios: tuple[Ratio, ...] = ()
     raw: dict[str, Times] = field(default_factory=dict)
+    latencies: dict[str, Latencies] = field(default_factory=dict)
 
     def __add__(self, other: "Findings") -> "Findings":
-        return Findings(self.ratios + other.ratios, self.raw | other.raw)
+        return Findings(self.ratios + other.ratios, self.raw | other.raw, self.latencies | other.latencies)
 
 
 def show(findings: Findings) -> None:
     """Prints the figures and what they were made from."""
-    console = Console()
+    Console().print(*(table for table in _tables(findings) if table.row_count))
+
+
+def _tables(findings: Findings) -> tuple[Table, ...]:
     rates = Table("measured", "per second", "ms each", "of", title="Medians")
     for race, times in findings.raw.items():
         for name in times.rates:
             rate = times.rate(name)
             rates.add_row(f"{race}.{name}", f"{rate:,.1f}", f"{1e3 / rate:.3f}", times.unit)
+    calls = Table("call", *(f"{name} ms" for name in _SHARES), title="Latencies, medians of rounds")
+    for race, latencies in findings.latencies.items():
+        for name in latencies.seconds:
+            values = (latencies.quantile(name, share) for share in _SHARES.values())
+            calls.add_row(f"{race}.{name}", *(f"{1e3 * value:.3f}" for value in values))
     ratios = Table("ratio", "value", "bar", "met", title="Ratios")
     for ratio in findings.ratios:
         ratios.add_row(ratio.name, f"{ratio.value:.2f}", str(ratio.bar or ""), _tick(ratio.is_met))
-    console.print(rates, ratios)
+    return rates, calls, ratios
 
 
 def write(findings: Findings, path: Path, *, load: Sequence[float]) -> None:
@@ -108,6 +120,14 @@ def write(findings: Findings, path: Path, *, load: Sequence[float]) -> None:
             f"{race}.{name}": {"unit": f"{times.unit}/s", "median": times.rate(name), "rounds": times.rates[name]}
             for race, times in findings.raw.items()
             for name in times.rates
+        },
+        "latencies": {
+            f"{race}.{name}": {
+                f"{quantile}_ms": [round(1e3 * value, 4) for value in latencies.quantiles(name, share)]
+                for quantile, share in _SHARES.items()
+            }
+            for race, latencies in findings.latencies.items()
+            for name in latencies.seconds
         },
         "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(), "load": load},
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},

@@ -17,10 +17,18 @@ class Effort:
     Attributes:
         rounds: Turns that each contestant gets.
         turn_s: Least length of a turn, in seconds; what is short is repeated until it is reached.
+        loads: Turns under a load that comes at its own pace.
+        load_s: Length of each, in seconds.
     """
 
     rounds: int
     turn_s: float
+    loads: int
+    load_s: float
+
+
+QUICK = Effort(rounds=1, turn_s=0.0, loads=1, load_s=0.5)
+THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0)
 
 
 @dataclass(frozen=True)

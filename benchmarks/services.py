@@ -12,15 +12,17 @@ _START_S = 60.0
 
 
 @asynccontextmanager
-async def running(service: str, *, data_dir: Path, **environ: str) -> AsyncGenerator[Stack, None]:
+async def running(service: str, *, data_dir: Path, module: str = "", **environ: str) -> AsyncGenerator[Stack, None]:
     """Runs a service on free ports for as long as the block does; it is ready when the block begins.
 
     Args:
         service: The service's name.
         data_dir: Its data directory.
+        module: What `python -m` runs; empty for the service as it is installed.
         environ: Added to the environment.
     """
     ports = free_ports([service])
-    async with Stack(choose([service]), data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
+    modules = {service: module} if module else choose([service])
+    async with Stack(modules, data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
         await stack.ready(timeout_s=_START_S)
         yield stack

@@ -1,4 +1,4 @@
-"""How well labels agree with the truth. For evaluation only: nothing here may choose what is trained."""
+"""How well labels and scores agree with the truth. For evaluation only: nothing here may choose what is trained."""
 
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -75,6 +75,30 @@ def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
         if scores[best] >= overlap and best not in found:
             found.add(best)
     return 2 * len(found) / (len(ours) + len(theirs))
+
+
+def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -> float:
+    """Returns how often what is true scores above what is not, ties counting half: the area under the ROC curve.
+
+    Args:
+        scores: float (N,).
+        truth: bool (N,), at least one of each.
+
+    Raises:
+        InvalidInput: The two have different lengths, or all of `truth` is alike.
+    """
+    if scores.ndim != 1 or scores.shape != truth.shape or not 0 < truth.sum() < len(truth):
+        raise InvalidInput(
+            f"Scores and truth must both be (N,), with true and false ones; got {scores.shape} and {truth.shape}, "
+            f"{int(truth.sum())} of them true.",
+            field="truth",
+            hint="Judge examples of both kinds together.",
+        )
+    _, places, counts = np.unique(scores, return_inverse=True, return_counts=True)
+    ranks = (counts.cumsum() - (counts - 1) / 2)[places]  # (N,), from 1; those who tie share their mean
+    positives = int(truth.sum())
+    above = ranks[truth].sum() - positives * (positives + 1) / 2
+    return float(above / (positives * (len(truth) - positives)))
 
 
 def _check_pair(predicted: Labels, truth: Labels) -> None:

@@ -16,7 +16,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 from google.protobuf import json_format, struct_pb2
@@ -74,9 +74,7 @@ def enum_names(enum: EnumDescriptor) -> tuple[str, ...]:
 
 def pack(value: Any) -> Message:
     """Returns a dataclass as a protobuf message."""
-    message = message_type(type(value))()
-    _fill(message, value)
-    return message
+    return message_type(type(value))(**_values(value))
 
 
 def unpack(source: object, cls: type[T], *, path: str = "") -> T:
@@ -90,13 +88,14 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
     Raises:
         InvalidInput: An array, enum or number is not what it says, or a required one is missing.
     """
-    values = {}
-    for name, hint, descriptor, required in _layout(cls):
-        dotted = f"{path}.{name}" if path else name
-        value = _read(source, descriptor)
+    values: dict[str, Any] = {}
+    is_set = source.HasField if isinstance(source, Message) else None
+    for name, _, has_presence, required, read, _ in _layout(cls):
+        value = getattr(source, name) if is_set is None or not has_presence or is_set(name) else None
         if value is not None:
-            values[name] = _value(value, hint, descriptor, dotted)
+            values[name] = value if read is None else read(value, f"{path}.{name}" if path else name)
         elif required:
+            dotted = f"{path}.{name}" if path else name
             raise InvalidInput(f"`{dotted}` is required; it is missing.", field=dotted, hint="Send it.")
     return cls(**values)
 
@@ -104,28 +103,57 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
 def to_json(value: Any) -> dict[str, Any]:
     """Returns a dataclass as JSON values: dicts, lists, strings, numbers; bytes as base64."""
     return {
-        name: _json(getattr(value, name), descriptor)
-        for name, _, descriptor, _ in _layout(type(value))
-        if getattr(value, name) is not None
+        field.name: _json(getattr(value, field.name), field.descriptor)
+        for field in _layout(type(value))
+        if getattr(value, field.name) is not None
     }
 
 
-def _make_layout(cls: Any) -> tuple[tuple[str, Any, FieldDescriptor, bool], ...]:
-    """Returns (name, type, field of the message, required) of each field of a dataclass."""
+# --- how each field is read and written, decided once for each dataclass
+
+_Read = Callable[[Any, str], Any]
+_Write = Callable[[Any], Any]
+
+
+class _Field(NamedTuple):
+    """A field of a dataclass, and of the message of the same name.
+
+    Attributes:
+        name: Its name in both.
+        descriptor: The message's.
+        has_presence: Whether a message tells unset from zero.
+        required: Whether the dataclass cannot do without it.
+        read: Makes its value of a message's, with the dotted name for errors; None where they are the same.
+        write: Makes of its value what a message is made of; None where they are the same.
+    """
+
+    name: str
+    descriptor: FieldDescriptor
+    has_presence: bool
+    required: bool
+    read: _Read | None
+    write: _Write | None
+
+
+def _make_layout(cls: Any) -> tuple[_Field, ...]:
     hints = typing.get_type_hints(cls)
     by_name = descriptor_of(cls).fields_by_name
     return tuple(
-        (
-            field.name,
-            _without_none(hints[field.name]),
-            by_name[field.name],
-            field.default is MISSING and field.default_factory is MISSING and not _is_optional(hints[field.name]),
+        _Field(
+            name=field.name,
+            descriptor=by_name[field.name],
+            has_presence=by_name[field.name].has_presence,
+            required=field.default is MISSING
+            and field.default_factory is MISSING
+            and not _is_optional(hints[field.name]),
+            read=_reader(_without_none(hints[field.name]), by_name[field.name]),
+            write=_writer(by_name[field.name]),
         )
         for field in fields(cls)
     )
 
 
-_layout: Callable[[Any], tuple[tuple[str, Any, FieldDescriptor, bool], ...]] = cache(_make_layout)
+_layout: Callable[[Any], tuple[_Field, ...]] = cache(_make_layout)
 
 
 def _is_optional(hint: Any) -> bool:
@@ -136,103 +164,114 @@ def _without_none(hint: Any) -> Any:
     return typing.get_args(hint)[0] if _is_optional(hint) else hint
 
 
-# --- dataclass -> message
-
-
-def _fill(message: Message, value: Any) -> None:
-    """Sets a message in place, so that an array's bytes are copied once."""
-    if isinstance(message, common_pb2.Tensor):
-        message.datatype, shape, message.raw = tensors.encode(value)
-        message.shape.extend(shape)
-    elif isinstance(message, struct_pb2.Struct):
-        json_format.ParseDict(value, message)
-    else:
-        message.SetInParent()
-        for name, _, descriptor, _ in _layout(type(value)):
-            if (item := getattr(value, name)) is not None:
-                _assign(message, descriptor, item)
-
-
-def _assign(message: Message, descriptor: FieldDescriptor, value: Any) -> None:
-    target = getattr(message, descriptor.name)
-    if (entry := _map_value(descriptor)) is not None:
-        if entry.message_type is None:
-            target.update(value)
-        else:
-            for key, item in value.items():
-                _fill(target[key], item)
-    elif descriptor.message_type is None:
-        if descriptor.is_repeated:
-            target.extend(value.tolist() if isinstance(value, np.ndarray) else value)
-        else:
-            setattr(message, descriptor.name, _enum_number(descriptor, value) if descriptor.enum_type else value)
-    elif descriptor.is_repeated:
-        for item in value:
-            _fill(target.add(), item)
-    else:
-        _fill(target, value)
-
-
-def _enum_number(descriptor: FieldDescriptor, name: str) -> int:
-    enum = cast(EnumDescriptor, descriptor.enum_type)
-    return enum.values_by_name[_enum_prefix(enum) + name.upper()].number
-
-
-def _enum_prefix(enum: EnumDescriptor) -> str:
-    return enum.values[0].name.removesuffix("UNSPECIFIED")
-
-
 def _map_value(descriptor: FieldDescriptor) -> FieldDescriptor | None:
     """Returns the field of a map's values, None for a field that is no map."""
     entry = descriptor.message_type
     return entry.fields_by_name["value"] if entry is not None and entry.GetOptions().map_entry else None
 
 
+def _enum_prefix(enum: EnumDescriptor) -> str:
+    return enum.values[0].name.removesuffix("UNSPECIFIED")
+
+
+# --- dataclass -> message
+
+
+def _values(value: Any) -> dict[str, Any]:
+    """Returns what to make a message of, all through: protobuf takes dicts for messages, too."""
+    values: dict[str, Any] = {}
+    for name, _, _, _, _, write in _layout(type(value)):
+        if (item := getattr(value, name)) is not None:
+            values[name] = item if write is None else write(item)
+    return values
+
+
+def _writer(descriptor: FieldDescriptor) -> _Write | None:
+    if (entry := _map_value(descriptor)) is not None:
+        one = _one_writer(entry)
+        return None if one is None else lambda values: {key: one(value) for key, value in values.items()}
+    if not descriptor.is_repeated:
+        return _one_writer(descriptor)
+    if descriptor.message_type is None:
+        return lambda values: values.tolist() if isinstance(values, np.ndarray) else values
+    each = _one_writer(descriptor)
+    return None if each is None else lambda values: [each(value) for value in values]
+
+
+def _one_writer(descriptor: FieldDescriptor) -> _Write | None:
+    message, enum = descriptor.message_type, descriptor.enum_type
+    if enum is not None:
+        return {enum_name(enum, value.number): value.number for value in enum.values}.__getitem__
+    if message is None or message == struct_pb2.Struct.DESCRIPTOR:
+        return None
+    return _tensor_values if message == common_pb2.Tensor.DESCRIPTOR else _values
+
+
+def _tensor_values(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
+    datatype, shape, raw = tensors.encode(array)
+    return {"datatype": datatype, "shape": shape, "raw": raw}
+
+
 # --- message or validated JSON -> dataclass
 
 
-def _read(source: object, descriptor: FieldDescriptor) -> Any:
-    """Returns a field's value, None where it is unset."""
-    if isinstance(source, Message) and descriptor.has_presence and not source.HasField(descriptor.name):
-        return None
-    return getattr(source, descriptor.name)
-
-
-def _value(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> Any:
-    origin = typing.get_origin(hint)
+def _reader(hint: Any, descriptor: FieldDescriptor) -> _Read | None:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is tuple:
-        return tuple(_one(item, typing.get_args(hint)[0], descriptor, f"{path}.{i}") for i, item in enumerate(value))
+        one = _one_reader(arguments[0], descriptor)
+        if one is None:
+            return lambda values, _path: tuple(values)
+        return lambda values, path: tuple(one(value, f"{path}.{i}") for i, value in enumerate(values))
     if origin is dict and (entry := _map_value(descriptor)) is not None:
-        item_hint = typing.get_args(hint)[1]
-        return {key: _one(item, item_hint, entry, f"{path}.{key}") for key, item in value.items()}
-    return _one(value, hint, descriptor, path)
+        each = _one_reader(arguments[1], entry)
+        if each is None:
+            return lambda values, _path: dict(values)
+        return lambda values, path: {key: each(value, f"{path}.{key}") for key, value in values.items()}
+    return _one_reader(hint, descriptor)
 
 
-def _one(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> Any:
-    for matches, convert in _CONVERTERS:
-        if matches(hint):
-            return convert(value, hint, descriptor, path)
-    return unpack(value, hint, path=path) if descriptor.message_type is not None else value
+def _one_reader(hint: Any, descriptor: FieldDescriptor) -> _Read | None:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is np.ndarray:
+        return _tensor if descriptor.message_type is not None else _numbers_reader(arguments)
+    if origin is Literal:
+        return _enum_reader(descriptor, arguments)
+    if origin is dict:
+        return _struct
+    if hint is float:
+        return _finite
+    if descriptor.message_type is not None:
+        return lambda value, path: unpack(value, hint, path=path)
+    return None
 
 
-def _array(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> "np.ndarray[Any, Any]":
-    if descriptor.message_type is None:
-        return np.array(value, typing.get_args(typing.get_args(hint)[1])[0])
+def _numbers_reader(arguments: tuple[Any, ...]) -> _Read:
+    dtype = typing.get_args(arguments[1])[0]
+    return lambda values, _path: np.array(values, dtype)
+
+
+def _tensor(value: Any, path: str) -> "np.ndarray[Any, Any]":
     return tensors.decode(value.datatype, tuple(value.shape), value.raw, field=path)
 
 
-def _enum(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> str:
-    name = value if isinstance(value, str) else enum_name(cast(EnumDescriptor, descriptor.enum_type), value)
-    if name not in typing.get_args(hint):
-        raise InvalidInput(
-            f"`{path}` must be one of {', '.join(typing.get_args(hint))}; got another value.",
-            field=path,
-            hint="It has no default: name the one you mean.",
-        )
-    return name
+def _enum_reader(descriptor: FieldDescriptor, names: tuple[str, ...]) -> _Read:
+    enum = cast(EnumDescriptor, descriptor.enum_type)
+    by_number = {value.number: enum_name(enum, value.number) for value in enum.values}
+
+    def read(value: Any, path: str) -> str:
+        name = value if isinstance(value, str) else by_number.get(value, "")
+        if name not in names:
+            raise InvalidInput(
+                f"`{path}` must be one of {', '.join(names)}; got another value.",
+                field=path,
+                hint="It has no default: name the one you mean.",
+            )
+        return name
+
+    return read
 
 
-def _finite(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> float:
+def _finite(value: Any, path: str) -> float:
     if not math.isfinite(value):
         raise _not_finite(path)
     return float(value)
@@ -244,7 +283,7 @@ def _not_finite(path: str) -> InvalidInput:
     )
 
 
-def _struct(value: Any, hint: Any, descriptor: FieldDescriptor, path: str) -> dict[str, Any]:
+def _struct(value: Any, path: str) -> dict[str, Any]:
     if isinstance(value, struct_pb2.Struct):
         try:
             value = json_format.MessageToDict(value)
@@ -266,14 +305,6 @@ def _whole(value: Any, path: str, depth: int) -> Any:
     if isinstance(value, dict):
         return {key: _whole(item, path, depth + 1) for key, item in value.items()}
     return value
-
-
-_CONVERTERS: tuple[tuple[Callable[[Any], bool], Callable[[Any, Any, FieldDescriptor, str], Any]], ...] = (
-    (lambda hint: typing.get_origin(hint) is np.ndarray, _array),
-    (lambda hint: typing.get_origin(hint) is Literal, _enum),
-    (lambda hint: typing.get_origin(hint) is dict, _struct),
-    (lambda hint: hint is float, _finite),
-)
 
 
 # --- dataclass -> JSON

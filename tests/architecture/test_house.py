@@ -22,7 +22,9 @@ UNSAFE_CALLS = {"eval", "exec", "torch.load", "torch.save", "yaml.load", "numpy.
 ROWS = (
     [f"C{i}" for i in (*range(1, 10), *range(11, 14), 15, 16, 18, 19, 20)]
     + [f"S{i}" for i in range(1, 10)]
+    + [f"I{i}" for i in (1, 2, 3, 4, 5, 7, 8, 13, 14, 15, 16, 18)]
     + [f"M{i}" for i in (4, 5, 6, 7, 8, 10, 11, 13)]
+    + [f"R{i}" for i in range(1, 6)]
 )
 
 

@@ -4,6 +4,7 @@ A service joins by a row in `SERVICES`: how to build it, and requests with what 
 """
 
 import asyncio
+import importlib.util
 import io
 import json
 import math
@@ -65,11 +66,21 @@ class Row:
     cases: tuple[Case, ...]
 
 
-def publish_model(root: Path) -> ModelStore:
+def beside(name: str) -> Any:
+    """Returns a module of this folder, which is no package: a service with many cases has a file of its own."""
+    spec = importlib.util.spec_from_file_location(f"contract_{name}", Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def publish_model(root: Path, name: str = "") -> ModelStore:
     store, folder = ModelStore(root), root / "unpublished"
     folder.mkdir(parents=True)
     (folder / "card.json").write_text(json.dumps({"steps": 5, "loss": 0.25}))
-    store.activate(store.publish("", folder))
+    store.activate(store.publish(name, folder))
     return store
 
 
@@ -86,8 +97,8 @@ def build_learning(data_dir: Path, health: Health) -> Service:
             raise NotFound("The dataset must be there; there is none of that name.", field="dataset", hint="Make it.")
         return {"steps": 5, **config}
 
-    fits = Fits(records, module="none", store=store, resolve=resolve, health=health)
     models = LoadedModels(store, lambda folder: folder.name, fit_command="freerein fit toy")
+    fits = Fits(records, module="none", store=store, models=models, resolve=resolve, health=health)
     services = learning_pb2.DESCRIPTOR.services_by_name
 
     async def start() -> None:
@@ -194,8 +205,23 @@ SEGMENTATION_CASES = (
     segment("output_not_finite", frames=FRAMES + np.uint8(2)),
 )
 
+# --- imitation and reward
+
+imitation_cases, reward_cases = beside("imitation_cases"), beside("reward_cases")
+
+
+def build_imitation(data_dir: Path, health: Health) -> Service:
+    return imitation_cases.build(data_dir, health, publish_model)
+
+
+def build_reward(data_dir: Path, health: Health) -> Service:
+    return reward_cases.build(data_dir, health, publish_model)
+
+
 SERVICES = {
+    "imitation": Row(build_imitation, tuple(Case(*case) for case in imitation_cases.cases(VERSION))),
     "learning": Row(build_learning, LEARNING_CASES),
+    "reward": Row(build_reward, tuple(Case(*case) for case in reward_cases.cases(VERSION))),
     "segmentation": Row(build_segmentation, SEGMENTATION_CASES),
 }
 

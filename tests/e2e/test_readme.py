@@ -12,9 +12,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-README = Path(__file__).parents[2] / "README.md"
+CLONE = Path(__file__).parents[2]
+README = CLONE / "README.md"
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
-SERVICES = ("http://127.0.0.1:8101", "http://127.0.0.1:8104")
+SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8101, 8102, 8103, 8104))
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("default-ports")]
 
@@ -23,6 +24,7 @@ pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group
 def newcomer(tmp_path: Path) -> Iterator[dict[str, str]]:
     """The environment of a newcomer's shell, with the services of the first block running in another terminal."""
     environ = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "FREEREIN_DATA_DIR": "var"}
+    (tmp_path / "examples").symlink_to(CLONE / "examples")
     services = subprocess.Popen(["freerein", "up"], cwd=tmp_path, env=environ)
     try:
         deadline = time.monotonic() + 60

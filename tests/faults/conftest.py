@@ -1,9 +1,11 @@
 """What the fault rows share: the faulty service, ways to speak to it badly, and what no answer may ever hold."""
 
 import base64
+import importlib.util
 import os
 import re
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,8 +97,8 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
     """A function that starts the faulty service; at the end of the module none may have logged a bug."""
     started: list[Faulty] = []
 
-    def start(data_dir: Path | None = None, **environ: str) -> Faulty:
-        service = start_module_service(str(Path(__file__).with_name("faulty_service.py")), data_dir, **environ)
+    def start(data_dir: Path | None = None, *, script: str = "faulty_service.py", **environ: str) -> Faulty:
+        service = start_module_service(str(Path(__file__).with_name(script)), data_dir, **environ)
         token = environ.get("FREEREIN_TOKEN", "")
         headers = {"authorization": f"Bearer {token}"} if token else {}
         http = httpx.Client(base_url=service.url, headers=headers, timeout=30, trust_env=False)
@@ -108,6 +110,28 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
         faulty.http.close()
         others = [line for line in faulty.service.log.read_text().splitlines() if '"the model failed"' not in line]
         assert not [line for line in others if any(bug in line for bug in _BUGS)]
+
+
+@pytest.fixture(scope="session")
+def robots() -> Any:
+    """The module `control_robot`, whose robots speak to `faulty_policy`."""
+    return _beside("control_robot")
+
+
+@pytest.fixture(scope="session")
+def policies() -> Any:
+    """The module `faulty_policy`."""
+    return _beside("faulty_policy")
+
+
+def _beside(name: str) -> Any:
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
 
 
 Refusal = Callable[..., dict[str, Any]]

@@ -68,7 +68,9 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported() -> None:
     assert time.perf_counter() - began < 5  # 0.3 s on an idle machine
 
 
-@pytest.mark.parametrize("name", ["up", "doctor", "demo", "segment", "sim", "fit", "dataset", "models"])
+@pytest.mark.parametrize(
+    "name", ["up", "doctor", "demo", "segment", "reward", "act", "sim", "fit", "dataset", "models"]
+)
 def test_every_verb_explains_itself(name: str) -> None:
     result = _run(name, "--help")
 

@@ -17,7 +17,9 @@ from freerein.serving import fits as fits_module
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.fits import Fits
 from freerein.serving.health import Health
+from freerein.serving.loaded import LoadedModels
 from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
 from freerein.types.learning import (
     CancelFitRequest,
     Fit,
@@ -62,9 +64,15 @@ CHILD = textwrap.dedent(
 def resolve(dataset: str, config: Mapping[str, Any]) -> dict[str, Any]:
     if dataset != "demos":
         raise NotFound("No such dataset.", field="dataset")
-    if unknown := set(config) - {"behaviour"}:
+    if unknown := set(config) - {"behaviour", "steps"}:
         raise InvalidInput(f"{len(unknown)} unknown.", field="config")
     return {"behaviour": "succeed", "steps": 5, **config}
+
+
+def load(folder: Path) -> str:
+    if json.loads((folder / "card.json").read_text())["steps"] > 5:
+        raise InvalidInput("`width` must be in [4, 1024]; got 1280.", hint="Record anew.")
+    return folder.name
 
 
 class Bench:
@@ -73,11 +81,19 @@ class Bench:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.store = ModelStore(root / "models")
+        self.models = LoadedModels(self.store, load, fit_command="freerein fit toy")
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Fits]:
         health = Health()
-        fits = Fits(FitRecords(self.root / "fits"), module="child", store=self.store, resolve=resolve, health=health)
+        fits = Fits(
+            FitRecords(self.root / "fits"),
+            module="child",
+            store=self.store,
+            models=self.models,
+            resolve=resolve,
+            health=health,
+        )
         await fits.start()
         try:
             yield fits
@@ -147,6 +163,15 @@ async def test_a_child_that_says_there_is_no_hope_is_believed(bench: Bench) -> N
         fit = await end(fits, await begin(fits, "hopeless"))
     assert (fit.state, fit.error) == ("failed", "The dataset must hold two skills; it holds one.")
     assert len(bench.runs(fit)) == 1
+
+
+async def test_a_model_that_cannot_be_loaded_fails_its_fit_and_the_active_one_stays(bench: Bench) -> None:
+    async with bench.running() as fits:
+        good = await end(fits, await begin(fits))
+        bad = await end(fits, (await fits.start_fit(StartFitRequest("demos", "", {"steps": 1280}))).fit)
+    assert good.model is not None
+    assert (bad.state, bad.error, bad.model) == ("failed", "`width` must be in [4, 1024]; got 1280. Record anew.", None)
+    assert await bench.models.resolve(ModelRef("", "")) == (good.model, good.model.version)
 
 
 async def test_a_bug_ends_one_fit_and_its_child_and_not_the_next(bench: Bench) -> None:

@@ -1,5 +1,5 @@
 import re
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import pytest
@@ -61,3 +61,23 @@ def test_an_unknown_key_is_refused_and_the_nearest_known_one_named() -> None:
 def test_a_wrong_value_is_refused_by_name(values: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidInput, match=re.escape(message)):
         parse(Config, values)
+
+
+@dataclass(frozen=True)
+class Longer(Config):
+    steps: int = bounded(200, least=1, most=1000)
+
+
+def test_what_is_out_of_bounds_cannot_be_made_in_any_way() -> None:
+    with pytest.raises(InvalidInput, match=re.escape("`steps` must be in [1, 100]; got 101")):
+        Config((), steps=101)
+    with pytest.raises(InvalidInput, match=re.escape("`rate` must be in [0, 1]; got nan")):
+        replace(Config(()), rate=float("nan"))
+
+
+def test_a_subclass_may_have_another_default_and_other_bounds() -> None:
+    assert (Config(()).steps, Longer(()).steps, Longer((), steps=101).steps) == (10, 200, 101)
+    assert asdict(Longer(()))["rate"] == 0.5
+    with pytest.raises(InvalidInput, match=re.escape("`steps` must be in [1, 1000]; got 1001")) as error:
+        parse(Longer, {"names": [], "steps": 1001})
+    assert error.value.field == "config.steps"

@@ -2,13 +2,16 @@ import pytest
 import torch
 
 from freerein.learning import weights
-from freerein.learning.encoders import PatchEncoder
+from freerein.learning.encoders import PatchEncoder, SpatialEncoder
 
 SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1)]
+KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
+
+Kind = type[PatchEncoder] | type[SpatialEncoder]
 
 
-def make(height: int, width: int, channels: int) -> PatchEncoder:
-    encoder = PatchEncoder(height=height, width=width, channels=channels, features=16)
+def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder:
+    encoder = kind(height=height, width=width, channels=channels, features=16)
     weights.draw(encoder, generator=torch.Generator().manual_seed(0))
     encoder.calibrate(frames(height, width, channels))
     return encoder
@@ -19,44 +22,49 @@ def frames(height: int, width: int, channels: int, *, count: int = 4) -> torch.T
     return torch.randint(0, 256, (count, height, width, channels), generator=generator, dtype=torch.uint8)
 
 
+@KINDS
 @pytest.mark.parametrize("size", SIZES)
-def test_frames_of_any_size_become_features(size: tuple[int, int, int]) -> None:
-    features = make(*size)(frames(*size))
+def test_frames_of_any_size_become_features(kind: Kind, size: tuple[int, int, int]) -> None:
+    features = make(kind, *size)(frames(*size))
     assert features.shape == (4, 16)
     assert features.dtype == torch.float32
     assert features.isfinite().all()
 
 
+@KINDS
 @pytest.mark.parametrize("size", SIZES)
-def test_every_pixel_counts_even_in_the_last_corner(size: tuple[int, int, int]) -> None:
-    encoder, seen = make(*size), frames(*size, count=64)
+def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int, int, int]) -> None:
+    encoder, seen = make(kind, *size), frames(*size, count=64)
     changed = seen.clone()
     changed[:, -1, -1] = 255 - changed[:, -1, -1]
     assert not torch.equal(encoder(seen), encoder(changed))
 
 
-def test_the_background_and_the_contrast_of_a_scene_do_not_matter() -> None:
+@KINDS
+def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
-    darker, brighter = make(64, 64, 3), make(64, 64, 3)
+    darker, brighter = make(kind, 64, 64, 3), make(kind, 64, 64, 3)
     darker.calibrate(plain)
     brighter.calibrate(plain * 2 + scene)
     torch.testing.assert_close(darker(plain), brighter(plain * 2 + scene), atol=1e-4, rtol=1e-4)
 
 
-def test_a_frame_is_encoded_alike_alone_and_among_others() -> None:
-    encoder, seen = make(64, 64, 3), frames(64, 64, 3)
+@KINDS
+def test_a_frame_is_encoded_alike_alone_and_among_others(kind: Kind) -> None:
+    encoder, seen = make(kind, 64, 64, 3), frames(64, 64, 3)
     torch.testing.assert_close(encoder(seen[1:2]), encoder(seen)[1:2])
 
 
-def test_weights_depend_on_the_generator_alone() -> None:
+@KINDS
+def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
     torch.manual_seed(5)
-    first = make(33, 30, 3)
+    first = make(kind, 33, 30, 3)
     torch.manual_seed(6)
-    assert weights.sha256(make(33, 30, 3)) == weights.sha256(first)
+    assert weights.sha256(make(kind, 33, 30, 3)) == weights.sha256(first)
     weights.draw(first, generator=torch.Generator().manual_seed(1))
-    assert weights.sha256(make(33, 30, 3)) != weights.sha256(first)
+    assert weights.sha256(make(kind, 33, 30, 3)) != weights.sha256(first)
 
 
 def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:
-    with pytest.raises(TypeError, match="Embedding"):
-        weights.draw(torch.nn.Sequential(torch.nn.Embedding(2, 2)), generator=torch.Generator())
+    with pytest.raises(TypeError, match="Bilinear"):
+        weights.draw(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())

@@ -16,6 +16,7 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, weights
+from freerein.learning.descent import descend
 from freerein.learning.fit import FitEvent, Fitted, Plan, fit, stop_on_sigterm
 from freerein.learning.progress import TrainingState
 
@@ -57,6 +58,44 @@ class Diverging(Line):
         self, state: TrainingState[nn.Linear], items: npt.NDArray[np.int64]
     ) -> tuple[TrainingState[nn.Linear], Mapping[str, float]]:
         return replace(state, step=state.step + 1), {"train_loss": float("nan")}
+
+
+class Normalised(nn.Module):
+    """A line whose input is normalised by what was usual in training."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.norm = nn.BatchNorm2d(1)
+        self.line = nn.Linear(1, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        y: torch.Tensor = self.line(self.norm(x[:, :, None, None]).flatten(start_dim=1))
+        return y
+
+
+class NormalisedLine:
+    """Fits `Normalised`, and leaves it in training mode after updates and in evaluation mode after evaluations."""
+
+    size = 10
+    identity: Mapping[str, str] = {}
+
+    def init(self, generator: torch.Generator) -> TrainingState[Normalised]:
+        network = Normalised()
+        weights.draw(network, generator=generator)
+        return TrainingState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
+
+    def update(
+        self, state: TrainingState[Normalised], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainingState[Normalised], Mapping[str, float]]:
+        x = torch.from_numpy(items).float()[:, None]
+        loss = (state.network.train()(x) - x).square().mean()
+        return descend(state, loss, rate=0.1), {"train_loss": loss.item()}
+
+    @torch.no_grad()
+    def evaluate(self, state: TrainingState[Normalised]) -> float:
+        x = torch.arange(10.0)[:, None]
+        loss: float = (state.network.eval()(x) - x).square().mean().item()
+        return loss
 
 
 def run(folder: Path, plan: Plan = PLAN, problem: Line | None = None) -> tuple[str, list[FitEvent]]:
@@ -138,6 +177,17 @@ def test_a_finished_training_is_not_made_again(tmp_path: Path, undisturbed: tupl
     digest, events = run(tmp_path / "undisturbed")
     assert digest == undisturbed[0]
     assert events == [FitEvent("resumed", 12)]
+
+
+def test_a_network_is_returned_in_evaluation_mode_whether_or_not_an_update_was_left_to_make(tmp_path: Path) -> None:
+    digests = []
+    for _ in range(2):
+        fitted = fit(NormalisedLine(), PLAN, tmp_path)
+        assert fitted is not None
+        assert not any(layer.training for layer in fitted.network.modules())
+        fitted.network(torch.arange(10.0)[:, None])  # in training mode this would move what is usual
+        digests.append(weights.sha256(fitted.network))
+    assert digests[0] == digests[1]
 
 
 @pytest.mark.fault("O7")

@@ -57,3 +57,18 @@ def test_runs_start_where_labels_change() -> None:
 def test_labels_of_another_shape_are_refused(predicted: np.ndarray) -> None:
     with pytest.raises(InvalidInput, match=r"\(10,\)"):
         metrics.frame_accuracy(predicted, TRUTH)
+
+
+def test_auroc_is_the_share_of_pairs_in_the_right_order() -> None:
+    truth = np.array([True, True, False, False])
+    assert metrics.auroc(np.array([0.9, 0.8, 0.2, 0.1]), truth) == 1.0
+    assert metrics.auroc(np.array([0.1, 0.2, 0.8, 0.9]), truth) == 0.0
+    assert metrics.auroc(np.array([0.9, 0.3, 0.5, 0.1]), truth) == 0.75
+    assert metrics.auroc(np.array([0.5, 0.5, 0.5, 0.1]), truth) == 0.75
+    assert metrics.auroc(np.full(4, 0.5), truth) == 0.5
+
+
+def test_auroc_needs_examples_of_both_kinds() -> None:
+    for scores, truth in ((np.zeros(2), np.ones(2, bool)), (np.zeros(3), np.array([True, False]))):
+        with pytest.raises(InvalidInput):
+            metrics.auroc(scores, truth)

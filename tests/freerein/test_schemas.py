@@ -13,12 +13,13 @@ from pydantic import ValidationError
 
 from freerein import wire
 from freerein.serving.schemas import schema_of
-from freerein.types import common, learning, segmentation, sim
+from freerein.types import common, imitation, learning, reward, segmentation, sim
+from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest
 
 DATACLASSES = [
     cls
-    for module in (common, learning, segmentation, sim)
+    for module in (common, imitation, learning, reward, segmentation, sim)
     for _, cls in inspect.getmembers(module, is_dataclass)
     if cls.__module__ == module.__name__
 ]
@@ -62,6 +63,7 @@ def test_every_schema_is_closed_and_can_be_shown(cls: type) -> None:
         (SegmentRequest, {"frames": {**TENSOR, "shape": [-1]}}, 0),
         (SegmentRequest, {"frames": {**TENSOR, "shape": [2**63]}}, 0),
         (SegmentRequest, {"frames": {"datatype": "UINT8", "shape": []}}, "raw"),
+        (RewardRequest, {"mode": "unspecified"}, "mode"),
         (learning.StartFitRequest, {"config": []}, "config"),
         (learning.StartFitRequest, [], None),
         (learning.WatchFitRequest, {"from_sequence": 2**64}, "from_sequence"),
@@ -101,6 +103,10 @@ def test_base64_is_strict(raw: str) -> None:
 def test_every_byte_comes_through_base64(data: bytes) -> None:
     image = common.Image("png", 0, 0, data)
     assert wire.unpack(accept(common.Image, wire.to_json(image)), common.Image).data == data
+
+
+def test_an_optional_enum_may_be_left_out() -> None:
+    assert wire.unpack(accept(RewardRequest, {"goal_text": "a red block"}), RewardRequest).mode == "binary"
 
 
 def test_a_million_bad_items_are_one_complaint() -> None:

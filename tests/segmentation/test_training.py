@@ -10,6 +10,7 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.types.common import ActionSpec
 from freerein_segmentation import training
 from freerein_segmentation.model import Context, SegmentationModel
 from freerein_segmentation.objectives import ObjectiveName
@@ -17,6 +18,9 @@ from freerein_segmentation.training import Demonstrations, SegmentationConfig, S
 
 SKILLS = ("blue", "green", "red")
 COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
+FRAME = (12, 12, 3)
+ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
+STEPS = ActionSpec(1, 5, ("step",), "", (1.0,))
 CPU = torch.device("cpu")
 FAST = SegmentationConfig(
     steps=100, batch_size=8, learning_rate=5e-3, warmup_steps=10, hidden=16, features=16, evaluate_every=20
@@ -41,7 +45,7 @@ def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, lis
 def problem(config: SegmentationConfig = FAST) -> SegmentationProblem:
     learnt, _ = make(48, seed=0)
     held_out, _ = make(8, seed=1)
-    spec = training.design(config, learnt, skills=SKILLS, action_choices=0)
+    spec = training.design(config, frame=FRAME, action=ACTION, skills=SKILLS)
     return SegmentationProblem(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
@@ -94,7 +98,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
     steps = [np.zeros((len(learnt.frames[item]), 1), np.int64) for item in range(4)]
     discrete = Demonstrations(learnt.frames, steps, learnt.skills)
     for config in (FAST, replace(FAST, use_actions=False)):
-        spec = training.design(config, discrete, skills=SKILLS, action_choices=5)
+        spec = training.design(config, frame=FRAME, action=STEPS, skills=SKILLS)
         assert (spec.action_size, spec.action_choices) == ((1, 5) if config.use_actions else (0, 0))
         whole = SegmentationProblem(config, spec, discrete, discrete, "fingerprint", CPU)
         state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
@@ -104,7 +108,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
 
 def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_still_count() -> None:
     learnt, _ = make(2, seed=0)
-    spec = training.design(replace(FAST, stride=5), learnt, skills=SKILLS, action_choices=0)
+    spec = training.design(replace(FAST, stride=5), frame=FRAME, action=ACTION, skills=SKILLS)
     batch = training.gather(learnt, [0, 1], [2, 4], spec=spec, device=CPU)
     expected = [learnt.frames[0][2::5], learnt.frames[1][4::5]]
     assert batch.lengths.tolist() == [len(each) for each in expected]
@@ -136,8 +140,3 @@ def test_demonstrations_that_do_not_fit_together_are_refused() -> None:
     ):
         with pytest.raises(InvalidInput):
             Demonstrations(frames, actions, skills)
-
-
-def test_a_tag_that_is_no_skill_of_the_dataset_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="2 skills"):
-        training.design(FAST, make(6, seed=0)[0], skills=SKILLS[:2], action_choices=0)

@@ -53,6 +53,7 @@ def build(
         module="freerein_segmentation.fit",
         arguments=(str(settings.data_dir), settings.device),
         store=store,
+        models=models,
         resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
         health=health,
     )

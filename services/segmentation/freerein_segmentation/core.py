@@ -197,7 +197,7 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
             field="images",
             hint="Send the trajectory in parts.",
         )
-    total = sum(images.pixel_count(image, field=f"images.{t}") for t, image in enumerate(encoded))
+    total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # they must all have one size
     if total > images.MAX_REQUEST_PIXELS:
         raise InvalidInput(
             f"`images` may have {images.MAX_REQUEST_PIXELS} pixels together; got {total}.",

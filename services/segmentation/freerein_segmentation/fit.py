@@ -15,6 +15,7 @@ from freerein.errors import InvalidInput
 from freerein.learning.exports import choose_device, export
 from freerein.learning.fit import Fitted, fit, stop_on_sigterm
 from freerein.serving import fit_child
+from freerein_segmentation.model import ModelSpec
 from freerein_segmentation.training import (
     Demonstrations,
     SegmentationConfig,
@@ -46,6 +47,15 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
             field="dataset",
             hint="Tag them, or record with the expert: freerein dataset check NAME says more.",
         )
+    unknown = {skill for tags in opened.skills for skill in tags} - set(opened.spec.skills)
+    if unknown:
+        raise InvalidInput(
+            f"Trajectories must be tagged with the dataset's {len(opened.spec.skills)} skills; "
+            f"{len(unknown)} tags are others.",
+            field="dataset",
+            hint="Tag them anew: freerein dataset check NAME says more.",
+        )
+    _spec(opened, config)  # refuses what there is no network for
     return asdict(config)
 
 
@@ -71,14 +81,20 @@ def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str
 
 def _problem(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationProblem:
     demonstrations = Demonstrations(dataset.cached_frames(config.camera), dataset.cached_actions(), dataset.skills)
-    action = dataset.spec.action
-    spec = design(config, demonstrations, skills=dataset.spec.skills, action_choices=action.choices)
     training, validation = hold_out(demonstrations, share=config.validation_share, seed=config.seed)
-    return SegmentationProblem(config, spec, training, validation, dataset.fingerprint, choose_device(device))
+    return SegmentationProblem(
+        config, _spec(dataset, config), training, validation, dataset.fingerprint, choose_device(device)
+    )
+
+
+def _spec(dataset: Dataset, config: SegmentationConfig) -> ModelSpec:
+    spec = dataset.spec
+    return design(config, frame=spec.cameras[config.camera], action=spec.action, skills=spec.skills)
 
 
 def _card(dataset: Dataset, problem: SegmentationProblem, fitted: Fitted[Any]) -> dict[str, Any]:
     return {
+        "command": "freerein fit segmentation DATASET",
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
         "config": asdict(problem.config),

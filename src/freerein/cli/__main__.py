@@ -2,7 +2,7 @@
 
 import typer
 
-from freerein.cli import dataset, fit, models, segment, sim
+from freerein.cli import act, dataset, fit, models, reward, segment, sim
 from freerein.cli.demo import demo
 from freerein.cli.doctor import doctor
 from freerein.cli.up import up
@@ -17,6 +17,8 @@ app.command()(up)
 app.command()(doctor)
 app.command()(demo)
 app.command()(segment.segment)
+app.command()(reward.reward)
+app.add_typer(act.app, name="act")
 app.add_typer(sim.app, name="sim")
 app.add_typer(fit.app, name="fit")
 app.add_typer(dataset.app, name="dataset")

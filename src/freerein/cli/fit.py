@@ -2,14 +2,14 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import aclosing
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from freerein.cli.output import AsJson, print_json, progress_bar, show_table, verb
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, Unavailable
 
 if TYPE_CHECKING:
     from freerein.clients import FitClient
@@ -20,36 +20,50 @@ T = TypeVar("T")
 app = typer.Typer(help="Trainings: started, listed, watched, cancelled.", no_args_is_help=True)
 
 Service = Annotated[str, typer.Option(help="The service that trains.")]
+_Services = Annotated[str, typer.Option(help="The service that trains; all that do when empty.")]
+_Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Not as by default.")]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="What `freerein fit list` lists.")]
 
+_LEARN = {
+    "segmentation": "Learn which skill is executed when, from demonstrations tagged with the skills that occur.",
+    "imitation": "Learn a policy from a dataset; `--set policy=skills` for one that follows recipes of skills.",
+    "reward": "Learn how well images match words, from unlabelled images and noun phrases.",
+}
 
-@app.command()
-@verb
-def segmentation(
-    dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
-    model_name: Annotated[str, typer.Option(help="Name for the model; `default` when empty.")] = "",
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Not as by default.")] = None,
-    watch: Annotated[bool, typer.Option("--watch", help="Wait for the end.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Learn which skill is executed when, from demonstrations tagged with the skills that occur."""
-    config = dict(_setting(text) for text in settings or ())
 
-    async def start(client: "FitClient") -> "Fit":
-        from freerein.types.learning import StartFitRequest
+def _add_start(service: str, explanation: str) -> None:
+    """Adds the verb that starts a fit of a service: the same call to each of them."""
 
-        return (await client.start_fit(StartFitRequest(dataset, model_name, config))).fit
+    @app.command(service, help=explanation)
+    @verb
+    def start(
+        dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
+        model_name: Annotated[str, typer.Option(help="Name for the model; `default` when empty.")] = "",
+        settings: _Settings = None,
+        watch: Annotated[bool, typer.Option("--watch", help="Wait for the end.")] = False,
+        as_json: AsJson = False,
+    ) -> None:
+        config = dict(_setting(text) for text in settings or ())
 
-    fit = asyncio.run(_call("segmentation", start))
-    if watch:
-        _watch("segmentation", fit.id, as_json=as_json)
-    else:
-        _show([fit], as_json=as_json)
+        async def ask(client: "FitClient") -> "Fit":
+            from freerein.types.learning import StartFitRequest
+
+            return (await client.start_fit(StartFitRequest(dataset, model_name, config))).fit
+
+        fit = asyncio.run(_call(service, ask))
+        if watch:
+            _watch(service, fit.id, as_json=as_json)
+        else:
+            _show([(service, fit)], as_json=as_json)
+
+
+for _service, _explanation in _LEARN.items():
+    _add_start(_service, _explanation)
 
 
 @app.command("list")
 @verb
-def list_fits(service: Service = "segmentation", as_json: AsJson = False) -> None:
+def list_fits(service: _Services = "", as_json: AsJson = False) -> None:
     """List all fits, the newest first."""
 
     async def ask(client: "FitClient") -> "tuple[Fit, ...]":
@@ -57,19 +71,20 @@ def list_fits(service: Service = "segmentation", as_json: AsJson = False) -> Non
 
         return (await client.list_fits(ListFitsRequest())).fits
 
-    _show(asyncio.run(_call(service, ask)), as_json=as_json)
+    answers = asyncio.run(_ask_all(service, ask))
+    _show([(name, fit) for name, fits in answers.items() for fit in fits], as_json=as_json)
 
 
 @app.command()
 @verb
-def watch(fit: _Id, service: Service = "segmentation", as_json: AsJson = False) -> None:
+def watch(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """Follow a fit to its end."""
-    _watch(service, fit, as_json=as_json)
+    _watch(_service_of(fit, service), fit, as_json=as_json)
 
 
 @app.command()
 @verb
-def cancel(fit: _Id, service: Service = "segmentation", as_json: AsJson = False) -> None:
+def cancel(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """End a fit; its last checkpoint stays."""
 
     async def ask(client: "FitClient") -> "Fit":
@@ -77,7 +92,46 @@ def cancel(fit: _Id, service: Service = "segmentation", as_json: AsJson = False)
 
         return (await client.cancel_fit(CancelFitRequest(fit))).fit
 
-    _show([asyncio.run(_call(service, ask))], as_json=as_json)
+    found = _service_of(fit, service)
+    _show([(found, asyncio.run(_call(found, ask)))], as_json=as_json)
+
+
+def _service_of(fit_id: str, service: str) -> str:
+    """Returns the service that a fit belongs to, where none was named the one that knows it.
+
+    Raises:
+        NotFound: None of them does.
+        Unavailable: None of them runs.
+    """
+
+    async def ask(client: "FitClient") -> None:
+        from freerein.types.learning import GetFitRequest
+
+        await client.get_fit(GetFitRequest(fit_id))
+
+    return service or next(iter(asyncio.run(_ask_all("", ask))))
+
+
+async def _ask_all(service: str, ask: "Callable[[FitClient], Awaitable[T]]") -> dict[str, T]:
+    """Returns the answers of the service named, or where none is named, of all that have one: at least one has.
+
+    Raises:
+        ServiceError: None has an answer: what the one that runs said.
+    """
+    asked = [service] if service else list(_LEARN)
+    replies = await asyncio.gather(*(_call(name, ask) for name in asked), return_exceptions=True)
+    answers: dict[str, T] = {}
+    errors: list[BaseException] = []
+    for name, reply in zip(asked, replies, strict=True):
+        if isinstance(reply, BaseException):
+            errors.append(reply)
+        else:
+            answers[name] = reply
+    if bugs := [error for error in errors if not isinstance(error, ServiceError)]:
+        raise bugs[0]
+    if not answers:
+        raise next((error for error in errors if not isinstance(error, Unavailable)), errors[0])
+    return answers
 
 
 def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
@@ -105,7 +159,7 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
         sentence = f"The fit must succeed; its state is {fit.state}. {fit.error}".rstrip()
         raise FailedPrecondition(sentence, hint=_LOG_HINT)
     if not as_json:
-        _show([fit], as_json=False)
+        _show([(service, fit)], as_json=False)
 
 
 _LOG_HINT = "The data directory's fits/<service>/<id>/work/log.txt says more."
@@ -135,25 +189,27 @@ def _setting(text: str) -> tuple[str, object]:
         return key, value
 
 
-def _show(fits: "list[Fit] | tuple[Fit, ...]", *, as_json: bool) -> None:
+def _show(fits: "Sequence[tuple[str, Fit]]", *, as_json: bool) -> None:
+    """Prints fits and the services that they belong to."""
     from freerein import wire
 
     if as_json:
-        for fit in fits:
-            print_json(wire.to_json(fit))
+        for service, fit in fits:
+            print_json({"service": service, **wire.to_json(fit)})
         return
     rows = [
         (
             fit.id,
+            service,
             fit.state,
             fit.dataset,
             f"{fit.model.name} {fit.model.version}" if fit.model else fit.model_name,
             f"{fit.step}/{fit.steps}",
             fit.error or _figures(fit),
         )
-        for fit in fits
+        for service, fit in fits
     ]
-    show_table(("fit", "state", "dataset", "model", "updates", "figures"), rows)
+    show_table(("fit", "service", "state", "dataset", "model", "updates", "figures"), rows)
 
 
 def _figures(fit: "Fit") -> str:

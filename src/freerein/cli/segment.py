@@ -1,15 +1,17 @@
-"""`freerein segment`: which skill is executed when, in one trajectory of a dataset."""
+"""`freerein segment`: which skill is executed when, in one trajectory of a dataset, or in all of them."""
 
 import asyncio
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, verb
-from freerein.errors import InvalidInput, NotFound
+from freerein.cli.output import Advance, AsJson, print_json, progress_bar, verb
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from freerein.data import Dataset
+    from freerein.data.labels import LabelsInfo
     from freerein.types.segmentation import SegmentRequest, SegmentResponse
 
 
@@ -23,27 +25,35 @@ def segment(
     camera: Annotated[str, typer.Option(help="Whose frames; the dataset's first camera when empty.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Width, in timesteps, of a Gaussian over time.")] = 0.0,
     min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
+    save: Annotated[bool, typer.Option("--save", help="Label all trajectories, and keep the labels.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Label every timestep of a trajectory with a skill."""
-    from freerein import wire
-    from freerein.cli.segment_picture import show
-    from freerein.cli.settings import CliSettings
-    from freerein.data import Dataset, dataset_path
+    """Label every timestep of a trajectory with a skill; with --save, those of the whole dataset."""
+    from freerein.cli.trajectories import choose_camera, root_of
+    from freerein.data import Dataset
     from freerein.types.common import ModelRef
     from freerein.types.segmentation import SegmentRequest
 
-    opened = Dataset(dataset_path(CliSettings().data_dir, dataset))
-    _check_index(index, len(opened))
-    trajectory = opened[index]
-    request = SegmentRequest(
-        model=ModelRef(model, version),
-        frames=trajectory.frames[_camera(opened, camera)],
-        actions=trajectory.actions,
-        min_segment=min_segment,
-        smoothing=smoothing,
-    )
-    answer = asyncio.run(_ask(request))
+    opened = Dataset(root_of(dataset))
+    seen = choose_camera(opened, camera)
+    request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing)
+    if save:
+        with progress_bar(f"labelling {dataset}", total=len(opened), is_shown=not as_json) as on_count:
+            info = asyncio.run(_save(root_of(dataset), request, seen, on_count))
+        _show_saved(dataset, len(opened), info, as_json=as_json)
+    else:
+        _segment_one(opened, index, request, seen, as_json=as_json)
+
+
+def _segment_one(dataset: "Dataset", index: int, request: "SegmentRequest", camera: str, *, as_json: bool) -> None:
+    from dataclasses import replace
+
+    from freerein import wire
+    from freerein.cli.segment_picture import show
+    from freerein.cli.trajectories import trajectory
+
+    chosen = trajectory(dataset, index)
+    answer = asyncio.run(_ask(replace(request, frames=chosen.frames[camera], actions=chosen.actions)))
     print_json(wire.to_json(answer)) if as_json else show(answer)
 
 
@@ -56,21 +66,19 @@ async def _ask(request: "SegmentRequest") -> "SegmentResponse":
         return await client.segment(request)
 
 
-def _check_index(index: int, count: int) -> None:
-    if index >= count:
-        raise NotFound(
-            f"The dataset holds {count} trajectories, counted from 0; got {index}.",
-            field="index",
-            hint="`freerein dataset inspect` says what it holds.",
-        )
+async def _save(root: "Path", request: "SegmentRequest", camera: str, on_count: Advance) -> "LabelsInfo":
+    from freerein.cli.connection import open_channel
+    from freerein.cli.labelling import label_all
+    from freerein.cli.settings import CliSettings
+    from freerein.clients import SegmentationClient
+
+    async with SegmentationClient(open_channel("segmentation", CliSettings())) as client:
+        return await label_all(client, root, request, camera=camera, on_count=on_count)
 
 
-def _camera(dataset: "Dataset", camera: str) -> str:
-    cameras = tuple(dataset.spec.cameras)
-    if camera and camera not in cameras:
-        raise InvalidInput(
-            f"The camera must be one of {', '.join(cameras)}; got another name.",
-            field="camera",
-            hint="Leave it out for the first.",
-        )
-    return camera or cameras[0]
+def _show_saved(dataset: str, count: int, info: "LabelsInfo", *, as_json: bool) -> None:
+    if as_json:
+        model = {"name": info.model.name, "version": info.model.version}
+        print_json({"dataset": dataset, "labelled": count, "skills": list(info.skills), "model": model})
+    else:
+        typer.echo(f"{count} trajectories of {dataset} are labelled, by model {info.model.name} {info.model.version}.")

@@ -3,6 +3,7 @@
     <root>/data/      what learners see: frames, actions, and per trajectory the set of skills that occur
     <root>/meta/      LeRobot's index, rebuilt from data/ whenever the two differ
     <root>/cache/     decoded frames to train from, rebuilt when data/ changed
+    <root>/labels/    a skill per timestep as a segmentation model predicted it, for skill policies to learn from
     <root>/truth/     ground-truth labels for evaluation; only `freerein.data.truth` opens it
 
 `create` and `open_writer` write, `Dataset` reads, `inspect`, `verify` and `check` judge.

@@ -2,8 +2,9 @@
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, field, fields
-from typing import TYPE_CHECKING, Literal, TypeVar, get_args, get_origin, get_type_hints
+from dataclasses import MISSING, fields
+from inspect import getattr_static
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from freerein.errors import InvalidInput
 
@@ -16,9 +17,38 @@ N = TypeVar("N", int, float)
 
 
 def bounded(default: N, *, least: float, most: float) -> N:
-    """Returns a dataclass field for a number in [least, most]."""
-    made: N = field(default=default, metadata={"least": least, "most": most})
-    return made
+    """Returns a dataclass field for a number in [least, most]: outside of them, none of that dataclass can be made."""
+    return cast(N, _Bounded(default, least, most))
+
+
+class _Bounded:
+    """A descriptor-typed field, which a dataclass's `__init__` sets as any other."""
+
+    def __init__(self, default: float, least: float, most: float) -> None:
+        self._default = default
+        self._least = least
+        self._most = most
+
+    def __set_name__(self, _owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object | None, _owner: type) -> float:
+        if instance is None:  # a dataclass asks for the default
+            return self._default
+        value: float = vars(instance)[self._name]
+        return value
+
+    def __set__(self, instance: object, value: float) -> None:
+        self.check(
+            value, field=self._name, hint="What a dataset decides, such as the size of frames, is recorded anew."
+        )
+        vars(instance)[self._name] = value
+
+    def check(self, value: float, *, field: str, hint: str) -> None:
+        if not self._least <= value <= self._most:
+            raise InvalidInput(
+                f"`{self._name}` must be in [{self._least:g}, {self._most:g}]; got {value:g}.", field=field, hint=hint
+            )
 
 
 def parse(kind: type[C], values: Mapping[str, object]) -> C:
@@ -33,20 +63,22 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     Raises:
         InvalidInput: A key is unknown, or missing where there is no default, or a value is of the wrong type or size.
     """
-    types, bounds = get_type_hints(kind), {each.name: each.metadata for each in fields(kind)}
+    types, names = get_type_hints(kind), [each.name for each in fields(kind)]
     for key in values:
-        if key not in bounds:
+        if key not in names:
             raise InvalidInput(
-                f"The configuration may hold {', '.join(bounds)}; got another key.",
+                f"The configuration may hold {', '.join(names)}; got another key.",
                 field="config",
-                hint=_suggestion(key, bounds),
+                hint=_suggestion(key, names),
             )
     missing = [each.name for each in fields(kind) if each.default is MISSING and each.name not in values]
     if missing:
         raise InvalidInput(f"The configuration must hold {', '.join(missing)}; got none.", field="config")
-    parsed = {key: _convert(key, types[key], value) for key, value in values.items()}
+    parsed: dict[str, Any] = {key: _convert(key, types[key], value) for key, value in values.items()}
     for key, value in parsed.items():
-        _check_bounds(key, value, bounds[key])
+        bounds = getattr_static(kind, key, None)
+        if isinstance(bounds, _Bounded):
+            bounds.check(value, field=f"config.{key}", hint="Leave it out for the default.")
     return kind(**parsed)
 
 
@@ -76,12 +108,3 @@ def _describe(kind: object) -> str:
     names: dict[object, str] = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string"}
     names[tuple[str, ...]] = "a list of strings"
     return names[kind]
-
-
-def _check_bounds(key: str, value: object, bounds: Mapping[str, float]) -> None:
-    if bounds and isinstance(value, int | float) and not bounds["least"] <= value <= bounds["most"]:
-        raise InvalidInput(
-            f"`{key}` must be in [{bounds['least']:g}, {bounds['most']:g}]; got {value:g}.",
-            field=f"config.{key}",
-            hint="Leave it out for the default.",
-        )

@@ -1,6 +1,6 @@
 """A trained network as a folder: its weights, and a card that says what it is.
 
-<folder>/model.safetensors   weights, float32
+<folder>/model.safetensors   weights
          card.json           `spec`: what the network is; and what it was trained on, how, with which figures
 """
 
@@ -67,12 +67,13 @@ def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: s
         network = make(spec)
     try:
         weights = tensor_files.parse((folder / WEIGHTS).read_bytes())
-        if any(tensor.dtype != torch.float32 for tensor in weights.values()):
-            raise RuntimeError("not float32")
+        own = network.state_dict()
+        if any(name in own and tensor.dtype != own[name].dtype for name, tensor in weights.items()):
+            raise RuntimeError("another type")
         network.load_state_dict(weights, assign=True)
     except (OSError, RuntimeError) as error:
         raise InvalidInput(
-            "A model's weights must be those that its card describes; some are missing or have another shape.",
+            "A model's weights must be those that its card describes; some are missing or have another shape or type.",
             hint="Fit the model again, or restore its folder from a copy.",
         ) from error
     return network.to(choose_device(device)).eval()

@@ -98,7 +98,7 @@ class Fitted(Generic[N]):
     """What a training came to.
 
     Attributes:
-        network: With the weights that did best on held-out data.
+        network: With the weights that did best on held-out data, in evaluation mode.
         best_step: After how many updates they did.
         validation_loss: Their loss there.
     """
@@ -156,8 +156,9 @@ def fit(
     if progress.state.step < plan.steps:
         on_event(FitEvent("stopped", progress.state.step))
         return None
-    progress.state.network.load_state_dict(progress.best.weights)
-    return Fitted(progress.state.network, progress.best.step, progress.best.loss)
+    network = progress.state.network.eval()  # however the last update, here or before a restart, left it
+    network.load_state_dict(progress.best.weights)
+    return Fitted(network, progress.best.step, progress.best.loss)
 
 
 def _begin(problem: Problem[N], plan: Plan) -> Progress[N]:

@@ -69,9 +69,11 @@ class Batcher(Generic[I, O]):
         self._batch = batch
         self._metrics = metrics
         self._waiting: deque[_Waiting[I, O]] = deque()
-        self._wake = threading.Condition()
+        self._lock = threading.Lock()  # held for `_waiting` and `_closed`
+        self._bell = threading.Lock()  # free when the thread is to look; it wakes sooner than at a Condition
         self._closed = False
         self._faults = 0
+        metrics.queued.set_function(lambda: len(self._waiting))
         self._thread = threading.Thread(target=self._work, name="model", daemon=True)
         self._thread.start()
 
@@ -96,7 +98,7 @@ class Batcher(Generic[I, O]):
         """
         future: asyncio.Future[Done[O]] = asyncio.get_running_loop().create_future()
         waiting = _Waiting(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
-        with self._wake:
+        with self._lock:
             if self._closed:
                 raise _closed()
             if len(self._waiting) >= self._queue:
@@ -105,8 +107,7 @@ class Batcher(Generic[I, O]):
                     hint="Try again after Retry-After, or send less at once.",
                 )
             self._waiting.append(waiting)
-            self._metrics.queued.set(len(self._waiting))
-            self._wake.notify()
+            self._ring()
         try:
             return await future
         except asyncio.CancelledError:
@@ -115,21 +116,24 @@ class Batcher(Generic[I, O]):
 
     def close(self) -> None:
         """Ends the thread after the batch in work, or leaves it behind when that hangs; what waits is refused."""
-        with self._wake:
+        with self._lock:
             self._closed = True
             for waiting in self._waiting:
                 _settle(waiting.future, _closed())
             self._waiting.clear()
-            self._metrics.queued.set(0)
-            self._wake.notify()
+            self._ring()
         self._thread.join(_LAST_BATCH_S)
 
     def _withdraw(self, waiting: "_Waiting[I, O]") -> None:
         """Frees the place of an item whose caller is gone."""
-        with self._wake:
+        with self._lock:
             if waiting in self._waiting:
                 self._waiting.remove(waiting)
-                self._metrics.queued.set(len(self._waiting))
+
+    def _ring(self) -> None:
+        """Wakes the thread, which may be awake; the lock is held."""
+        if self._bell.locked():
+            self._bell.release()
 
     def _work(self) -> None:
         while batch := self._next_batch():
@@ -146,17 +150,21 @@ class Batcher(Generic[I, O]):
     def _next_batch(self) -> list[_Waiting[I, O]]:
         """Returns the next items of one key, waiting for them; none when closed."""
         while True:
-            with self._wake:
-                self._wake.wait_for(lambda: self._waiting or self._closed)
+            while not self._waiting and not self._closed:
+                self._bell.acquire()
+            with self._lock:
                 if self._closed:
                     return []
-                key = self._waiting[0].key
-                batch: list[_Waiting[I, O]] = []
-                while self._waiting and self._waiting[0].key == key and len(batch) < self._batch:
-                    batch.append(self._waiting.popleft())
-                self._metrics.queued.set(len(self._waiting))
+                batch = self._take()
             if live := [waiting for waiting in batch if _still_wanted(waiting)]:
                 return live
+
+    def _take(self) -> list[_Waiting[I, O]]:
+        """Takes the items of the first one's key that stand at the front, up to a batch; the lock is held."""
+        batch: list[_Waiting[I, O]] = []
+        while self._waiting and len(batch) < self._batch and (not batch or self._waiting[0].key == batch[0].key):
+            batch.append(self._waiting.popleft())
+        return batch
 
     def _run(self, items: list[I]) -> Sequence[O | ServiceError]:
         """Calls the model; when it raises, once more for each item alone, so that only the poisonous one fails."""
@@ -189,14 +197,14 @@ def _still_wanted(waiting: "_Waiting[I, O]") -> bool:
 
 def _settle(future: "asyncio.Future[Done[O]]", result: "Done[O] | ServiceError") -> None:
     """Sets a future of another thread's event loop, unless its caller is gone."""
-
-    def settle() -> None:
-        if future.done():
-            return
-        if isinstance(result, ServiceError):
-            future.set_exception(result)
-        else:
-            future.set_result(result)
-
     if not future.get_loop().is_closed():
-        future.get_loop().call_soon_threadsafe(settle)
+        future.get_loop().call_soon_threadsafe(_set, future, result)
+
+
+def _set(future: "asyncio.Future[Done[O]]", result: "Done[O] | ServiceError") -> None:
+    if future.done():
+        return
+    if isinstance(result, ServiceError):
+        future.set_exception(result)
+    else:
+        future.set_result(result)

@@ -16,9 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from freerein.errors import AlreadyExists, Overloaded
+from freerein.errors import AlreadyExists, Overloaded, ServiceError
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.health import Health
+from freerein.serving.loaded import LoadedModels
 from freerein.serving.models import DEFAULT_NAME, ModelStore
 from freerein.types.common import check_name
 from freerein.types.learning import (
@@ -54,6 +55,7 @@ class Fits:
         module: The child's module, such as `freerein_segmentation.fit`.
         arguments: What its command line holds beside its folder.
         store: Where finished models go.
+        models: What answers with them: one that cannot be loaded is never activated.
         resolve: Returns the whole configuration for a dataset's name and a partial one; raises InvalidInput or
             NotFound when there can be no such fit.
         health: Ends the streams of WatchFit on drain.
@@ -66,6 +68,7 @@ class Fits:
         module: str,
         arguments: Sequence[str] = (),
         store: ModelStore,
+        models: LoadedModels[Any],
         resolve: Resolve,
         health: Health,
     ) -> None:
@@ -73,6 +76,7 @@ class Fits:
         self._command = (sys.executable, "-m", module)
         self._arguments = arguments
         self._store = store
+        self._models = models
         self._resolve = resolve
         self._health = health
         self._queue: asyncio.Queue[str] = asyncio.Queue()
@@ -217,6 +221,11 @@ class Fits:
     async def _succeed(self, fit_id: str) -> None:
         name, folder = self._records.fit(fit_id).model_name, self._records.work(fit_id) / "model"
         ref = await asyncio.to_thread(self._store.publish, name, folder)
+        try:
+            await self._models.resolve(ref)
+        except ServiceError as error:
+            await self._fail(fit_id, f"{error.detail} {error.hint}")
+            return
         fit = self._records.fit(fit_id)
         if not fit.ended:  # it may have been cancelled meanwhile
             self._store.activate(ref)

@@ -1,4 +1,7 @@
-"""`ServiceError`s as gRPC statuses with google.rpc details: ErrorInfo always, RetryInfo when waiting helps."""
+"""`ServiceError`s as gRPC statuses with google.rpc details: ErrorInfo always, RetryInfo when waiting helps.
+
+Texts are short: statuses travel in metadata, of which clients take 8 KiB.
+"""
 
 import grpc
 from google.protobuf import any_pb2, duration_pb2
@@ -6,23 +9,24 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc_status import rpc_status
 
 from freerein.errors import ServiceError
+from freerein.serving.problems import shortened
 
 DOMAIN = "freerein"
 
 
 async def abort(context: "grpc.aio.ServicerContext[object, object]", error: ServiceError, request_id: str) -> None:
     """Ends a call with an error. Never returns."""
-    code = grpc.StatusCode[error.grpc_status]
-    status = status_pb2.Status(code=code.value[0], message=error.detail, details=_details(error, request_id))
+    code, detail = grpc.StatusCode[error.grpc_status], shortened(error.detail)
+    status = status_pb2.Status(code=code.value[0], message=detail, details=_details(error, request_id))
     trailing = rpc_status.to_status(status).trailing_metadata
-    await context.abort(code, error.detail, trailing)
+    await context.abort(code, detail, trailing)
 
 
 def _details(error: ServiceError, request_id: str) -> list[any_pb2.Any]:
     info = error_details_pb2.ErrorInfo(
         reason=error.code,
         domain=DOMAIN,
-        metadata={"field": error.field, "hint": error.hint, "request_id": request_id},
+        metadata={"field": shortened(error.field), "hint": shortened(error.hint), "request_id": request_id},
     )
     details = [any_pb2.Any()]
     details[0].Pack(info)

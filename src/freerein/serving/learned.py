@@ -42,8 +42,7 @@ def open_store(name: str, settings: LearnedSettings) -> ModelStore:
 def learned_service(
     name: str,
     contract: ServiceDescriptor,
-    core: object,
-    *,
+    *cores: object,
     models: LoadedModels[M],
     batchers: Sequence[Batcher[Any, Any]],
     fits: Fits,
@@ -52,8 +51,8 @@ def learned_service(
 
     Args:
         name: Its name.
-        contract: What its core answers; `FitService` and `ModelService` are added.
-        core: The core.
+        contract: What its cores answer; `FitService` and `ModelService` are added.
+        cores: The cores.
         models: The models that it answers with.
         batchers: The threads that run them.
         fits: Its fits.
@@ -72,7 +71,7 @@ def learned_service(
     return Service(
         name=name,
         methods=(
-            *methods_of(contract, core),
+            *methods_of(contract, *cores),
             *methods_of(learning["FitService"], fits),
             *methods_of(learning["ModelService"], models),
         ),

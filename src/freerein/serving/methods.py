@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
+from google.protobuf.message import Message
 
 from freerein import wire
+from freerein.errors import ServiceError
 
 _READS = ("List", "Get", "Watch")
 
@@ -26,7 +28,8 @@ class Method:
         request: The dataclass taken.
         response: The dataclass returned, or yielded.
         call: The core's method: a coroutine function `(request) -> response`, for server streaming an async generator
-            function `(request)`, for bidirectional streaming an async generator function `(requests)`.
+            function `(request)`, for bidirectional streaming an async generator function `(requests)`, which gets an
+            `Unreadable` in place of a message that is none of its requests.
     """
 
     descriptor: MethodDescriptor
@@ -48,6 +51,19 @@ class Method:
     def reads(self) -> bool:
         """Whether it changes nothing, so that REST serves it by GET."""
         return self.name.startswith(_READS)
+
+
+@dataclass(frozen=True, eq=False)
+class Unreadable:
+    """A message of a stream that could not be made a dataclass.
+
+    Attributes:
+        error: Why.
+        message: What came; None where the bytes were no such message at all.
+    """
+
+    error: ServiceError
+    message: Message | None = None
 
 
 def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:

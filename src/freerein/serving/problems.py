@@ -8,7 +8,7 @@ import orjson
 from freerein.errors import ServiceError
 
 MEDIA_TYPE = "application/problem+json"
-_LONGEST_TEXT = 1_000
+_LONGEST_TEXT = 800
 _TITLES = {
     400: "Malformed request",
     401: "Unauthenticated",
@@ -34,12 +34,18 @@ def document(error: ServiceError, request_id: str) -> bytes:
         "title": _TITLES[error.http_status],
         "status": error.http_status,
         "code": error.code,
-        "detail": error.detail[:_LONGEST_TEXT],
-        "field": error.field[:_LONGEST_TEXT],
-        "hint": error.hint[:_LONGEST_TEXT],
+        "detail": shortened(error.detail),
+        "field": shortened(error.field),
+        "hint": shortened(error.hint),
         "request_id": request_id,
     }
     return orjson.dumps(problem)
+
+
+def shortened(text: str) -> str:
+    """Returns a text as an error may carry it, in at most 800 bytes: a field may be named by whoever sent it."""
+    printable = "".join(each if each.isprintable() else "?" for each in text[:_LONGEST_TEXT])
+    return printable.encode()[:_LONGEST_TEXT].decode(errors="ignore")
 
 
 def headers(error: ServiceError, request_id: str) -> dict[str, str]:

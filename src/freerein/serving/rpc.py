@@ -1,6 +1,7 @@
 """The gRPC door: a grpc.aio server made from a service's methods, with health and reflection."""
 
 import asyncio
+import contextlib
 import logging
 import time
 import uuid
@@ -9,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import grpc
 import structlog
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_health.v1.health import aio as health_aio
 from grpc_reflection.v1alpha import reflection
@@ -19,7 +20,7 @@ from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequ
 from freerein.serving import auth, grpc_errors
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
-from freerein.serving.methods import Method, service_names
+from freerein.serving.methods import Method, Unreadable, service_names
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
@@ -49,7 +50,7 @@ class GrpcDoor:
         self._names = service_names(methods)
         self._health_servicer = health_aio.HealthServicer()
         self.server = grpc.aio.server(
-            interceptors=[_Auth(token)],
+            interceptors=[_Auth(token)] if token else [],
             maximum_concurrent_rpcs=limits.concurrent_calls,
             options=[
                 ("grpc.max_receive_message_length", limits.message_bytes),
@@ -115,8 +116,9 @@ class GrpcDoor:
                         request: Any = _requests(incoming, method.request)
                     else:
                         request = _read(incoming, method.request)
-                    async for response in method.call(request):
-                        await context.write(wire.pack(response).SerializeToString())
+                    async with contextlib.aclosing(method.call(request)) as responses:
+                        async for response in responses:
+                            await context.write(wire.pack(response).SerializeToString())
                 finally:
                     self._streams -= 1
 
@@ -153,12 +155,16 @@ class GrpcDoor:
             await grpc_errors.abort(context, bug, request_id)
         finally:
             seconds = time.perf_counter() - started
-            self._metrics.calls.labels("grpc", method.name, code).inc()
-            self._metrics.latency.labels("grpc", method.name).observe(seconds)
-            _log.info(
-                "call",
-                extra={"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id},
-            )
+            asyncio.get_running_loop().call_soon(self._account, method, code, seconds, request_id)  # the reply first
+
+    def _account(self, method: Method, code: str, seconds: float, request_id: str) -> None:
+        """Counts and logs a call that is over."""
+        self._metrics.calls.labels("grpc", method.name, code).inc()
+        self._metrics.latency.labels("grpc", method.name).observe(seconds)
+        _log.info(
+            "call",
+            extra={"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id},
+        )
 
 
 _SERVING = health_pb2.HealthCheckResponse.SERVING
@@ -191,8 +197,12 @@ def _refusal(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
 
 
 def _read(message: bytes, cls: type[T]) -> T:
+    return wire.unpack(_parse(message, cls), cls)
+
+
+def _parse(message: bytes, cls: type[Any]) -> Message:
     try:
-        return wire.unpack(wire.message_type(cls).FromString(message), cls)
+        return wire.message_type(cls).FromString(message)
     except DecodeError:
         raise MalformedRequest(
             f"The bytes must be a {cls.__name__} message; they could not be read as one.",
@@ -201,14 +211,18 @@ def _read(message: bytes, cls: type[T]) -> T:
 
 
 async def _requests(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
-    """Yields each message as its dataclass, or as the `ServiceError` that says why it is none."""
+    """Yields each message as its dataclass, or as the `Unreadable` that says why it is none."""
     async for message in messages:
-        try:
-            request = _read(message, cls)
-        except ServiceError as error:
-            yield error
-        else:
-            yield request
+        yield _request(message, cls)
+
+
+def _request(message: bytes, cls: type[Any]) -> Any:
+    parsed: Message | None = None
+    try:
+        parsed = _parse(message, cls)
+        return wire.unpack(parsed, cls)
+    except ServiceError as error:
+        return Unreadable(error, parsed)
 
 
 def _seconds(context: _Context, longest: float) -> float:

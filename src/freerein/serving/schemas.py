@@ -71,13 +71,13 @@ def _tensor_fields() -> dict[str, Any]:
 
 
 def _field(field: FieldDescriptor) -> Any:
-    """Returns (type, default) as protobuf has it: unset numbers are 0, unset messages None; enums are required."""
+    """Returns (type, default) as protobuf has it: unset numbers are 0, unset messages None; plain enums must be set."""
     message = field.message_type
     if message is not None and message.GetOptions().map_entry:
         return dict[str, _type(message.fields_by_name["value"])], {}  # type: ignore[misc]  # a type made at run time
     if field.is_repeated:
         return Annotated[list[_type(field)], FailFast()], []  # type: ignore[misc]  # a type made at run time
-    if field.enum_type is not None:
+    if field.enum_type is not None and not field.has_presence:
         return _type(field), ...
     if field.has_presence and (message is None or message.full_name != STRUCT):
         return _type(field) | None, None

@@ -17,7 +17,8 @@ class RewardRequest:
 
     Attributes:
         goal_text: What is to be seen.
-        frames: By camera, uint8 (N, H, W, C), C = 1 or 3, of any size. Exactly one of `frames` and `images` is given.
+        frames: By camera, uint8 (N, H, W, C), C = 1 or 3, of any size; cameras that the model does not see are left
+            aside. Exactly one of `frames` and `images` is given.
         images: Encoded; those of one camera are in order of time, and every camera has as many.
         rivals: Texts that the goal text must beat; none for the same sentence with every other relation.
         mode: `binary`, 1 where the goal text beats its rivals, else 0; or `raw`, the similarity.
@@ -39,7 +40,7 @@ class RewardResponse:
     Attributes:
         rewards: float32 (N,), in the mode asked for.
         similarities: float32 (N,), the cosine of the frame's embedding and the goal text's.
-        winners: int64 (N,), the index in `texts` of the one that fits best; 0 is the goal text.
+        winners: int64 (N,), the index in `texts` of the one that fits best; 0 is the goal text, which wins no tie.
         texts: The goal text, then its rivals.
         truncated: Whether a text was too long for the model and was cut.
         unknown_words: How many words of the goal text the model has never seen.

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
+from freerein.learning.holding_out import draw
 from freerein_segmentation.model import ModelSpec
 
 D_co = TypeVar("D_co", bound=np.generic, covariant=True)
@@ -70,9 +71,8 @@ def hold_out(demonstrations: Demonstrations, *, share: float, seed: int) -> tupl
     """
     if len(demonstrations) < 2:
         raise InvalidInput("A fit needs at least 2 trajectories, one of them to hold out; got 1.")
-    order = np.random.default_rng(seed).permutation(len(demonstrations)).tolist()
-    count = min(max(1, round(share * len(order))), len(order) - 1)
-    return demonstrations.subset(sorted(order[count:])), demonstrations.subset(sorted(order[:count]))
+    learnt, held_out = draw(np.arange(len(demonstrations)), share=share, seed=seed)
+    return demonstrations.subset(learnt), demonstrations.subset(held_out)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
+from freerein.types.common import ActionSpec
 from freerein_segmentation.model import ModelSpec
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.demonstrations import Demonstrations, gather
@@ -16,34 +16,28 @@ from freerein_segmentation.training.updates import State, evaluate, init, update
 
 
 def design(
-    config: SegmentationConfig, demonstrations: Demonstrations, *, skills: tuple[str, ...], action_choices: int
+    config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the network that fits the demonstrations.
+    """Returns the network that fits demonstrations.
 
     Args:
         config: What was chosen.
-        demonstrations: Whose first trajectory shows the sizes.
+        frame: H, W, C of the frames.
+        action: What was executed.
         skills: All skills, in the order of their labels.
-        action_choices: How many different actions there are when they are discrete, else 0.
 
     Raises:
-        InvalidInput: A trajectory is tagged with a skill that is not in `skills`.
+        InvalidInput: There is no network for such frames, actions or skills.
     """
-    unknown = {skill for tags in demonstrations.skills for skill in tags} - set(skills)
-    if unknown:
-        raise InvalidInput(
-            f"Trajectories must be tagged with the {len(skills)} skills of the dataset; {len(unknown)} tags are others."
-        )
-    height, width, channels = demonstrations.frames[0].shape[1:]
-    action_size = demonstrations.actions[0].shape[1] if config.use_actions else 0
+    height, width, channels = frame
     return ModelSpec(
         skills=skills,
         camera=config.camera,
         height=height,
         width=width,
         channels=channels,
-        action_size=action_size,
-        action_choices=action_choices if action_size else 0,
+        action_size=action.size if config.use_actions else 0,
+        action_choices=action.choices if config.use_actions else 0,
         stride=config.stride,
         context=config.context,
         features=config.features,

@@ -14,12 +14,14 @@ class Figure:
         name: Its name in `summary.json`, such as `grid.frame_accuracy`.
         value: What was measured.
         at_least: What it must reach; None for a figure that only informs.
+        above: What it must be greater than; None likewise.
         at_most: What it must stay below; None likewise.
     """
 
     name: str
     value: float
     at_least: float | None = None
+    above: float | None = None
     at_most: float | None = None
 
     @property
@@ -27,6 +29,8 @@ class Figure:
         """Whether the bar is met; None where there is none."""
         if self.at_least is not None:
             return self.value >= self.at_least
+        if self.above is not None:
+            return self.value > self.above
         return None if self.at_most is None else self.value <= self.at_most
 
     @property
@@ -34,6 +38,8 @@ class Figure:
         """The bar as one reads it."""
         if self.at_least is not None:
             return f">= {self.at_least:.3f}"
+        if self.above is not None:
+            return f"> {self.above:.3f}"
         return "" if self.at_most is None else f"<= {self.at_most:.3f}"
 
 

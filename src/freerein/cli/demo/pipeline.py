@@ -1,79 +1,40 @@
-"""The demo's stages: start the services, record demonstrations, fit, label what was held out, measure, draw."""
+"""The demo's stages: start the services, record, fit side by side, measure what came of it, draw."""
 
 import os
 import shutil
 import time
-from collections.abc import Mapping
-from contextlib import aclosing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from freerein.cli.demo import figures, timeline
-from freerein.cli.demo.door import Door
+from freerein.cli.demo import figures, filmstrip, heatmaps, imitating, rewarding, skilling, timeline
+from freerein.cli.demo.context import Context
 from freerein.cli.demo.figures import Figure
+from freerein.cli.demo.fits import follow_fit
+from freerein.cli.demo.heatmaps import Judged
+from freerein.cli.demo.imitating import Following
+from freerein.cli.demo.rewarding import Judgements
 from freerein.cli.demo.screen import Screen
-from freerein.cli.demo.timeline import Labelled
-from freerein.cli.recording import record
+from freerein.cli.demo.segmenting import BLOCKS, GRID, Labels, label_held_out, record_lesson, start_lesson
+from freerein.cli.demo.skilling import Executed
 from freerein.cli.services import choose, free_ports, is_free
 from freerein.cli.supervisor import Stack
-from freerein.clients import Channel, SimClient
-from freerein.data import Dataset, dataset_path, truth
-from freerein.errors import FailedPrecondition
-from freerein.metrics import random_cls_accuracy
 from freerein.ports import PORTS, Ports
-from freerein.types.sim import DemonstrateRequest
 
-_SERVICES = ("sim", "segmentation")
+_SERVICES = ("sim", "segmentation", "imitation", "reward")
 _READY_S = 60.0
-_HELD_OUT = 1_000_000  # added to the seed: no held-out trajectory was trained on
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What the demo does in one world.
-
-    Attributes:
-        task: The task that is demonstrated.
-        train: Trajectories to learn from, tagged with the set of their skills.
-        train_skills: Fewest and most different skills in each of them.
-        held_out: Trajectories to label.
-        held_out_skills: Different skills in each of these: more than in any that was learned from.
-        config: The fit's configuration, where it is not the default.
-    """
-
-    task: str
-    train: int
-    train_skills: tuple[int, int]
-    held_out: int
-    held_out_skills: int
-    config: Mapping[str, object]
-
-
-GRID = Recipe("grid", 1000, (2, 4), 100, 5, {"steps": 300, "batch_size": 16})
-BLOCKS = Recipe("blocks", 400, (2, 3), 60, 4, {"stride": 3})
+_LONGEST_S = 480.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Result:
-    """What came of a recipe."""
+class _Results:
+    """What came of the demo."""
 
-    labelled: tuple[Labelled, ...]
+    labels: dict[str, Labels]
+    judgements: Judgements
+    judged: tuple[Judged, ...]
+    following: Following
+    executed: Executed
     training_s: float
-
-    @property
-    def frame_accuracy(self) -> float:
-        return _over_all_timesteps([(each.accuracy, len(each.truth)) for each in self.labelled])
-
-    @property
-    def random_cls_accuracy(self) -> float:
-        return _over_all_timesteps([(random_cls_accuracy(each.truth), len(each.truth)) for each in self.labelled])
-
-    @property
-    def median(self) -> Labelled:
-        """The trajectory labelled neither best nor worst: the one that is drawn."""
-        return sorted(self.labelled, key=lambda each: each.accuracy)[len(self.labelled) // 2]
 
 
 async def run(out: Path, *, seed: int, screen: Screen) -> None:
@@ -96,16 +57,11 @@ async def run(out: Path, *, seed: int, screen: Screen) -> None:
             await stack.ready(timeout_s=_READY_S)
             for name, url in stack.urls.items():
                 screen.say(f"{name:<13} {url}/docs   gRPC {stack.addresses[name]}")
-        results = {}
-        for recipe in (GRID, BLOCKS):
-            await _record(recipe, stack, out / "data", seed=seed, screen=screen)
-            results[recipe.task] = await _learn(recipe, stack, out, seed=seed, screen=screen)
+        results = await _learn_and_measure(Context(stack, out, seed, screen))
     with screen.stage("Draw"):
-        for task, result in results.items():
-            path = out / f"timeline-{task}.png"
-            timeline.draw(path, result.median, title=f"Who does what when: a held-out trajectory of {task}")
-            screen.say(f"{path}: the trajectory of median accuracy")
-    measured = _figures(results["blocks"], results["grid"], total_s=time.perf_counter() - begun)
+        for path, caption in _draw(results, out):
+            screen.say(f"{path}: {caption}")
+    measured = _figures(results, total_s=time.perf_counter() - begun)
     summary = figures.document(measured, seed=seed)
     figures.save(out / "summary.json", summary)
     screen.summary(measured, summary)
@@ -113,97 +69,83 @@ async def run(out: Path, *, seed: int, screen: Screen) -> None:
     screen.say(f"To go on with these models: FREEREIN_DATA_DIR={out / 'data'} freerein up")
 
 
-async def _record(recipe: Recipe, stack: Stack, data_dir: Path, *, seed: int, screen: Screen) -> None:
-    """Records what is learned from, tags only, and what is held out, with labels to measure by."""
-    fewest, most = recipe.train_skills
-    more = recipe.held_out_skills
-    train = DemonstrateRequest(recipe.task, "expert", min_skills=fewest, max_skills=most, count=recipe.train, seed=seed)
-    held_out = DemonstrateRequest(
-        recipe.task,
-        "expert",
-        min_skills=more,
-        max_skills=more,
-        count=recipe.held_out,
-        seed=seed + _HELD_OUT,
-        privileged=True,
-    )
-    with screen.stage(f"Record demonstrations of {recipe.task}"):
-        async with SimClient(Channel(stack.addresses["sim"])) as client:
-            for name, request in ((_train_name(recipe), train), (_held_out_name(recipe), held_out)):
-                screen.call(_command(name, request))
-                with screen.progress(name, request.count) as advance:
-                    await record(client, request, dataset_path(data_dir, name), on_count=advance)
-
-
-def _command(name: str, request: DemonstrateRequest) -> str:
-    """Returns what one would type to record the same."""
-    return (
-        f"freerein sim demonstrate {request.task} --out {name} --count {request.count} --seed {request.seed} "
-        f"--min-skills {request.min_skills} --max-skills {request.max_skills}" + " --truth" * request.privileged
-    )
-
-
-async def _learn(recipe: Recipe, stack: Stack, out: Path, *, seed: int, screen: Screen) -> _Result:
-    with screen.stage(f"Learn the skills of {recipe.task} from tags, and label what was held out"):
-        async with Door(stack.urls["segmentation"], requests=out / "requests", screen=screen) as door:
-            training_s = await _fit(recipe, door, seed=seed, screen=screen)
-            return _Result(await _label(recipe, door, out / "data", screen=screen), training_s)
-
-
-async def _fit(recipe: Recipe, door: Door, *, seed: int, screen: Screen) -> float:
-    """Fits a model named like the task; returns how long that took, in seconds."""
+async def _learn_and_measure(context: Context) -> _Results:
+    screen = context.screen
+    with screen.stage("Record demonstrations, exploration, and scattered blocks"):
+        for lesson in (GRID, BLOCKS):
+            await record_lesson(context, lesson)
+        await imitating.record_exploration(context)
+        await rewarding.record_scatter(context)
     begun = time.perf_counter()
-    request = {"dataset": _train_name(recipe), "model_name": recipe.task, "config": {**recipe.config, "seed": seed}}
-    fit = (await door.post("/v1/start-fit", request))["fit"]
-    with screen.progress("fit", fit["steps"]) as advance:
-        async with aclosing(door.events("/v1/watch-fit", id=fit["id"])) as events:
-            async for event in events:
-                fit = event["fit"]
-                advance(fit["step"], " ".join(f"{name} {value:.3g}" for name, value in fit["metrics"].items()))
-    if fit["state"] != "succeeded":
-        raise FailedPrecondition(
-            f"The fit must succeed; it {fit['state']}. {fit['error']}",
-            hint="Read log.txt in the fit's folder below the data directory.",
-        )
-    return time.perf_counter() - begun
+    with screen.stage("Learn skills from tags; a reward from noun phrases, and a policy from exploration, beside"):
+        lessons = {lesson.task: await start_lesson(context, lesson) for lesson in (GRID, BLOCKS)}
+        others = [await rewarding.start_reward(context), await imitating.start_following(context)]
+        for fit in lessons.values():
+            await follow_fit(context, fit)
+    with screen.stage("Label what was held out, and what skill policies are to be learned from"):
+        labels = {lesson.task: await label_held_out(context, lesson) for lesson in (GRID, BLOCKS)}
+        await skilling.label_demonstrations(context)
+        others.append(await skilling.start_skills(context))
+    with screen.stage("Learn the rest"):
+        for fit in others:
+            await follow_fit(context, fit)
+    training_s = time.perf_counter() - begun
+    with screen.stage("Ask for rewards, follow goal images, execute recipes"):
+        judgements, judged = await rewarding.judge_held_out(context)
+        followed = await imitating.follow(context)
+        executed = await skilling.execute(context)
+    return _Results(labels, judgements, judged, followed, executed, training_s)
 
 
-async def _label(recipe: Recipe, door: Door, data_dir: Path, *, screen: Screen) -> tuple[Labelled, ...]:
-    root = dataset_path(data_dir, _held_out_name(recipe))
-    dataset = Dataset(root)
-    labelled = []
-    with screen.progress("label", len(dataset)) as advance:
-        for index, trajectory in enumerate(dataset):
-            (frames,) = trajectory.frames.values()
-            answer = await door.segment(recipe.task, frames, trajectory.actions)
-            labels = np.array(answer["labels"], np.int64)
-            confidence = np.array(answer["confidence"], np.float32)
-            spoken = Labelled(frames, truth.labels(root, index), labels, confidence, tuple(answer["skills"]))
-            labelled.append(_in_vocabulary_of(dataset.spec.skills, spoken))
-            advance(index + 1)
-    return tuple(labelled)
+def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
+    """Writes the pictures; returns where they are, and what they show."""
+    drawn = []
+    for task, labels in results.labels.items():
+        path = out / f"timeline-{task}.png"
+        timeline.draw(path, labels.median, title=f"Who does what when: a held-out trajectory of {task}")
+        drawn.append((path, "the trajectory of median accuracy"))
+    heatmaps.draw(
+        out / "rewards.png",
+        results.judged,
+        title="Where the things are, and which words fit best",
+        subtitle="held-out images; the reward of a text is 1 where its bar is the longest; "
+        "learned from unlabelled images and noun phrases",
+    )
+    drawn.append((out / "rewards.png", "what the reward model sees in held-out images"))
+    filmstrip.draw(
+        out / "filmstrip.png",
+        results.following.pursued,
+        title="Following goal images never seen",
+        subtitle="what the robot saw when it went on to the next goal, and how sure it was; green where it truly was "
+        "there; learned from random exploration",
+    )
+    drawn.append((out / "filmstrip.png", "the robot of median success"))
+    return drawn
 
 
-def _in_vocabulary_of(skills: tuple[str, ...], labelled: Labelled) -> Labelled:
-    """Returns labels as indices into the dataset's skills, which is what its truth holds."""
-    index = np.array([skills.index(skill) for skill in labelled.skills], np.int64)
-    return Labelled(labelled.frames, labelled.truth, index[labelled.labels], labelled.confidence, skills)
-
-
-def _figures(blocks: _Result, grid: _Result, *, total_s: float) -> tuple[Figure, ...]:
+def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
+    blocks, grid, following = results.labels["blocks"], results.labels["grid"], results.following
     chance = blocks.random_cls_accuracy
     return (
         Figure("segmentation.frame_accuracy", blocks.frame_accuracy, at_least=chance + 0.25),
         Figure("segmentation.random_cls_accuracy", chance),
         Figure("grid.frame_accuracy", grid.frame_accuracy, at_least=0.99),
         Figure("grid.random_cls_accuracy", grid.random_cls_accuracy),
-        Figure("training_s", blocks.training_s + grid.training_s),
-        Figure("total_s", total_s, at_most=300.0),
+        Figure("reward.accuracy", results.judgements.accuracy, at_least=0.85),
+        Figure("reward.balanced_accuracy", results.judgements.balanced_accuracy),
+        Figure(
+            "imitation.landmarks_reached",
+            following.landmarks_reached,
+            at_least=max(0.5, 2 * following.random_landmarks_reached),
+        ),
+        Figure("imitation.landmarks_recognized", following.landmarks_recognized),
+        Figure("imitation.random_landmarks_reached", following.random_landmarks_reached),
+        Figure("imitation.goal_auroc", following.goal_auroc, at_least=0.9),
+        Figure("recipe.skills_completed", results.executed.skills_completed, above=results.executed.random_completed),
+        Figure("recipe.random_skills_completed", results.executed.random_completed),
+        Figure("training_s", results.training_s),
+        Figure("total_s", total_s, at_most=_LONGEST_S),
     )
-
-
-def _over_all_timesteps(parts: list[tuple[float, int]]) -> float:
-    return sum(value * length for value, length in parts) / sum(length for _, length in parts)
 
 
 def _empty(folder: Path) -> None:
@@ -216,11 +158,3 @@ def _ports() -> dict[str, Ports]:
     """Returns the port table, or free ports when somebody listens there already."""
     taken = [port for name in _SERVICES for port in (PORTS[name].rest, PORTS[name].grpc) if not is_free(port)]
     return free_ports(_SERVICES) if taken else {name: PORTS[name] for name in _SERVICES}
-
-
-def _train_name(recipe: Recipe) -> str:
-    return f"{recipe.task}-train"
-
-
-def _held_out_name(recipe: Recipe) -> str:
-    return f"{recipe.task}-held-out"

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freerein.cli.demo.ink import BAD, FAINT, INK, PAPER
+
 _FILM = 9
-_INK, _PAPER, _FAINT = "#1f2430", "#ffffff", "#8b93a3"
+
 _PALETTE = {
     "red": "#d63a3a",
     "green": "#2f9e58",
@@ -50,16 +52,16 @@ def draw(path: Path, labelled: Labelled, *, title: str) -> None:
     """Writes the picture as PNG."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14, 5.4), dpi=140, facecolor=_PAPER)
+    figure = Figure(figsize=(14, 5.4), dpi=140, facecolor=PAPER)
     rows = figure.subplots(4, 1, gridspec_kw={"height_ratios": [2.3, 0.8, 0.8, 1.2], "hspace": 0.28})
     figure.subplots_adjust(left=0.085, right=0.985, top=0.86, bottom=0.16)
     _film(rows[0], labelled.frames)
     _band(rows[1], "truth", labelled.truth, labelled.skills)
     _band(rows[2], "predicted", labelled.labels, labelled.skills)
     _confidence(rows[3], labelled)
-    figure.text(0.085, 0.93, title, fontsize=16, fontweight="bold", color=_INK)
+    figure.text(0.085, 0.93, title, fontsize=16, fontweight="bold", color=INK)
     right = f"{labelled.accuracy:.1%} of {len(labelled.truth)} timesteps right"
-    figure.text(0.085, 0.885, f"{right}; learned from the set of skills per trajectory", fontsize=11, color=_FAINT)
+    figure.text(0.085, 0.885, f"{right}; learned from the set of skills per trajectory", fontsize=11, color=FAINT)
     _legend(figure, labelled)
     figure.savefig(path)
 
@@ -87,25 +89,25 @@ def _band(axes: Any, name: str, labels: npt.NDArray[np.int64], skills: tuple[str
     for start, end in zip(starts, ends, strict=True):
         skill = int(labels[start])
         axes.barh(
-            0, end - start, left=start, height=1, color=colour(skills[skill], skill), edgecolor=_PAPER, linewidth=1.5
+            0, end - start, left=start, height=1, color=colour(skills[skill], skill), edgecolor=PAPER, linewidth=1.5
         )
     axes.set(xlim=(0, len(labels)), ylim=(-0.5, 0.5), yticks=[], xticks=[])
-    axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, color=_INK)
+    axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, color=INK)
     axes.spines[:].set_visible(False)
 
 
 def _confidence(axes: Any, labelled: Labelled) -> None:
     steps = np.arange(len(labelled.confidence)) + 0.5
     axes.fill_between(steps, labelled.confidence, color="#cfd6e4", linewidth=0)
-    axes.plot(steps, labelled.confidence, color=_INK, linewidth=1.4)
+    axes.plot(steps, labelled.confidence, color=INK, linewidth=1.4)
     wrong = np.flatnonzero(labelled.labels != labelled.truth)
-    axes.plot(wrong + 0.5, np.full(len(wrong), 0.04), "|", color="#d63a3a", markersize=7)
+    axes.plot(wrong + 0.5, np.full(len(wrong), 0.04), "|", color=BAD, markersize=7)
     axes.set(xlim=(0, len(steps)), ylim=(0, 1.05), yticks=[0, 1])
-    axes.set_ylabel("confidence", rotation=0, ha="right", va="center", fontsize=12, color=_INK)
-    axes.set_xlabel("timestep", fontsize=11, color=_FAINT)
-    axes.tick_params(colors=_FAINT, labelsize=9)
+    axes.set_ylabel("confidence", rotation=0, ha="right", va="center", fontsize=12, color=INK)
+    axes.set_xlabel("timestep", fontsize=11, color=FAINT)
+    axes.tick_params(colors=FAINT, labelsize=9)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_FAINT)
+    axes.spines[["left", "bottom"]].set_color(FAINT)
 
 
 def _legend(figure: Any, labelled: Labelled) -> None:
@@ -113,4 +115,4 @@ def _legend(figure: Any, labelled: Labelled) -> None:
 
     used = sorted(set(labelled.truth.tolist()) | set(labelled.labels.tolist()))
     handles = [Patch(color=colour(labelled.skills[i], i), label=labelled.skills[i]) for i in used]
-    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=11, labelcolor=_INK)
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=11, labelcolor=INK)

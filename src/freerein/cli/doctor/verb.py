@@ -41,7 +41,7 @@ def _examine() -> "list[Finding]":
     examinations: list[Callable[[], Finding | list[Finding]]] = [machine.python]
     if "sim" in services:
         examinations += [machine.rendering, machine.meshes]
-    if "segmentation" in services:
+    if {"segmentation", "imitation", "reward"} & set(services):
         examinations += [machine.torch]
     examinations += [lambda: storage.storage(data_dir), *(partial(doors.service, name) for name in services)]
     with ThreadPoolExecutor(len(examinations)) as pool:

@@ -35,7 +35,7 @@ class RewardRequest(_message.Message):
         MODE_UNSPECIFIED: RewardRequest._Mode.ValueType  # 0
         """Refused."""
         MODE_BINARY: RewardRequest._Mode.ValueType  # 1
-        """1 where the goal text fits the frame better than each of its rivals, else 0."""
+        """1 where the goal text fits the frame better than each of its rivals, else 0. A tie is 0."""
         MODE_RAW: RewardRequest._Mode.ValueType  # 2
         """The similarity of frame and goal text."""
 
@@ -45,7 +45,7 @@ class RewardRequest(_message.Message):
     MODE_UNSPECIFIED: RewardRequest.Mode.ValueType  # 0
     """Refused."""
     MODE_BINARY: RewardRequest.Mode.ValueType  # 1
-    """1 where the goal text fits the frame better than each of its rivals, else 0."""
+    """1 where the goal text fits the frame better than each of its rivals, else 0. A tie is 0."""
     MODE_RAW: RewardRequest.Mode.ValueType  # 2
     """The similarity of frame and goal text."""
 
@@ -86,8 +86,8 @@ class RewardRequest(_message.Message):
 
     @_builtins.property
     def frames(self) -> _containers.MessageMap[_builtins.str, _common_pb2.Tensor]:
-        """By camera: UINT8 (N, H, W, C), C = 1 or 3, of any size. A frame is one moment, seen by one or more cameras.
-        Exactly one of `frames` and `images` is given.
+        """By camera: UINT8 (N, H, W, C), N at most 20 000, C = 1 or 3, of any size. A frame is one moment, seen by every
+        camera of the model; cameras that it does not see are left aside. Exactly one of `frames` and `images` is given.
         """
 
     @_builtins.property
@@ -98,7 +98,9 @@ class RewardRequest(_message.Message):
 
     @_builtins.property
     def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Texts that the goal text must beat; none for the same sentence with every other relation. At most 64."""
+        """Texts that the goal text must beat, at most 64 of at most 2 000 characters; none for the same sentence with every
+        other relation. A goal text without a relation needs some, or the mode raw.
+        """
 
     def __init__(
         self,
@@ -148,7 +150,7 @@ class RewardResponse(_message.Message):
 
     @_builtins.property
     def winners(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """For each of N frames, the index in `texts` of the one that fits it best; 0 is the goal text."""
+        """For each of N frames, the index in `texts` of the one that fits it best; 0 is the goal text, which wins no tie."""
 
     @_builtins.property
     def texts(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
@@ -197,11 +199,11 @@ class GroundRequest(_message.Message):
 
     @_builtins.property
     def image(self) -> _common_pb2.Image:
-        """Of any size."""
+        """Of any size; its pixels times the number of phrases are at most 12 000 000."""
 
     @_builtins.property
     def phrases(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Noun phrases, such as `a red block`; at most 64. Each is told from the others."""
+        """1 to 64 noun phrases, such as `a red block`. Each is told from the others."""
 
     def __init__(
         self,
@@ -312,11 +314,11 @@ class DescribeRequest(_message.Message):
 
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """Of any sizes; at most 256."""
+        """1 to 256, of any sizes."""
 
     @_builtins.property
     def phrases(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Noun phrases; at most 16."""
+        """2 to 16 noun phrases."""
 
     def __init__(
         self,

@@ -1,0 +1,1 @@
+"""How policies learn: goal-conditioned ones from exploration, without any label."""

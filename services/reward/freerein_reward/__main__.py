@@ -1,0 +1,119 @@
+"""The reward service as a process: `python -m freerein_reward`."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from freerein.api.reward.v1 import reward_pb2
+from freerein.errors import FailedPrecondition
+from freerein.serving.batcher import Batcher
+from freerein.serving.fit_records import FitRecords
+from freerein.serving.fits import Fits
+from freerein.serving.health import Health
+from freerein.serving.learned import learned_service, open_store
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
+from freerein_reward import fit, model
+from freerein_reward.core import (
+    GROUNDING,
+    Finder,
+    GoalCache,
+    GroundingModel,
+    Inference,
+    Item,
+    Loaded,
+    Model,
+    Output,
+    Preprocess,
+    Rewarder,
+)
+from freerein_reward.settings import RewardSettings
+
+NAME = "reward"
+_PRETRAIN = "python -m freerein_reward.pretrain FOLDER"
+
+
+def build(
+    settings: RewardSettings,
+    limits: Limits,
+    metrics: Metrics,
+    health: Health,
+    *,
+    load: Callable[[Path, str], tuple[Model, Preprocess]] = model.load,
+) -> Service:
+    """Returns the service.
+
+    Args:
+        settings: What the operator chose.
+        limits: The bounds.
+        metrics: Where the batcher is measured.
+        health: Tells when draining.
+        load: Returns the model of a folder, on a device, and what makes images into what it sees.
+    """
+    torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
+    store = open_store(NAME, settings)
+    models = LoadedModels(
+        store,
+        lambda folder: _warm(Loaded(*load(folder, settings.device))),
+        fit_command=f"freerein fit reward DATASET; a grounding model: {_PRETRAIN}",
+    )
+    grounding = _grounding_folder(store)
+    goals = GoalCache(settings.goal_cache_bytes)
+    batcher: Batcher[Item, Output] = Batcher(
+        Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
+    )
+    fits = Fits(
+        FitRecords(settings.data_dir / "fits" / NAME),
+        module="freerein_reward.fit",
+        arguments=(str(settings.data_dir), settings.device, str(grounding)),
+        store=store,
+        models=models,
+        resolve=lambda dataset, config: _resolve(settings, grounding, dataset, config),
+        health=health,
+    )
+    cores = (
+        Rewarder(models, batcher, goals, timeout_s=limits.unary_s),
+        Finder(models, batcher, timeout_s=limits.unary_s),
+    )
+    contract = reward_pb2.DESCRIPTOR.services_by_name["RewardService"]
+    return learned_service(NAME, contract, *cores, models=models, batchers=(batcher,), fits=fits)
+
+
+def _grounding_folder(store: ModelStore) -> Path | None:
+    """Returns the folder of the grounding model that fits begin from: the version that is active as this starts."""
+    version = store.active_version(GROUNDING)
+    return store.folder(ModelRef(GROUNDING, version)) if version else None
+
+
+def _resolve(
+    settings: RewardSettings, grounding: Path | None, dataset: str, config: Mapping[str, Any]
+) -> dict[str, Any]:
+    if grounding is None:
+        raise FailedPrecondition(
+            "A grounding model must be there, from which captions come; there is none.",
+            field="dataset",
+            hint=f"Make one: {_PRETRAIN}; then start the service anew.",
+        )
+    return fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads)
+
+
+def _warm(loaded: Loaded) -> Loaded:
+    """Returns a model after its first, slowest call."""
+    image = np.stack([loaded.preprocess(np.zeros((1, 1, 3), np.uint8))])
+    if isinstance(loaded.model, GroundingModel):
+        loaded.model.ground(image, ("a thing",))
+    else:
+        loaded.model.embed_images(dict.fromkeys(loaded.model.cameras, image))
+        loaded.model.embed_texts(("a thing",))
+    return loaded
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(NAME, RewardSettings, build))

@@ -1,0 +1,17 @@
+"""What an operator may change of the reward service."""
+
+from pydantic import Field
+
+from freerein.serving.learned import LearnedSettings
+
+
+class RewardSettings(LearnedSettings):
+    """Settings of the reward service.
+
+    Attributes:
+        goal_cache_bytes: Memory for embeddings of goal texts; those not asked for the longest make room.
+    """
+
+    http_port: int = Field(default=8103, ge=0, le=65535)
+    grpc_port: int = Field(default=9103, ge=0, le=65535)
+    goal_cache_bytes: int = Field(default=16 * 2**20, ge=0, le=2**34)

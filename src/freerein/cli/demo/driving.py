@@ -1,0 +1,184 @@
+"""Robots in the sim service, driven by the imitation service or at random, all steps at once for many of them.
+
+True states are recorded beside, to measure by: whoever drives does not see them.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Self, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.clients import ImitationClient, SimClient
+from freerein.types.common import Goal, ModelRef, Observation
+from freerein.types.imitation import ActRequest, ActResponse
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CreateSessionRequest,
+    ResetRequest,
+    RestoreRequest,
+    SnapshotRequest,
+    StepRequest,
+    Task,
+    Truth,
+)
+
+Frames = npt.NDArray[np.uint8]
+Actions = npt.NDArray[np.float32]
+Act = Callable[[Frames], Awaitable[Actions | None]]
+"""Given what N robots see, uint8 (N, H, W, C), returns what they do next, float32 (N, A), or None to end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What N robots saw, over T moments.
+
+    Attributes:
+        frames: uint8 (T, N, H, W, C).
+        states: float64 (T, N, S), the true states.
+        lengths: int64 (N,), moments until the robot's episode ended; what follows is another episode.
+    """
+
+    frames: Frames
+    states: npt.NDArray[np.float64]
+    lengths: npt.NDArray[np.int64]
+
+
+class Robots:
+    """A privileged session of several robots, seen through one camera. Enter it, then `drive`.
+
+    Args:
+        sim: The sim service.
+        task: The task's name.
+        camera: What they see through.
+        count: How many.
+        seed: Of their episodes.
+    """
+
+    def __init__(self, sim: SimClient, task: str, *, camera: str, count: int, seed: int) -> None:
+        self._sim = sim
+        self._request = CreateSessionRequest(task, num_envs=count, seed=seed, privileged=True)
+        self._camera = camera
+        self._count = count
+
+    async def __aenter__(self) -> Self:
+        """Makes the session, and begins the episodes that `drive` starts from."""
+        created = await self._sim.create_session(self._request)
+        self.task: Task = created.task
+        self._session = created.session
+        await self._sim.reset(ResetRequest(self._session))
+        self._start = (await self._sim.snapshot(SnapshotRequest(self._session))).snapshot
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Ends the session."""
+        await self._sim.close_session(CloseSessionRequest(self._session))
+
+    async def drive(self, act: Act, *, steps: int, on_step: Callable[[int], None] = lambda _: None) -> Drive:
+        """Goes back to the start and lets `act` drive for at most so many steps, or until it ends."""
+        step = (await self._sim.restore(RestoreRequest(self._session, self._start))).step_id
+        size = self.task.action.size
+        still = np.zeros((self._count, size), np.float32)
+        seen = await self._sim.step(StepRequest(self._session, step + 1, still, cameras=(self._camera,)))
+        frames, states = [seen.frames[self._camera]], [cast(Truth, seen.truth).state]
+        ended = np.full(self._count, steps + 1)
+        for t in range(1, steps + 1):
+            actions = await act(frames[-1])
+            if actions is None:
+                break
+            seen = await self._sim.step(StepRequest(self._session, step + 1 + t, actions, cameras=(self._camera,)))
+            ended = np.where((seen.terminated | seen.truncated) & (ended > steps), t, ended)
+            frames.append(seen.frames[self._camera])
+            states.append(cast(Truth, seen.truth).state)
+            on_step(t)
+        return Drive(np.stack(frames), np.stack(states), np.minimum(ended, len(frames)))
+
+
+@dataclass(eq=False)
+class Driver:
+    """Drives robots by a policy of the imitation service, each towards a goal of its own, until all are done.
+
+    Attributes:
+        client: The imitation service.
+        model: The policy.
+        goals: What each robot is to achieve.
+        camera: What the robots see through.
+        max_steps_per_goal: Steps after which a goal is given up for the next one; 0 for the model's own number.
+        goal_index: By moment, the goals that each robot is done with.
+        confidence: By moment, that the goal which was pursued is reached.
+    """
+
+    client: ImitationClient
+    model: ModelRef
+    goals: Sequence[Goal]
+    camera: str
+    max_steps_per_goal: int = 0
+    goal_index: list[npt.NDArray[np.int64]] = field(default_factory=list)
+    confidence: list[npt.NDArray[np.float64]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._requests = [
+            ActRequest(Observation(), goal, max_steps_per_goal=self.max_steps_per_goal, model=self.model)
+            for goal in self.goals
+        ]
+
+    async def __call__(self, frames: Frames) -> Actions | None:
+        """Returns the next actions; robots that are done hold still."""
+        answers = await asyncio.gather(*map(self._act, self._requests, frames))
+        self.goal_index.append(np.array([answer.goal_index for answer in answers]))
+        self.confidence.append(np.array([answer.goal_confidence for answer in answers]))
+        actions = [answer.actions[:1] for answer in answers]
+        if not any(map(len, actions)):
+            return None
+        size = max(action.shape[1] for action in actions)
+        held = np.zeros((1, size), np.float32)
+        taken = np.concatenate([action if len(action) else held for action in actions])
+        self._requests = [
+            replace(request, state=answer.state, executed_actions=done[None])
+            for request, answer, done in zip(self._requests, answers, taken, strict=True)
+        ]
+        return taken
+
+    async def _act(self, request: ActRequest, frame: Frames) -> ActResponse:
+        image = images.encode(frame, encoding="raw_rgb8", camera=self.camera)
+        return await self.client.act(replace(request, observation=Observation((image,))))
+
+
+@dataclass(eq=False)
+class Wanderer:
+    """Drives robots at random, smoothly in time, as those who explore do.
+
+    Attributes:
+        size: Numbers per action.
+        count: How many robots.
+        rng: Draws where each heads for, and how long.
+    """
+
+    size: int
+    count: int
+    rng: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self._target = self._action = np.zeros((self.count, self.size))
+        self._hold_steps = np.zeros((self.count, self.size), np.int64)
+
+    async def __call__(self, _frames: Frames) -> Actions:
+        """Returns the next actions."""
+        self._hold_steps = self._hold_steps - 1
+        anew = self._hold_steps < 0
+        shape = self._target.shape
+        extreme = self.rng.random(shape) < _EXTREME_PROBABILITY
+        drawn = np.where(extreme, self.rng.choice((-1.0, 1.0), shape), self.rng.uniform(-1, 1, shape))
+        self._target = np.where(anew, drawn, self._target)
+        self._hold_steps = np.where(anew, self.rng.geometric(1 / _MEAN_HOLD_STEPS, shape), self._hold_steps)
+        self._action = self._action + _SMOOTHING * (self._target - self._action)
+        return self._action.astype(np.float32)
+
+
+_MEAN_HOLD_STEPS, _SMOOTHING, _EXTREME_PROBABILITY = 6.0, 0.5, 0.3  # those of the sim service's random behaviour

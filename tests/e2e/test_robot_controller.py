@@ -1,0 +1,166 @@
+"""The example's robot over real services, one of which is killed: it holds, goes on, and executes nothing expired."""
+
+import asyncio
+import importlib.util
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import torch
+
+from freerein.clients import Channel, ImitationClient, SimClient
+from freerein.errors import InvalidInput, Unauthenticated
+from freerein.learning.exports import export
+from freerein.serving.models import ModelStore
+from freerein.types.common import ActionSpec, Goal, Image
+from freerein.types.imitation import ControlResponse
+from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedSpec, Handshake
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
+GOAL = Goal((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3)),))
+ACTION = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (0.05, 0.05, 0.02))
+
+
+@pytest.fixture(scope="module")
+def example() -> Any:
+    spec = importlib.util.spec_from_file_location("robot_controller", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
+    """Puts an untrained policy in the store: it moves somehow, and is soon or never content."""
+    torch.manual_seed(0)
+    spec = GoalConditionedSpec(camera="front", action_size=3, features=8, hidden=8, embedding=4)
+    handshake = Handshake(ACTION, 0.04, reached_threshold, 100_000)
+    network = GoalConditionedNetwork(spec)
+    network.calibrate(torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8))
+    export(network, data_dir / "new", card={"kind": "goal_conditioned", **handshake.to_card()})
+    store = ModelStore(data_dir / "models" / "imitation")
+    store.activate(store.publish("", data_dir / "new"))
+
+
+class Recorder:
+    """A policy's client that writes down what was answered, and a robot that writes down what was executed when."""
+
+    def __init__(self, example: Any, robot: Any, client: ImitationClient, goal: Goal) -> None:
+        self.chunks: list[Any] = []
+        self.executed: list[tuple[int, bytes]] = []
+        self._client = client
+        self._execute = robot.execute
+        robot.execute = self.execute
+        self.controller = example.Controller(robot, self, goal)
+
+    async def control(self, requests: Any) -> Any:
+        async for reply in self._client.control(requests):
+            self.note(reply)
+            yield reply
+
+    def note(self, reply: ControlResponse) -> None:
+        assert reply.error is None
+        if reply.chunk is not None:
+            self.chunks.append(reply)
+
+    async def execute(self, action: Any) -> None:
+        self.executed.append((time.monotonic_ns(), action.tobytes()))
+        await self._execute(action)
+
+
+@pytest.fixture(scope="module")
+def sim(start_module_service: Callable[..., Any]) -> str:
+    """The address of the sim service."""
+    service = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    until_ready(service.url)
+    return str(service.address)
+
+
+@pytest.fixture
+def start(start_service: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """Starts the imitation service, ready."""
+
+    async def start_imitation(**environ: str) -> Any:
+        service = start_service("freerein_imitation", tmp_path, **environ)
+        await asyncio.to_thread(until_ready, service.url)
+        return service
+
+    return start_imitation
+
+
+@pytest.mark.fault("I7")
+@pytest.mark.fault("I8")
+async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes_nothing_that_expired(
+    sim: str, start: Callable[..., Any], tmp_path: Path, example: Any
+) -> None:
+    publish_policy(tmp_path, reached_threshold=1.0)
+    service = await start()
+    async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
+        recorder = Recorder(example, await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
+        driving = asyncio.create_task(recorder.controller.drive())
+        await until(lambda: len(recorder.chunks) >= 20)
+        service.process.kill()
+        steps = len(recorder.executed)
+        await until(lambda: len(recorder.executed) >= steps + 10)
+        await start(FREEREIN_GRPC_PORT=service.address.rpartition(":")[2])
+        chunks = len(recorder.chunks)
+        await until(lambda: len(recorder.chunks) >= chunks + 10)
+        driving.cancel()
+    check_record(recorder)
+
+
+async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tmp_path: Path, example: Any) -> None:
+    publish_policy(tmp_path, reached_threshold=0.0)
+    service = await start()
+    async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
+        controller = example.Controller(await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
+        await asyncio.wait_for(controller.drive(), 10)
+    assert controller.last.goal_reached
+
+
+async def test_what_another_try_would_not_mend_ends_the_drive(
+    sim: str, start: Callable[..., Any], tmp_path: Path, example: Any
+) -> None:
+    publish_policy(tmp_path, reached_threshold=1.0)
+    service = await start(FREEREIN_TOKEN="secret")
+    small = Goal((Image("raw_rgb8", 32, 32, bytes(32 * 32 * 3)),))
+    async with SimClient(Channel(sim)) as worlds:
+        robot = await example.start_robot(worlds, "blocks", seed=1)
+        for token, goal, expected in (("secret", small, InvalidInput), ("guess", GOAL, Unauthenticated)):
+            async with ImitationClient(Channel(service.address, token=token)) as client:
+                with pytest.raises(expected):
+                    await asyncio.wait_for(example.Controller(robot, client, goal).drive(), 10)
+
+
+def check_record(recorder: Recorder) -> None:
+    hold = np.zeros(3, np.float32).tobytes()
+    proposed = {chunk.chunk.actions[0].tobytes(): chunk.chunk for chunk in recorder.chunks if len(chunk.chunk.actions)}
+    moves = [(at_ns, action) for at_ns, action in recorder.executed if action != hold]
+    assert len(moves) >= 20
+    assert all(at_ns <= proposed[action].valid_until_ns + 5_000_000 for at_ns, action in moves)
+    assert len({action for _, action in moves}) == len(moves), "nothing is executed twice"
+    held = "".join("h" if action == hold else "m" for _, action in recorder.executed)
+    assert "m" in held[held.rindex("hhhhh") :], "it moved again after it held"
+    indices = [reply.seq for reply in recorder.chunks]
+    assert indices == sorted(set(indices))
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    def wait() -> None:
+        begun = time.monotonic()
+        while not condition():
+            assert time.monotonic() - begun < 20, "it never came true"
+            time.sleep(0.01)
+
+    await asyncio.to_thread(wait)
+
+
+def until_ready(url: str) -> None:
+    while httpx.get(f"{url}/readyz", trust_env=False).status_code != 200:
+        time.sleep(0.05)

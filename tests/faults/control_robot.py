@@ -1,0 +1,129 @@
+"""Robots for the tests of control streams: what they say, how they say it, and what they must hear.
+
+The tests load this file, and `faulty_policy.py`, by their paths.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
+from freerein.types.imitation import ActRequest, ControlRequest, ControlResponse, Hello, Observed
+from freerein_imitation.acting import Answer, BatchActor
+from freerein_imitation.core import Pursuit, pursue
+from freerein_imitation.memory import Memory
+
+FAULTS = ("right", "raises", "nan", "shape", "infinite")
+ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
+CAMERAS = (Camera("front", 4, 4, 3),)
+
+
+def picture(brightness: int, *, fault: str = "right", hundredths: int = 0) -> Image:
+    """Returns an image that asks the policy for a fault, or to take hundredths of a second."""
+    pixels = np.zeros((4, 4, 3), np.uint8)
+    pixels[0, 0] = FAULTS.index(fault), hundredths, brightness
+    return Image("raw_rgb8", 4, 4, pixels.tobytes(), "front")
+
+
+def goal(*brightness: int) -> Goal:
+    return Goal(tuple(picture(each) for each in brightness))
+
+
+def hello(*brightness: int, **changes: Any) -> ControlRequest:
+    """Returns the Hello of a robot that pursues pictures of these brightnesses."""
+    said = Hello(goal(*brightness or (255,)), CAMERAS, ACTION, 0.02, valid_for_s=30.0)
+    return ControlRequest(hello=replace(said, **changes))
+
+
+def seen(seq: int, brightness: int = 0, *, did: Any = None, **asked: Any) -> ControlRequest:
+    """Returns an observation, and the one action that was executed before it."""
+    executed = None if did is None else np.array(did, np.float32)[None]
+    observation = Observation((picture(brightness, **asked),))
+    return ControlRequest(observed=Observed(seq, observation, executed, observation_time_ns=seq))
+
+
+def asked(brightness: int, *goals: int, did: Any = None, state: bytes = b"", **changes: Any) -> ActRequest:
+    """Returns an `Act` that says the same."""
+    executed = None if did is None else np.array(did, np.float32)[None]
+    request = ActRequest(Observation((picture(brightness),)), goal(*goals), executed, state)
+    return replace(request, **changes)
+
+
+async def turns(count: int = 50) -> None:
+    """Lets everything that runs in this process go on, so that what was said is taken."""
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+class Stream:
+    """One control stream, spoken to by hand.
+
+    Args:
+        control: A client's method, or a core's.
+    """
+
+    def __init__(self, control: Callable[[AsyncIterator[Any]], Any]) -> None:
+        self._said: asyncio.Queue[Any] = asyncio.Queue()
+        self._heard: AsyncGenerator[ControlResponse, None] = control(self._requests())
+
+    def say(self, *requests: Any) -> None:
+        for request in requests:
+            self._said.put_nowait(request)
+
+    async def hear(self) -> ControlResponse:
+        return await asyncio.wait_for(anext(self._heard), 20)
+
+    async def ask(self, request: Any) -> ControlResponse:
+        self.say(request)
+        return await self.hear()
+
+    async def rest(self) -> list[ControlResponse]:
+        """Says no more, and returns all that is still answered."""
+        self._said.put_nowait(None)
+        return [reply async for reply in self._heard]
+
+    async def leave(self) -> None:
+        await self._heard.aclose()
+
+    async def _requests(self) -> AsyncIterator[Any]:
+        while (request := await self._said.get()) is not None:
+            yield request
+
+
+class Oracle:
+    """What one robot must hear, were it alone: each answer from the whole history, in batches of one."""
+
+    def __init__(self, policy: Any, pursuit: Pursuit) -> None:
+        self._policy = policy
+        self._actor = BatchActor()
+        self._pursuit = pursuit
+        self._memory = Memory(np.zeros(policy.memory_size, np.float32))
+        self._begun = False
+
+    @classmethod
+    async def of(cls, policy: Any, *brightness: int) -> "Oracle":
+        return cls(policy, await pursue(ModelRef("oracle", "0" * 12), policy, goal(*brightness), max_steps=0))
+
+    async def answer(self, request: ControlRequest) -> Answer:
+        observed = request.observed
+        assert observed is not None
+        item = await self._pursuit.item(
+            observed.observation, observed.executed_actions, self._memory, elapsed=int(self._begun)
+        )
+        (answer,) = self._actor.act_batch([item])
+        assert isinstance(answer, Answer)
+        self._memory, self._begun = answer.memory, True
+        return answer
+
+    async def check(self, request: ControlRequest, reply: ControlResponse) -> None:
+        """Fails unless a chunk is what this robot must hear."""
+        expected = await self.answer(request)
+        assert reply.chunk is not None, reply
+        assert request.observed is not None
+        assert reply.seq == request.observed.seq
+        np.testing.assert_allclose(reply.chunk.actions, expected.actions, rtol=0, atol=1e-5)
+        assert reply.chunk.goal_index == expected.memory.goal_index
+        assert reply.chunk.goal_reached == expected.reached

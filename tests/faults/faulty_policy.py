@@ -1,0 +1,100 @@
+"""The imitation service as it is, around a policy that fails where an observation's first pixel asks it to.
+
+The first pixel of an observation is (which fault, hundredths of a second to take, brightness); a goal is reached by an
+observation of its brightness. The policy remembers all that it saw and did, so that no two histories have one answer,
+and its weights are drawn from the seed in its file, so that no two versions have one answer.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein.types.common import ActionSpec, ModelRef
+from freerein_imitation.__main__ import NAME, build
+from freerein_imitation.settings import ImitationSettings
+
+RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
+SEEDS = (7, 8)  # of the versions that are published; the first is active
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Step:
+    actions: Floats
+    reached: Floats
+    memory: Floats
+
+
+class FaultyPolicy:
+    """Answers what its whole history says, unless told otherwise."""
+
+    kind = "goal_conditioned"
+    camera, height, width, channels = "front", 4, 4, 3
+    action = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
+    action_size, action_choices, horizon, control_dt_s = 2, 0, 3, 0.02
+    skills: tuple[str, ...] = ()
+    memory_size, reached_threshold, max_steps_per_goal = 5, 0.5, 1000
+
+    def __init__(self, seed: int, *, sleep: Callable[[float], None] = lambda _seconds: None) -> None:
+        self._sleep = sleep
+        rng = np.random.default_rng(seed)
+        pixels, size = self.height * self.width * self.channels, self.memory_size
+        self._seen = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
+        self._wanted = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
+        self._done = rng.normal(0, 1, (self.action_size, size)).astype(np.float32)
+        self._act = rng.normal(0, 1, (size, self.horizon * self.action_size)).astype(np.float32)
+
+    def encode_goals(self, goals: npt.NDArray[np.uint8]) -> Floats:
+        return (goals.reshape(len(goals), -1) / 255.0).astype(np.float32)
+
+    def step(self, frames: npt.NDArray[np.uint8], goals: Floats, previous: Floats, memory: Floats) -> Step:
+        faults = frames[:, 0, 0, 0]
+        self._sleep(frames[:, 0, 0, 1].max() / 100)
+        if RAISES in faults:
+            raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
+        seen = (frames.reshape(len(frames), -1) / 255.0).astype(np.float32)
+        hidden = np.tanh(0.5 * memory + seen @ self._seen + goals @ self._wanted + previous @ self._done)
+        actions = np.tanh(hidden @ self._act).reshape(len(frames), self.horizon, self.action_size)
+        actions[faults == NOT_A_NUMBER] = np.nan
+        hidden[faults == INFINITE, -1] = np.inf
+        reached = (np.round(255 * goals[:, 2]) == frames[:, 0, 0, 2]).astype(np.float32)
+        return Step(actions[:, : 2 if WRONG_SHAPE in faults else None], reached, hidden)
+
+
+def load(folder: Path, _device: str) -> FaultyPolicy:
+    return FaultyPolicy(int(json.loads((folder / "weights").read_bytes())), sleep=time.sleep)
+
+
+def publish_policies(data_dir: Path) -> list[ModelRef]:
+    """Puts a version for each seed in the store, once; returns them all."""
+    store = ModelStore(data_dir / "models" / NAME)
+    refs = []
+    for seed in SEEDS:
+        folder = data_dir / f"unpublished-{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "weights").write_text(json.dumps(seed))
+        (folder / "card.json").write_text(json.dumps({"dataset": "none"}))
+        refs.append(store.publish("", folder))
+    if not store.active_version("default"):
+        store.activate(refs[0])
+    return refs
+
+
+def build_faulty(settings: ImitationSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+    """Returns the service."""
+    publish_policies(settings.data_dir)
+    return build(settings, limits, metrics, health, load=load)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(NAME, ImitationSettings, build_faulty))

@@ -1,0 +1,175 @@
+"""Control streams while the service is killed, told to stop, or given another model: no robot loses its place."""
+
+import asyncio
+import itertools
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from freerein.clients import Channel, ImitationClient
+from freerein.clients.learning import ModelClient
+from freerein.errors import FailedPrecondition, Unavailable
+from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
+from freerein.types.learning import ActivateModelRequest
+
+pytestmark = pytest.mark.e2e
+ROBOTS = 32
+
+
+@pytest.fixture
+def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda data_dir: start_faulty(data_dir, script="faulty_policy.py")
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    def wait() -> None:
+        while not condition():
+            time.sleep(0.005)
+
+    await asyncio.to_thread(wait)
+
+
+async def until_ready(faulty: Any) -> None:
+    await until(lambda: faulty.http.get("/readyz").status_code == 200)
+
+
+@pytest.mark.fault("I8")
+@pytest.mark.timeout(600)
+def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the_last_state(
+    start: Any, tmp_path: Path, robots: Any, policies: Any, repeats: int, least_of_three: Any
+) -> None:
+    oracle = asyncio.run(robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 200, 201))
+    lives, state = itertools.count(), b""
+
+    async def live() -> float:
+        """Returns how long it takes to notice that the service is dead, in seconds."""
+        nonlocal state
+        life = next(lives)
+        faulty = start(tmp_path)
+        await until_ready(faulty)
+        async with ImitationClient(Channel(faulty.service.address)) as client:
+            stream = robots.Stream(client.control)
+            spec = (await stream.ask(robots.hello(200, 201, state=state))).spec
+            assert spec.model.version == policies.publish_policies(tmp_path)[0].version
+            for seq in range(10 * life, 10 * life + 5):
+                request = robots.seen(seq, seq % 100, did=(0.5, -0.5))
+                reply = await stream.ask(request)
+                await oracle.check(request, reply)
+                state = reply.chunk.state
+            stream.say(robots.seen(10 * life + 5, hundredths=100))  # never answered, and so never executed
+            begun = time.monotonic()
+            faulty.service.process.kill()
+            with pytest.raises(Unavailable):
+                await stream.hear()
+            return time.monotonic() - begun
+
+    for _ in range(1 + repeats):
+        assert least_of_three(lambda: asyncio.run(live()), below=0.1) < 0.1
+
+
+@pytest.mark.fault("I16")
+async def test_told_to_stop_it_answers_tells_every_robot_and_ends(
+    start: Any, tmp_path: Path, robots: Any, policies: Any
+) -> None:
+    first, second = start(tmp_path / "first"), start(tmp_path / "second")
+    await asyncio.gather(until_ready(first), until_ready(second))
+    policy = policies.FaultyPolicy(policies.SEEDS[0])
+    async with (
+        ImitationClient(Channel(first.service.address)) as client,
+        ImitationClient(Channel(second.service.address)) as other,
+    ):
+        streams = [robots.Stream(client.control) for _ in range(ROBOTS)]
+        oracles = [await robots.Oracle.of(policy, 100 + i) for i in range(ROBOTS)]
+        await asyncio.gather(*(stream.ask(robots.hello(100 + i)) for i, stream in enumerate(streams)))
+        for i, stream in enumerate(streams):
+            stream.say(robots.seen(1, i, hundredths=20))
+        await until(lambda: first.metric("freerein_queued_items") > 0)
+        begun = time.monotonic()
+        first.service.process.terminate()
+        for i, (stream, oracle) in enumerate(zip(streams, oracles, strict=True)):
+            reply = await stream.hear()
+            await oracle.check(robots.seen(1, i, hundredths=20), reply)
+            assert (await stream.hear()).draining.deadline_s > 0
+            assert await stream.rest() == []
+            elsewhere = robots.Stream(other.control)
+            await elsewhere.ask(robots.hello(100 + i, state=reply.chunk.state))
+            request = robots.seen(2, i, did=reply.chunk.actions[0])
+            await oracle.check(request, await elsewhere.ask(request))
+            await elsewhere.leave()
+    assert await asyncio.to_thread(first.service.process.wait, 10) == 0
+    assert time.monotonic() - begun < 10
+
+
+@pytest.mark.fault("I15")
+async def test_a_model_swapped_under_traffic_changes_between_batches_and_streams_keep_theirs(
+    start: Any, tmp_path: Path, robots: Any, policies: Any, repeats: int
+) -> None:
+    faulty = start(tmp_path)
+    await until_ready(faulty)
+    versions = policies.publish_policies(tmp_path)
+    oracles = {ref: policies.FaultyPolicy(seed) for ref, seed in zip(versions, policies.SEEDS, strict=True)}
+    channel, swapped = Channel(faulty.service.address), asyncio.Event()
+    async with ImitationClient(channel) as client, ModelClient(Channel(faulty.service.address)) as models:
+
+        async def swap() -> None:
+            for i in range(50 * repeats):
+                ref = versions[(i + 1) % 2]
+                await models.activate_model(ActivateModelRequest(ref.name, ref.version))
+            swapped.set()
+
+        async def call() -> set[ModelRef]:
+            answered = set()
+            while not swapped.is_set():
+                reply = await client.act(robots.asked(5, 100))
+                expected = await (await robots.Oracle.of(oracles[reply.model], 100)).answer(robots.seen(0, 5))
+                np.testing.assert_allclose(reply.actions, expected.actions, atol=1e-5)
+                answered.add(reply.model)
+            return answered
+
+        async def follow(robot: int) -> None:
+            stream, seq = robots.Stream(client.control), 0
+            model = (await stream.ask(robots.hello(100 + robot))).spec.model
+            oracle = await robots.Oracle.of(oracles[model], 100 + robot)
+            while not swapped.is_set():
+                request = robots.seen(seq, seq % 90)
+                await oracle.check(request, await stream.ask(request))
+                seq += 1
+
+        _, answered, *_ = await asyncio.gather(swap(), call(), *(follow(robot) for robot in range(4)))
+        assert answered == set(versions)
+
+
+@pytest.mark.fault("I15")
+async def test_damaged_weights_are_refused_and_the_old_ones_go_on(
+    start: Any, tmp_path: Path, robots: Any, policies: Any
+) -> None:
+    faulty = start(tmp_path)
+    await until_ready(faulty)
+    active, other = policies.publish_policies(tmp_path)
+    weights = ModelStore(tmp_path / "models" / policies.NAME).folder(other) / "weights"
+    weights.write_bytes(json.dumps(policies.SEEDS[1] + 1).encode())
+    async with ImitationClient(Channel(faulty.service.address)) as client:
+        stream = robots.Stream(client.control)
+        await stream.ask(robots.hello())
+        async with ModelClient(Channel(faulty.service.address)) as models:
+            with pytest.raises(FailedPrecondition):
+                await models.activate_model(ActivateModelRequest(other.name, other.version))
+        assert (await stream.ask(robots.seen(1))).chunk is not None
+        assert (await client.act(robots.asked(1, 3))).model == active
+
+
+async def test_robots_that_vanish_free_their_streams(start: Any, tmp_path: Path, robots: Any) -> None:
+    faulty = start(tmp_path)
+    await until_ready(faulty)
+    for _ in range(3):
+        client = ImitationClient(Channel(faulty.service.address))
+        streams = [robots.Stream(client.control) for _ in range(64)]
+        await asyncio.gather(*(stream.ask(robots.hello()) for stream in streams))
+        await client.close()
+        await until(lambda: faulty.metric('freerein_calls_in_flight{door="grpc"}') == 0)

@@ -1,0 +1,138 @@
+"""Texts that mean harm to the reward service: refused by their length, cut and said so, or answered with a number."""
+
+import base64
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from freerein_reward.model.tokenizer import MAX_TOKENS, Tokenizer
+from freerein_reward.relations import rivals
+
+pytestmark = pytest.mark.e2e
+UNTRAINED = str(Path(__file__).parents[1] / "reward" / "untrained_service.py")
+MOST = 2_000
+LONGEST_TOKENISING_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def reward(start_module_service: Callable[..., Any]) -> Iterator[httpx.Client]:
+    """The REST door of the service with an untrained reward model; no text may make it log a fault."""
+    service = start_module_service(UNTRAINED)
+    with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
+        wait_until_ready(client)
+        yield client
+    assert not re.search(r'"event": "bug"|the model failed|Traceback', service.log.read_text())
+
+
+def wait_until_ready(client: httpx.Client) -> None:
+    deadline = time.monotonic() + 30
+    while client.get("/readyz").status_code != 200:
+        assert time.monotonic() < deadline
+
+
+def embed(reward: httpx.Client, text: str) -> httpx.Response:
+    return reward.post("/v1/embed-goal", json={"goal_text": text})
+
+
+def is_finite_and_of_length_one(reply: httpx.Response) -> bool:
+    vector = np.frombuffer(base64.b64decode(reply.json()["embedding"]["raw"]), np.float32)
+    return bool(np.isfinite(vector).all() and abs(float(np.linalg.norm(vector)) - 1) < 1e-4)
+
+
+@pytest.mark.fault("R1")
+@pytest.mark.parametrize("text", ["a" * 2**20, "red " * 100_000, "é" * (MOST + 1)], ids=["1 MB", "100 k words", "2001"])
+def test_a_text_beyond_the_cap_is_refused_with_both_lengths(reward: httpx.Client, refusal: Any, text: str) -> None:
+    frames = {"top": {"datatype": "UINT8", "shape": [1, 1, 1, 3], "raw": "AAAA"}}
+    for path, body, field in (
+        ("/v1/embed-goal", {"goal_text": text}, "goal_text"),
+        ("/v1/reward", {"goal_text": text, "frames": frames}, "goal_text"),
+        ("/v1/reward", {"goal_text": "a", "rivals": [text], "frames": frames}, "rivals.0"),
+    ):
+        problem = refusal(reward.post(path, json=body), 422)
+        assert (problem["field"], str(MOST) in problem["detail"], str(len(text)) in problem["detail"]) == (
+            field,
+            True,
+            True,
+        )
+
+
+@pytest.mark.fault("R1")
+@pytest.mark.parametrize("words", range(MAX_TOKENS - 3, MAX_TOKENS + 3))
+def test_a_text_of_more_tokens_than_the_model_takes_is_cut_and_the_reply_says_so(
+    reward: httpx.Client, words: int
+) -> None:
+    reply = embed(reward, " ".join(["red"] * words))
+
+    assert reply.status_code == 200
+    assert reply.json()["truncated"] == (words > MAX_TOKENS - 1)  # the text's end is a token, too
+    assert is_finite_and_of_length_one(reply)
+
+
+HOSTILE = {
+    "one word": "a" * MOST,
+    "words": "a " * (MOST // 2),
+    "relations": "on the left of " * (MOST // 15),
+    "almost a relation": "on" + " " * (MOST - 2),
+    "signs": "!?" * (MOST // 2),
+    "underscores": "_" * MOST,
+    "right to left": "\u202eقف" * (MOST // 3),
+    "emoji": "👩‍👩‍👧‍👦" * (MOST // 7),
+    "combining": "a" + "\u0301" * (MOST - 1),
+    "grows in lower case": "\u0130" * MOST,
+    "zero width": "\u200b" * MOST,
+    "nul": "\0" * MOST,
+    "highest": "\U0010ffff" * MOST,
+}
+
+
+@pytest.mark.fault("R2")
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_flood_of_signs_is_answered_with_finite_numbers(reward: httpx.Client, name: str) -> None:
+    reply = embed(reward, HOSTILE[name])
+
+    assert reply.status_code == 200
+    assert is_finite_and_of_length_one(reply)
+
+
+@pytest.mark.fault("R2")
+@pytest.mark.parametrize("text", ["", " ", "\n\t\r", "\u2003\u3000\u00a0", " " * MOST], ids=repr)
+def test_a_text_without_words_is_refused(reward: httpx.Client, refusal: Any, text: str) -> None:
+    assert refusal(embed(reward, text), 422)["field"] == "goal_text"
+
+
+@pytest.mark.fault("R2")
+def test_any_text_is_answered_or_refused(reward: httpx.Client, refusal: Any, fuzz: bool) -> None:
+    @settings(
+        max_examples=2_000 if fuzz else 60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
+    @given(st.text(max_size=200))
+    def check(text: str) -> None:
+        reply = embed(reward, text)
+        if reply.status_code != 200:
+            refusal(reply, 422)
+        else:
+            assert is_finite_and_of_length_one(reply)
+
+    check()
+
+
+@pytest.mark.fault("R2")
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_text_takes_long_to_tokenise_or_to_find_rivals_for(name: str, least_of_three: Any) -> None:
+    tokenizer = Tokenizer(("red", "block", "on"))
+
+    def seconds() -> float:
+        begun = time.perf_counter()
+        tokenizer([HOSTILE[name]])
+        rivals(HOSTILE[name])
+        return time.perf_counter() - begun
+
+    assert least_of_three(seconds, below=LONGEST_TOKENISING_S) < LONGEST_TOKENISING_S

@@ -1,0 +1,106 @@
+"""`freerein segment --save` and `freerein act`, with the real services around the models of the fault tests."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from typer.testing import CliRunner, Result
+
+from freerein.cli.__main__ import app
+from freerein.data import DatasetSpec, create, labels
+from freerein.errors import FailedPrecondition
+from freerein.types.common import ActionSpec, Trajectory
+
+pytestmark = pytest.mark.e2e
+FAULTS = Path(__file__).parents[1] / "faults"
+_SPEC = DatasetSpec(fps=10, cameras={"top": (4, 4, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
+
+
+@pytest.fixture(scope="module")
+def segmentation(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service(str(FAULTS / "faulty_service.py"))
+
+
+@pytest.fixture(scope="module")
+def imitation(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service(str(FAULTS / "faulty_policy.py"))
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    return tmp_path
+
+
+def record(root: Path, *brightness: list[int], fault: int = 0) -> None:
+    """Writes a dataset with a trajectory for each list of brightness, whose parity is the label."""
+    with create(root, _SPEC) as writer:
+        for values in brightness:
+            frames = np.zeros((len(values), 4, 4, 3), np.uint8)
+            frames[:, 0, 0, 2] = values
+            frames[0, 0, 0, 0] = fault
+            writer.append(Trajectory({"top": frames}, np.zeros((len(values), 2), np.float32)))
+
+
+def _run(*words: str) -> Result:
+    return CliRunner().invoke(app, [*words, "--json"])
+
+
+def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
+    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+    root = data_dir / "datasets" / "demos"
+    record(root, [0, 1, 1], [3, 2])
+
+    document = json.loads(_run("segment", "demos", "--save").stdout)
+
+    assert (document["labelled"], document["skills"]) == (2, ["even", "odd"])
+    assert [found.tolist() for found in labels.all_labels(root, np.array([3, 2]))] == [[0, 1, 1], [1, 0]]
+    assert labels.info(root).model.version == document["model"]["version"]
+
+
+def test_labels_that_could_not_all_be_made_do_not_count(
+    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+    root = data_dir / "datasets" / "broken"
+    record(root, [0, 1], fault=2)
+
+    result = _run("segment", "broken", "--save")
+
+    assert json.loads(result.stderr)["error"]["code"] == "output_not_finite"
+    with pytest.raises(FailedPrecondition):
+        labels.info(root)
+
+
+def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(
+    imitation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FREEREIN_IMITATION_ADDRESS", imitation.address)
+    for name, colour in (("now", (0, 0, 9)), ("near", (0, 0, 9)), ("far", (0, 0, 200))):
+        PIL.Image.new("RGB", (4, 4), colour).save(data_dir / f"{name}.png")
+    now, near, far = (str(data_dir / f"{name}.png") for name in ("now", "near", "far"))
+
+    spec = json.loads(_run("act", "spec").stdout)
+    answers = [json.loads(_run("act", "--image", now, "--goal", goal).stdout) for goal in (far, near)]
+
+    assert (spec["goal_form"], spec["cameras"][0]["name"]) == ("images", "front")
+    assert answers[0]["actions"]["shape"] == [spec["horizon"], spec["action"]["size"]]
+    assert [answer["goal_reached"] for answer in answers] == [False, True]
+    table = CliRunner().invoke(app, ["act", "--image", f"front={now}", "--goal", far]).stdout
+    assert "pursuing goal 0; confidence" in table
+
+
+@pytest.mark.parametrize(
+    "words", [["--goal", "x.png"], ["--image", "x.png"], ["--image", "x", "--goal", "x", "--recipe", "a"]]
+)
+def test_what_cannot_be_acted_on_is_an_error(data_dir: Path, words: list[str]) -> None:
+    result = _run("act", *words)
+
+    assert result.exit_code == 1
+    assert json.loads(result.stderr)["error"]["code"] == "invalid_input"

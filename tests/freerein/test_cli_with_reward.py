@@ -1,0 +1,117 @@
+"""`freerein reward` as a user types it, with the real service around toy models."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from typer.testing import CliRunner, Result
+
+from freerein.cli.__main__ import app
+from freerein.cli.services import free_ports
+from freerein.data import DatasetSpec, create
+from freerein.ports import PORTS
+from freerein.types.common import ActionSpec, Trajectory
+
+pytestmark = pytest.mark.e2e
+TOY = str(Path(__file__).parents[1] / "reward" / "toy_service.py")
+GOAL = ("--goal", "more", "--rival", "less")
+
+
+@pytest.fixture(scope="module")
+def service(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service(TOY, FREEREIN_SHIPPED_DIR="none")
+
+
+@pytest.fixture
+def folder(service: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data directory with the dataset `demos`, and the folder `frames`: three moments that grow brighter."""
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    monkeypatch.setenv("FREEREIN_REWARD_ADDRESS", service.address)
+    brightness = np.array([10, 120, 250], np.uint8)
+    frames = np.broadcast_to(brightness[:, None, None, None], (3, 4, 5, 3)).copy()
+    spec = DatasetSpec(fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
+    with create(tmp_path / "datasets" / "demos", spec) as writer:
+        writer.append(Trajectory({"top": frames}, np.zeros((3, 2), np.float32)))
+    (tmp_path / "frames").mkdir()
+    for moment, frame in enumerate(frames):
+        PIL.Image.fromarray(frame).save(tmp_path / "frames" / f"{moment}.png")
+    return tmp_path
+
+
+def _run(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def _json(*words: str) -> list[dict[str, Any]]:
+    result = _run(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_files_a_folder_and_a_trajectory_get_the_same_rewards(folder: Path) -> None:
+    frames = folder / "frames"
+    named = [str(frames / f"{moment}.png") for moment in range(3)]
+
+    answers = [
+        _json("reward", *words, *GOAL)[0]
+        for words in (named, [str(frames)], [f"top={frames}"], ["--dataset", "demos", "--index", "0"])
+    ]
+
+    assert all(answer["rewards"] == [0, 0, 1] for answer in answers)
+    assert all(answer["similarities"] == answers[0]["similarities"] for answer in answers)
+
+
+def test_more_frames_than_one_request_takes_come_back_as_one_answer(folder: Path) -> None:
+    (answer,) = _json("reward", *[str(folder / "frames" / "2.png")] * 40, *GOAL, "--raw")
+
+    assert len(answer["rewards"]) == len(answer["winners"]) == 40
+    assert answer["rewards"] == answer["similarities"]
+
+
+def test_a_table_says_which_text_fits_best(folder: Path) -> None:
+    lines = _run("reward", str(folder / "frames"), *GOAL).stdout.splitlines()
+
+    assert lines[0].split() == ["frame", "reward", "similarity", "fits", "best"]
+    assert [line.split()[-1] for line in lines[1:4]] == ["less", "less", "more"]
+
+
+def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:
+    image, out = str(folder / "frames" / "0.png"), folder / "out.png"
+    _, drawn = _json("reward", image, *GOAL, "--heatmap", str(out), "--phrase", "a red block", "--phrase", "b")
+
+    with PIL.Image.open(io.BytesIO(out.read_bytes())) as picture:
+        assert picture.size == (3 * 5 + 2 * 4, 4)
+    assert [found["phrase"] for found in drawn["groundings"]] == ["a red block", "b"]
+    assert drawn["groundings"][1]["x"] == pytest.approx(5 / 8)
+
+
+@pytest.mark.parametrize(
+    ("words", "field"),
+    [
+        ([], "image"),
+        (["x.png", "--dataset", "demos"], "image"),
+        (["no/where.png"], "image"),
+        (["--dataset", "demos", "--index", "1"], "index"),
+        (["--dataset", "demos", "--heatmap", "out.png"], "heatmap"),
+        (["--dataset", "demos", "--heatmap", "out.gif", "--phrase", "a"], "heatmap"),
+    ],
+)
+def test_what_cannot_be_asked_is_an_error_that_names_the_option(folder: Path, words: list[str], field: str) -> None:
+    result = _run("reward", *words, *GOAL, "--json")
+
+    assert result.exit_code == 1
+    assert json.loads(result.stderr)["error"]["field"] == field
+
+
+def test_fits_are_found_in_whichever_services_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, ports in free_ports(["segmentation", "imitation"]).items():
+        monkeypatch.setitem(PORTS, name, ports)
+
+    assert _json("fit", "list") == []
+    result = _run("fit", "cancel", "0" * 32, "--json")
+    assert json.loads(result.stderr)["error"]["code"] == "not_found"

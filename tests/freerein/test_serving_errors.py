@@ -1,0 +1,62 @@
+"""Errors that say what a client named, over the real doors of a service: never longer than a reply may be."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from freerein import wire
+from freerein.api.reward.v1 import reward_pb2
+from freerein.clients import Channel, RewardClient
+from freerein.errors import InvalidInput
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.methods import methods_of
+from freerein.serving.metrics import Metrics
+from freerein.serving.rest import make_app
+from freerein.serving.rpc import GrpcDoor
+from freerein.types.reward import RewardRequest
+
+
+async def never(_request: Any) -> Any:
+    """Answers nothing: the requests of these tests are refused while they are read."""
+    raise AssertionError
+
+
+CORE = SimpleNamespace(reward=never, ground=never, describe=never, embed_goal=never)
+METHODS = methods_of(reward_pb2.DESCRIPTOR.services_by_name["RewardService"], CORE)
+LONG = pytest.mark.parametrize("character", ["x", '"', "\\", "\n", "\x01", "é", "\u2028", "\U0001f600"], ids=ascii)
+
+
+@LONG
+async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str) -> None:
+    door = GrpcDoor(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
+    port = door.server.add_insecure_port("127.0.0.1:0")
+    await door.server.start()
+    try:
+        async with RewardClient(Channel(f"127.0.0.1:{port}")) as client:
+            with pytest.raises(InvalidInput) as error:
+                await client.reward(refused(20_000 * character))
+    finally:
+        await door.server.stop(None)
+    assert error.value.field.startswith("frames.")
+    assert error.value.hint
+
+
+@LONG
+async def test_over_rest_a_name_of_any_length_is_a_problem_of_at_most_4_kib(character: str) -> None:
+    app = make_app("reward", METHODS, health=Health(), metrics=Metrics(), limits=Limits())
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://service") as client:
+        reply = await client.post("/v1/reward", json=wire.to_json(refused(20_000 * character)))
+    assert (reply.status_code, reply.json()["code"]) == (422, "invalid_input")
+    assert reply.json()["field"].startswith("frames.")
+    assert len(reply.content) <= 4096
+
+
+def refused(camera: str) -> RewardRequest:
+    """Returns a request with frames that cannot be read, of a camera of this name."""
+    neither_true_nor_false = np.full((1, 4, 4, 3), 2, np.uint8).view(np.bool_)
+    return RewardRequest("a red block", frames={camera: neither_true_nor_false})

@@ -1,0 +1,66 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freerein.data import DatasetSpec, create, dataset_path, labels
+from freerein.data.labels import LabelsInfo
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein_imitation import fit, model
+from freerein_imitation.model import SkillsPolicy
+
+ASKED = {"policy": "skills", "steps": 2, "batch_size": 2, "colours": 2, "hidden": 8, "memory": 8}
+ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path) -> Path:
+    """A data directory with demonstrations that nobody has labelled."""
+    rng = np.random.default_rng(0)
+    spec = DatasetSpec(
+        fps=25, cameras={"front": (12, 12, 3)}, action=ACTION, robot_type="test", skills=("pick", "push")
+    )
+    with create(dataset_path(tmp_path, "demos"), spec) as writer:
+        for _ in range(4):
+            frames = {"front": rng.integers(0, 256, (20, 12, 12, 3), np.uint8)}
+            writer.append(Trajectory(frames, rng.uniform(-1, 1, (20, 2)).astype(np.float32), ("pick", "push")))
+    return tmp_path
+
+
+def label(data_dir: Path) -> None:
+    root = dataset_path(data_dir, "demos")
+    for index in range(4):
+        labels.save(root, index, np.repeat([1, 0], [8, 12]))
+    labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
+
+
+def test_demonstrations_must_be_labelled_before_skills_are_learned(data_dir: Path) -> None:
+    with pytest.raises(FailedPrecondition, match="skill for every timestep"):
+        fit.resolve(data_dir, "demos", ASKED, threads=1)
+    label(data_dir)
+    config = fit.resolve(data_dir, "demos", ASKED, threads=3)
+    assert (config["policy"], config["camera"], config["threads"]) == ("skills", "front", 3)
+    with pytest.raises(InvalidInput):
+        fit.resolve(data_dir, "demos", {**ASKED, "truth": True}, threads=1)
+
+
+def test_a_fit_leaves_skills_that_tell_whose_labels_they_are_from(data_dir: Path) -> None:
+    label(data_dir)
+    folder = data_dir / "fit"
+    folder.mkdir()
+    config = fit.resolve(data_dir, "demos", ASKED, threads=1)
+    (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config}))
+    command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        said = child.stderr.read()  # a fit ends when its standard input is closed
+        assert (child.wait(), said) == (0, "")
+    policy = model.load(folder / "model", "cpu")
+    assert isinstance(policy, SkillsPolicy)
+    assert (policy.skills, policy.action, policy.max_steps_per_goal) == (("pick", "push"), ACTION, 18)
+    card = json.loads((folder / "model" / "card.json").read_text())
+    assert card["labels"]["model"] == {"name": "segments", "version": "0123456789ab"}

@@ -1,0 +1,195 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.learning.fit import fit
+from freerein.types.common import ActionSpec
+from freerein_imitation.model import Handshake, SkillsPolicy
+from freerein_imitation.training import skills
+from freerein_imitation.training.exploration import Exploration
+from freerein_imitation.training.skills import Segment, Segments, SkillsConfig, SkillsProblem
+
+SKILLS = ("to-red", "to-blue")
+SIDE, STEP = 24, 2.0
+HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
+CPU = torch.device("cpu")
+FAST = SkillsConfig(
+    camera="front",
+    steps=250,
+    batch_size=8,
+    learning_rate=5e-3,
+    shortest_segment=2,
+    start_jitter=1,
+    colours=3,
+    hidden=32,
+    memory=16,
+    evaluate_every=125,
+)
+
+
+def picture(hand: float, red: float, blue: float) -> npt.NDArray[np.uint8]:
+    """Returns a dark frame with a hand in its upper and two blocks in its lower half: uint8 (8, 24, 3)."""
+    frame = np.full((8, SIDE, 3), 20, np.uint8)
+    for row, column, colour in ((1, hand, HAND), (5, red, RED), (5, blue, BLUE)):
+        share = np.clip(2 - np.abs(np.arange(SIDE) - column), 0, 1)[:, None]
+        frame[row : row + 2] = np.round(frame[row : row + 2] * (1 - share) + np.array(colour) * share)
+    return frame
+
+
+def towards(hand: float, goal: float) -> float:
+    """Returns the expert's action: how far it moves, 2 pixels at most."""
+    return float(np.clip((goal - hand) / STEP, -1, 1))
+
+
+def demonstrate(count: int, *, seed: int) -> tuple[Exploration, list[npt.NDArray[np.int64]]]:
+    """Returns trajectories in which a hand goes above one block and then above the other, and which skill that is."""
+    rng = np.random.default_rng(seed)
+    frames, actions, labels = [], [], []
+    for _ in range(count):
+        hand, red, blue = rng.uniform(2, SIDE - 3), rng.uniform(2, 10), rng.uniform(13, SIDE - 3)
+        seen, done, told = [], [], []
+        for skill in rng.permutation(2):
+            goal = (red, blue)[skill]
+            for _ in range(12):
+                action = towards(hand, goal)
+                seen.append(picture(hand, red, blue))
+                done.append([action])
+                told.append(skill)
+                if abs(action) < 0.05:
+                    break
+                hand += STEP * action
+        frames.append(np.array(seen))
+        actions.append(np.array(done, np.float32))
+        labels.append(np.array(told, np.int64))
+    return Exploration(frames, actions), labels
+
+
+def problem(config: SkillsConfig = FAST) -> SkillsProblem:
+    demonstrations, labels = demonstrate(60, seed=0)
+    return skills.prepare(
+        config, demonstrations, labels, skills=SKILLS, action_choices=0, fingerprint="fingerprint", device=CPU
+    )
+
+
+def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
+    cloned = problem()
+    fitted = fit(cloned, FAST.plan, tmp_path)
+    assert fitted is not None
+    handshake = Handshake(ActionSpec(1, 0, ("right",)), 0.1, skills.END_THRESHOLD, cloned.max_steps_per_skill)
+    policy = SkillsPolicy(fitted.network, handshake)
+    hand, red, blue = 20.0, 5.0, 17.0
+    previous = np.zeros((1, 1), np.float32)
+    for skill, goal in (("to-red", red), ("to-blue", blue), ("to-red", red)):
+        memory, steps, ended = np.zeros((1, policy.memory_size), np.float32), 0, False
+        while not ended and steps < policy.max_steps_per_goal:
+            step = policy.step(picture(hand, red, blue)[None], policy.encode_goals([skill]), previous, memory)
+            previous, memory, ended = step.actions[:, 0], step.memory, step.reached[0] >= policy.reached_threshold
+            hand, steps = hand + STEP * float(previous[0, 0]) * (not ended), steps + 1
+        assert ended
+        assert abs(hand - goal) < 1.5
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
+    def digest(name: str, seed: int) -> str:
+        config = replace(FAST, steps=3, seed=seed)
+        fitted = fit(problem(config), config.plan, tmp_path / name)
+        assert fitted is not None
+        return weights.sha256(fitted.network)
+
+    assert digest("first", 0) == digest("again", 0) != digest("other", 1)
+
+
+def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
+    labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1])]
+    assert skills.cut(labels, shortest=2) == [Segment(0, 0, 3, 0), Segment(0, 4, 6, 0), Segment(1, 0, 2, 1)]
+
+
+def segments(*items: Segment) -> Segments:
+    """Returns segments of one trajectory of 6 timesteps in which action t is t / 10."""
+    places = torch.arange(6.0)[:, None, None].expand(6, 2, 5)
+    return Segments(items, [places], [np.arange(6, dtype=np.float32)[:, None] / 10])
+
+
+def test_a_segment_is_followed_by_timesteps_that_only_the_end_head_learns_from() -> None:
+    some = segments(Segment(0, 1, 4, 1), Segment(0, 4, 6, 0))
+    batch = skills.gather(some, some.items, [2, 4], after=1, device=CPU)
+    assert batch.skills.tolist() == [1, 0]
+    assert batch.places[:, :, 0, 0].tolist() == [[2, 3, 4], [4, 5, 0]]
+    assert batch.previous[0, :, 0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    assert batch.actions[0, :, 0].tolist() == pytest.approx([0.2, 0.3, 0.4])
+    assert batch.inside.tolist() == [[True, True, False], [True, True, False]]
+    assert batch.ends.tolist() == [[False, True, True], [False, True, False]]
+
+
+def test_before_the_first_timestep_nothing_was_executed() -> None:
+    some = segments(Segment(0, 0, 3, 0))
+    assert skills.gather(some, some.items, [0], after=0, device=CPU).previous[0, 0].tolist() == [0]
+    discrete = Segments(some.items, some.places, [np.arange(6)[:, None]])
+    assert skills.gather(discrete, some.items, [0], after=0, device=CPU).previous[0, :, 0].tolist() == [-1, 0, 1]
+
+
+def test_whole_trajectories_are_held_out() -> None:
+    demonstrations, labels = demonstrate(20, seed=0)
+    found = Segments(skills.cut(labels, shortest=1), [torch.zeros(1)] * 20, demonstrations.actions)
+    learnt, held_out = skills.hold_out(found, share=0.2, seed=0)
+    parts = [{item.trajectory for item in part.items} for part in (learnt, held_out)]
+    assert (len(parts[0]), len(parts[1]), parts[0] & parts[1]) == (16, 4, set())
+    with pytest.raises(InvalidInput, match="at least 2 trajectories"):
+        skills.hold_out(segments(Segment(0, 0, 3, 0)), share=0.2, seed=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_only_skills_that_were_learned_are_offered(seed: int) -> None:
+    demonstrations, labels = demonstrate(6, seed=0)
+    told = [each + 1 for each in labels]  # "wave" is never shown
+    held_out = set(range(6)) - {item.trajectory for item in prepare(demonstrations, told, seed=seed).training.items}
+    told[held_out.pop()][:6] = 3  # "jump" is shown once, by the trajectory that is held out
+    cloned = prepare(demonstrations, told, seed=seed)
+    assert cloned.spec.skills == SKILLS
+    for part in (cloned.training, cloned.validation):
+        assert part.items
+        assert all(set(told[item.trajectory][item.start : item.stop]) == {item.skill + 1} for item in part.items)
+
+
+def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by() -> None:
+    demonstrations, _ = demonstrate(2, seed=0)
+    told = [np.full(len(done), skill) for skill, done in enumerate(demonstrations.actions)]
+    with pytest.raises(InvalidInput, match="held out must show a skill"):
+        prepare(demonstrations, told, seed=0)
+
+
+def prepare(demonstrations: Exploration, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsProblem:
+    return skills.prepare(
+        replace(FAST, seed=seed),
+        demonstrations,
+        labels,
+        skills=("wave", *SKILLS, "jump"),
+        action_choices=0,
+        fingerprint="fingerprint",
+        device=CPU,
+    )
+
+
+def test_discrete_actions_are_learned_too() -> None:
+    demonstrations, labels = demonstrate(6, seed=0)
+    moves = Exploration(demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions])
+    discrete = skills.prepare(
+        FAST, moves, labels, skills=SKILLS, action_choices=3, fingerprint="fingerprint", device=CPU
+    )
+    state, figures = discrete.update(discrete.init(torch.Generator().manual_seed(0)), np.arange(4))
+    assert state.step == 1
+    assert np.isfinite(list(figures.values())).all()
+    assert np.isfinite(discrete.evaluate(state))
+
+
+def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
+    assert SkillsConfig.from_mapping({"steps": 20.0, "policy": "skills"}) == SkillsConfig(steps=20)
+    for wrong in ({"labels": True}, {"steps": 0}, {"policy": "goal_conditioned"}, {"late_start_share": 1.5}):
+        with pytest.raises(InvalidInput):
+            SkillsConfig.from_mapping(wrong)

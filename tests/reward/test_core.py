@@ -1,0 +1,244 @@
+"""The core of the reward service around a model of colours: what it answers, and what it refuses."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from freerein import images
+from freerein.errors import InvalidInput, ModelFault, OutputNotFinite, ServiceError, TooLarge
+from freerein.serving.batcher import Batcher
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
+from freerein.types.reward import EmbedGoalRequest, RewardRequest
+from freerein_reward.core import GoalCache, Inference, Loaded, Rewarder
+
+COLOURS = ("red", "green", "blue")
+CACHE_BYTES = 2**20
+
+
+class Colours:
+    """Sees the colour of a frame, the mean over its cameras; reads the names of colours. Every call is written down."""
+
+    def __init__(self, *cameras: str) -> None:
+        self.cameras = cameras
+        self.frames_per_call: list[int] = []
+        self.read: list[str] = []
+
+    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
+        colours = np.mean([views[camera].mean(axis=(1, 2)) for camera in self.cameras], axis=0) + 1e-3
+        self.frames_per_call.append(len(colours))
+        return np.float32(colours / np.linalg.norm(colours, axis=1, keepdims=True))
+
+    def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+        self.read += texts
+        counts = np.array([[text.split().count(colour) + 1e-3 for colour in COLOURS] for text in texts])
+        vectors = np.float32(counts / np.linalg.norm(counts, axis=1, keepdims=True))
+        vectors[["nan" in text.split() for text in texts]] = np.nan
+        return vectors[: -1 if "short" in texts else None], np.array([len(text) > 20 for text in texts])
+
+    def unknown_words(self, text: str) -> int:
+        return sum(word not in COLOURS for word in text.split())
+
+
+def preprocess(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    return np.broadcast_to(image.mean(axis=(0, 1)).astype(np.uint8), (2, 2, 3))
+
+
+Start = Callable[[Any], Awaitable[Rewarder]]
+
+
+@pytest.fixture
+async def start(tmp_path: Path) -> AsyncIterator[Start]:
+    """A function that returns the core around a model."""
+    batchers: list[Batcher[Any, Any]] = []
+
+    async def begin(model: Any) -> Rewarder:
+        store, folder = ModelStore(tmp_path / "models"), tmp_path / "unpublished"
+        folder.mkdir()
+        (folder / "card.json").write_text(json.dumps({}))
+        store.activate(store.publish("", folder))
+        models = LoadedModels(store, lambda _folder: Loaded(model, preprocess), fit_command="freerein fit reward X")
+        await models.start()
+        goals = GoalCache(CACHE_BYTES)
+        batchers.append(Batcher(Inference(goals).run, queue=64, batch=8, metrics=Metrics()))
+        return Rewarder(models, batchers[-1], goals, timeout_s=10.0)
+
+    yield begin
+    for batcher in batchers:
+        batcher.close()
+
+
+def frames(*colours: str, side: int = 3) -> npt.NDArray[np.uint8]:
+    """Returns a frame of each colour, uint8 (N, side, side, 3)."""
+    pure = np.array([[255 * (colour == known) for known in COLOURS] for colour in colours], np.uint8)
+    return np.broadcast_to(pure[:, None, None], (len(colours), side, side, 3)).copy()
+
+
+async def test_a_frame_is_rewarded_where_the_goal_text_beats_every_rival(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    request = RewardRequest("red", {"top": frames("red", "green", "blue")}, rivals=("green", "blue"))
+
+    answer = await rewarder.reward(request)
+
+    np.testing.assert_array_equal(answer.rewards, np.float32([1, 0, 0]))
+    np.testing.assert_array_equal(answer.winners, [0, 1, 2])
+    np.testing.assert_allclose(answer.similarities, [1, 0, 0], atol=0.01)
+    assert answer.texts == ("red", "green", "blue")
+
+
+async def test_a_tie_is_no_win_so_that_a_goal_that_says_nothing_is_never_reached(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+
+    answer = await rewarder.reward(RewardRequest("a thing", {"top": frames("red")}, rivals=("another",)))
+
+    assert (answer.rewards[0], answer.winners[0]) == (0.0, 1)
+
+
+async def test_rivals_are_the_other_relations_where_none_are_sent(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+
+    answer = await rewarder.reward(RewardRequest("red on top of blue", {"top": frames("red")}))
+
+    assert answer.texts[0] == "red on top of blue"
+    assert "red below blue" in answer.texts[1:]
+
+
+async def test_a_goal_text_without_relation_needs_rivals_or_the_raw_similarity(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    with pytest.raises(InvalidInput, match="rivals") as caught:
+        await rewarder.reward(RewardRequest("red", {"top": frames("red")}))
+    assert "mode raw" in caught.value.hint
+
+    answer = await rewarder.reward(RewardRequest("red", {"top": frames("red", "green")}, mode="raw"))
+
+    np.testing.assert_array_equal(answer.rewards, answer.similarities)
+    np.testing.assert_array_equal(answer.winners, [0, 0])
+    assert answer.texts == ("red",)
+
+
+async def test_cameras_are_told_apart_by_name_whatever_their_sizes_and_order(start: Start) -> None:
+    rewarder = await start(Colours("front", "left"))
+    views = {"other": frames("blue"), "left": frames("green", side=5), "front": frames("red")}
+    encoded = tuple(images.encode(views[camera][0], camera=camera) for camera in ("left", "other", "front"))
+
+    for sent in ({"frames": views}, {"images": encoded}):
+        answer = await rewarder.reward(RewardRequest("red green", rivals=("blue",), mode="raw", **sent))
+        assert answer.similarities[0] == pytest.approx(1.0, abs=0.01)
+
+
+async def test_images_of_a_camera_are_in_order_of_time(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    shown = frames("red", "green", "red", "blue")
+    nameless = tuple(images.encode(frame) for frame in shown)
+
+    answer = await rewarder.reward(RewardRequest("red", images=nameless, rivals=("green", "blue")))
+
+    np.testing.assert_array_equal(answer.rewards, np.float32([1, 0, 1, 0]))
+
+
+TOP = {"top": frames("red")}
+BOTH = {"front": frames("red", "red"), "left": frames("red")}
+REFUSED: dict[str, tuple[tuple[str, ...], dict[str, Any], type[ServiceError], str]] = {
+    "neither": (("top",), {}, InvalidInput, "neither"),
+    "both": (("top",), {"frames": TOP, "images": (images.encode(frames("red")[0]),)}, InvalidInput, "both"),
+    "a camera is missing": (("front", "left"), {"frames": {"front": frames("red")}}, InvalidInput, "none is left"),
+    "another camera": (("front",), {"frames": {"back": frames("red")}}, InvalidInput, "none is front"),
+    "unequal counts": (("front", "left"), {"frames": BOTH}, InvalidInput, "2 of front, 1 of left"),
+    "no frames": (("top",), {"frames": {"top": frames("red")[:0]}}, InvalidInput, "N at least 1"),
+    "floats": (("top",), {"frames": {"top": np.zeros((1, 2, 2, 3), np.float32)}}, InvalidInput, "float32"),
+    "too many": (("top",), {"frames": {"top": np.zeros((20_001, 1, 1, 1), np.uint8)}}, TooLarge, "20000"),
+    "an empty goal": (("top",), {"frames": TOP, "goal_text": ""}, InvalidInput, "1 to 2000"),
+    "a white goal": (("top",), {"frames": TOP, "goal_text": " \u2003\n"}, InvalidInput, "white space"),
+    "a long goal": (("top",), {"frames": TOP, "goal_text": "a" * 2001}, InvalidInput, "got 2001"),
+    "a long rival": (("top",), {"frames": TOP, "rivals": ("b", "a" * 2001)}, InvalidInput, "rivals.1"),
+    "65 rivals": (("top",), {"frames": TOP, "rivals": tuple(map(str, range(65)))}, InvalidInput, "64"),
+    "itself": (("top",), {"frames": TOP, "rivals": ("blue", "red")}, InvalidInput, "the same"),
+    "nan": (("top",), {"frames": TOP, "goal_text": "nan", "rivals": ("a",)}, OutputNotFinite, "finite"),
+    "wrong shape": (("top",), {"frames": TOP, "goal_text": "short", "rivals": ("a",)}, ModelFault, "failed"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+async def test_what_cannot_be_rewarded_is_refused(start: Start, name: str) -> None:
+    cameras, fields, error, words = REFUSED[name]
+    rewarder = await start(Colours(*cameras))
+    with pytest.raises(error, match=words):
+        await rewarder.reward(RewardRequest(**{"goal_text": "red", "rivals": ("blue",), **fields}))
+
+
+async def test_lone_frames_share_a_batch_and_get_what_they_would_get_alone(start: Start) -> None:
+    model = Colours("top")
+    rewarder = await start(model)
+    colours = ("red", "green", "blue") * 10
+    requests = [RewardRequest(c, {"top": frames(c)}, rivals=("grey",), mode="raw") for c in colours]
+    alone = [await rewarder.reward(request) for request in requests]
+    model.frames_per_call.clear()
+
+    together = await asyncio.gather(*(rewarder.reward(request) for request in requests))
+
+    assert sum(model.frames_per_call) == len(requests)
+    assert max(model.frames_per_call) > 1
+    assert {answer.timing.batch_size for answer in together} >= {max(model.frames_per_call)}
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_allclose(one.rewards, other.rewards, atol=1e-5)
+
+
+async def test_a_request_of_several_frames_is_never_merged_and_runs_in_bounded_parts(start: Start) -> None:
+    model = Colours("top")
+    rewarder = await start(model)
+    several = RewardRequest("red", {"top": frames(*["red"] * 100)}, rivals=("blue",))
+
+    answers = await asyncio.gather(*(rewarder.reward(several) for _ in range(4)))
+
+    assert sorted(model.frames_per_call) == [36] * 4 + [64] * 4
+    assert all(answer.rewards.shape == (100,) and answer.timing.batch_size == 1 for answer in answers)
+
+
+async def test_a_poisonous_text_fails_alone_in_its_batch(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    texts = ("red", "nan", "green") * 5
+    requests = [RewardRequest(text, {"top": frames("red")}, mode="raw") for text in texts]
+
+    answers = await asyncio.gather(*map(rewarder.reward, requests), return_exceptions=True)
+
+    assert [isinstance(answer, OutputNotFinite) for answer in answers] == [text == "nan" for text in texts]
+
+
+async def test_a_goal_is_embedded_once_for_both_calls(start: Start) -> None:
+    model = Colours("top")
+    rewarder = await start(model)
+
+    answers = [await rewarder.embed_goal(EmbedGoalRequest("a long text about red")) for _ in range(3)]
+    await rewarder.reward(RewardRequest("a long text about red", {"top": frames("red")}, mode="raw"))
+
+    assert model.read == ["a long text about red"]
+    assert [answer.timing.infer_ns > 0 for answer in answers] == [True, False, False]
+    assert all(np.linalg.norm(answer.embedding) == pytest.approx(1.0) for answer in answers)
+    assert all((answer.truncated, answer.unknown_words) == (True, 4) for answer in answers)
+
+
+async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+
+    timing = (await rewarder.reward(RewardRequest("red", {"top": frames("red")}, mode="raw"))).timing
+
+    parts = (timing.queue_ns, timing.decode_ns, timing.infer_ns, timing.encode_ns)
+    assert min(parts) >= 0
+    assert sum(parts) == timing.total_ns
+
+
+async def test_a_model_of_the_other_kind_is_refused(start: Start) -> None:
+    class Grounding:
+        def ground(self, _images: object, _phrases: object) -> None: ...
+
+    rewarder = await start(Grounding())
+    with pytest.raises(InvalidInput, match=r"must name a reward model; default \w+ is a grounding model"):
+        await rewarder.embed_goal(EmbedGoalRequest("red", ModelRef("default")))

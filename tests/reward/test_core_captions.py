@@ -1,0 +1,22 @@
+"""Captions of what a grounding model found."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from freerein_reward.core.captions import captions
+
+PHRASES = ("a red block", "a blue block", "a cat")
+
+
+def test_each_ordered_pair_of_things_that_are_shown_is_told_of() -> None:
+    found = SimpleNamespace(
+        heatmaps=np.zeros((2, 3, 4, 4), np.float32),
+        x=np.array([[0.5, 0.5, 0.1], [0.2, 0.8, 0.5]]),
+        y=np.array([[0.4, 0.5, 0.1], [0.5, 0.5, 0.5]]),
+        presence=np.array([[0.9, 0.9, 0.1], [0.9, 0.1, 0.1]]),
+    )
+
+    told = captions(found, PHRASES, epsilon=0.1)
+
+    assert told == [("a red block on top of a blue block", "a blue block below a red block"), ()]

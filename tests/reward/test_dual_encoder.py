@@ -1,0 +1,107 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein_reward.model import DualEncoder, DualEncoderSpec, Preprocess, RewardModel
+from freerein_reward.model.image_tower import AttentionPool, PlacePool
+
+SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), heads=4, hidden=32)
+
+
+@pytest.fixture(scope="module")
+def network() -> DualEncoder:
+    made = DualEncoder(SPEC)
+    weights.draw(made, generator=torch.Generator().manual_seed(0))
+    return made
+
+
+@pytest.fixture(scope="module")
+def model(network: DualEncoder) -> RewardModel:
+    return RewardModel(network)
+
+
+def test_an_image_alone_or_in_a_batch_has_the_same_embedding(model: RewardModel) -> None:
+    frames = np.random.default_rng(0).integers(0, 256, size=(33, 64, 64, 3), dtype=np.uint8)
+    together = model.embed_images({"front": frames})
+    alone = np.concatenate([model.embed_images({"front": frame[None]}) for frame in frames])
+    assert np.abs(together - alone).max() < 1e-5
+
+
+def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: RewardModel) -> None:
+    together, _ = model.embed_texts(["a red block", "red " * 100])
+    alone, _ = model.embed_texts(["a red block"])
+    assert np.abs(together[0] - alone[0]).max() < 1e-5
+
+
+def test_two_views_are_averaged() -> None:
+    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), heads=4, hidden=32))
+    weights.draw(two, generator=torch.Generator().manual_seed(0))
+    frames = np.random.default_rng(0).integers(0, 256, size=(2, 3, 64, 64, 3), dtype=np.uint8)
+    there = RewardModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
+    back = RewardModel(two).embed_images({"front": frames[1], "tilt": frames[0]})
+    assert np.abs(there - back).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: np.zeros((64, 64, 3), np.uint8),
+        lambda: np.full((64, 64, 1), 255, np.uint8),
+        lambda: np.full((1, 1, 3), 7, np.uint8),
+        lambda: np.zeros((1, 4096, 1), np.uint8),
+        lambda: np.full((4096, 2, 3), 200, np.uint8),
+    ],
+)
+def test_any_image_has_a_finite_embedding_of_length_1(
+    model: RewardModel, make: Callable[[], np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]
+) -> None:
+    view = Preprocess(SPEC.side)(make())
+    embedding = model.embed_images({"front": view[None]})
+    assert (str(view.dtype), view.shape) == ("uint8", (64, 64, 3))
+    assert np.linalg.norm(embedding) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_scale_of_cosines_is_100_at_most(network: DualEncoder) -> None:
+    with torch.no_grad():
+        before = network.temperature.log_scale.clone()
+        network.temperature.log_scale.fill_(10.0)
+        assert network.temperature(torch.ones(())).item() == pytest.approx(100.0)
+        network.temperature.log_scale.copy_(before)
+
+
+def test_attention_with_one_question_is_attention() -> None:
+    """Keys and values are never computed cell by cell; here they are."""
+    pool = AttentionPool(channels=64, features=32)
+    weights.draw(pool, generator=torch.Generator().manual_seed(0))
+    maps = torch.rand(2, 64, 16, 16, generator=torch.Generator().manual_seed(1))
+    cells = maps.flatten(start_dim=2).transpose(1, 2)
+    mean = cells.mean(dim=1, keepdim=True)
+    tokens = torch.cat([mean, cells], dim=1)
+    query, key, value = (
+        part.unflatten(2, (4, 16)).transpose(1, 2) for part in (pool.query(mean), pool.key(tokens), pool.value(tokens))
+    )
+    expected = torch.nn.functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(start_dim=1)
+    assert torch.allclose(pool(maps), pool.out(expected), atol=1e-5)
+
+
+def test_a_head_says_where_it_found_its_thing_or_that_it_is_nowhere() -> None:
+    pool = PlacePool(channels=2, heads=2, hidden=8, features=8)
+    with torch.no_grad():
+        pool.ask.weight.copy_(torch.eye(2))
+        pool.ask.bias.fill_(-50.0)
+    maps = torch.zeros(1, 2, 16, 16)
+    maps[0, 0, 0, 12] = 100.0  # the first channel is strong in the first row and column 12 of 16
+
+    found = pool.find(maps)[0]
+
+    assert found[0].tolist() == pytest.approx([1 / 16 - 1, 25 / 16 - 1, 1.0], abs=1e-5)
+    assert found[1].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_a_spec_with_an_odd_size_is_refused() -> None:
+    with pytest.raises(InvalidInput):
+        DualEncoderSpec(cameras=("front",), vocabulary=("a",), side=63)

@@ -1,0 +1,84 @@
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from freerein.errors import InvalidInput
+from freerein.learning import exports
+from freerein.serving.models import ModelStore
+from freerein.types.common import ModelRef
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel, load, load_grounding
+from freerein_reward.training import objects
+
+SHIPPED = Path(__file__).parents[2] / "models" / "reward"
+PHRASES = ("a red block", "a blue block", "a yellow block")
+
+
+@pytest.fixture(scope="module")
+def model() -> GroundingModel:
+    store = ModelStore(SHIPPED)
+    return load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+
+
+def picture(*squares: tuple[int, int, tuple[int, int, int]]) -> npt.NDArray[np.uint8]:
+    """Returns a gray picture with squares, 8 pixels wide: x and y of each one's middle, and its colour."""
+    frame = np.full((64, 64, 3), 110, np.uint8)
+    for x, y, colour in squares:
+        frame[y - 4 : y + 4, x - 4 : x + 4] = colour
+    return frame
+
+
+RED, BLUE = (220, 25, 20), (25, 75, 235)
+
+
+def test_what_is_named_is_found_where_it_is(model: GroundingModel) -> None:
+    found = model.ground(picture((15, 40, RED), (45, 20, BLUE))[None], PHRASES)
+    assert np.abs(64 * found.x[0, :2] - [15, 45]).max() < 3
+    assert np.abs(64 * found.y[0, :2] - [40, 20]).max() < 3
+
+
+def test_what_is_not_there_is_said_not_to_be(model: GroundingModel) -> None:
+    found = model.ground(picture((15, 40, RED), (45, 20, BLUE))[None], PHRASES)
+    assert (found.presence[0] >= 0.5).tolist() == [True, True, False]
+
+
+def test_heat_is_in_0_to_1_and_finite_whatever_is_shown(model: GroundingModel) -> None:
+    images = np.stack([picture(), np.zeros((64, 64, 3), np.uint8), np.full((64, 64, 3), 255, np.uint8)])
+    for phrases in (PHRASES, ("a red block",)):
+        found = model.ground(images, phrases)
+        assert found.heatmaps.shape == (3, len(phrases), 16, 16)
+        assert found.heatmaps.min() >= 0.0
+        assert found.heatmaps.max() <= 1.0
+        assert np.isfinite(np.stack([found.x, found.y, found.presence])).all()
+        assert ((found.x >= 0) & (found.x <= 1) & (found.y >= 0) & (found.y <= 1)).all()
+
+
+def test_an_image_alone_or_in_a_batch_is_read_alike(model: GroundingModel) -> None:
+    images = np.stack([objects.draw(np.random.default_rng(seed))[0] for seed in range(70)])
+    together, alone = model.ground(images, PHRASES), model.ground(images[-1:], PHRASES)
+    assert np.abs(together.heatmaps[-1:] - alone.heatmaps).max() < 1e-4
+    assert np.abs(together.x[-1] - alone.x[0]).max() < 1e-4
+
+
+def test_captions_of_objects_name_no_place_and_no_relation() -> None:
+    rng = np.random.default_rng(0)
+    said = {word for _ in range(500) for word in objects.caption(objects.draw(rng)[1], rng)[0].split()}
+    assert said <= set(objects.VOCABULARY)
+    assert len(objects.COLOURS) >= 10
+    assert {"red", "green", "yellow", "blue"} < set(objects.COLOURS)
+
+
+def test_a_caption_is_true_of_what_it_was_made_from() -> None:
+    rng = np.random.default_rng(1)
+    shown = objects.Attributes("red", "block", "small")
+    assert all(
+        said is not None and said.describes(shown) for _, said in (objects.caption(shown, rng) for _ in range(50))
+    )
+    assert not objects.Attributes("blue").describes(shown)
+
+
+def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
+    exports.export(DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a",))), tmp_path, card={})
+    with pytest.raises(InvalidInput, match="kind"):
+        load(tmp_path, "cpu")

@@ -1,0 +1,72 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freerein.data.spec import DatasetSpec
+from freerein.data.writer import create
+from freerein.errors import InvalidInput
+from freerein.serving.models import ModelStore
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein_reward import fit
+from freerein_reward.model import RewardModel, load
+
+SHIPPED = Path(__file__).parents[2] / "models" / "reward"
+FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden": 16}
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path) -> Path:
+    """Returns a data directory with a dataset of red and blue squares, `squares`."""
+    rng = np.random.default_rng(0)
+    action = ActionSpec(size=1, choices=0, names=("x",), unit="m", scale=(1.0,))
+    root = tmp_path / "datasets" / "squares"
+    root.parent.mkdir()
+    with create(root, DatasetSpec(fps=10, cameras={"front": (64, 64, 3)}, action=action, robot_type="none")) as writer:
+        for _ in range(4):
+            frames = np.full((3, 64, 64, 3), 110, np.uint8)
+            for frame in frames:
+                red, blue = rng.integers(8, 56, size=2)
+                frame[20:28, red - 4 : red + 4] = (220, 25, 20)
+                frame[40:48, blue - 4 : blue + 4] = (25, 75, 235)
+            writer.append(Trajectory(frames={"front": frames}, actions=np.zeros((3, 1), np.float32), skills=()))
+    return tmp_path
+
+
+def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone(data_dir: Path) -> None:
+    store = ModelStore(SHIPPED)
+    version = store.active_version("grounding")
+    folder = data_dir / "work"
+    folder.mkdir()
+    config = fit.resolve(data_dir, "squares", FAST, threads=1)
+    (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
+    arguments = [str(folder), str(data_dir), "cpu", str(store.folder(ModelRef("grounding", version)))]
+    command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.wait(timeout=50) == 0, child.communicate()[1]
+    model, _ = load(folder / "model", "cpu")
+    assert isinstance(model, RewardModel)
+    assert model.cameras == ("front",)
+    card = json.loads((folder / "model" / "card.json").read_bytes())
+    assert (card["kind"], card["grounding"]) == ("reward", version)
+    assert "agreement" in card["figures"]
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)
+
+
+def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:
+    config = fit.resolve(data_dir, "squares", {}, threads=2)
+    assert (config["cameras"], config["threads"]) == (("front",), 2)
+    assert len(config["phrases"]) == 4
+
+
+@pytest.mark.parametrize(
+    "phrases",
+    [["a red block"], ["a red block", "a red block"], ["a red block", " "], ["a red block", "a hat on a stick"]],
+)
+def test_phrases_must_be_different_and_name_things_only(data_dir: Path, phrases: list[str]) -> None:
+    with pytest.raises(InvalidInput, match="phrases"):
+        fit.resolve(data_dir, "squares", {"phrases": phrases}, threads=1)

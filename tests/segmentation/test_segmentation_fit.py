@@ -1,0 +1,45 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data.layout import SPEC_FILE
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec, Trajectory
+from freerein_segmentation import fit
+
+ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
+
+
+def record(data_dir: Path, name: str, *, width: int = 12) -> Path:
+    """Records two demonstrations of two skills; returns the dataset's folder."""
+    root = dataset_path(data_dir, name)
+    cameras = {"front": (8, width, 3)}
+    spec = DatasetSpec(fps=25, cameras=cameras, action=ACTION, robot_type="test", skills=("pick", "push"))
+    with create(root, spec) as writer:
+        for _ in range(2):
+            frames = {"front": np.zeros((3, 8, width, 3), np.uint8)}
+            writer.append(Trajectory(frames, np.zeros((3, 2), np.float32), ("pick", "push")))
+    return root
+
+
+def test_a_configuration_names_the_only_camera_and_every_default(tmp_path: Path) -> None:
+    record(tmp_path, "demos")
+    config = fit.resolve(tmp_path, "demos", {"steps": 3}, threads=2)
+    assert (config["camera"], config["steps"], config["threads"]) == ("front", 3, 2)
+
+
+def test_frames_that_no_network_is_made_for_are_refused_before_a_fit_begins(tmp_path: Path) -> None:
+    record(tmp_path, "wide", width=1280)
+    with pytest.raises(InvalidInput, match=r"`width` must be in .4, 1024.; got 1280") as error:
+        fit.resolve(tmp_path, "wide", {}, threads=1)
+    assert "recorded anew" in error.value.hint
+
+
+def test_a_tag_that_is_no_skill_of_the_dataset_is_refused(tmp_path: Path) -> None:
+    path = record(tmp_path, "demos") / SPEC_FILE
+    path.write_text(json.dumps({**json.loads(path.read_text()), "skills": ["pick"]}))
+    with pytest.raises(InvalidInput, match="1 tags are others"):
+        fit.resolve(tmp_path, "demos", {}, threads=1)
