@@ -98,6 +98,7 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
     started: list[Faulty] = []
 
     def start(data_dir: Path | None = None, *, script: str = "faulty_service.py", **environ: str) -> Faulty:
+        environ["FREEREIN_SHIPPED_DIR"] = "none"  # the scripts load no other models than theirs
         service = start_module_service(str(Path(__file__).with_name(script)), data_dir, **environ)
         token = environ.get("FREEREIN_TOKEN", "")
         headers = {"authorization": f"Bearer {token}"} if token else {}

@@ -16,7 +16,6 @@ import PIL.Image
 import pytest
 
 pytestmark = pytest.mark.e2e
-UNTRAINED = str(Path(__file__).parents[1] / "reward" / "untrained_service.py")
 GOAL = "a red block on top of a yellow block"
 StartService = Callable[..., Any]
 
@@ -32,8 +31,8 @@ def opened(service: Any) -> Iterator[httpx.Client]:
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: StartService) -> Iterator[httpx.Client]:
-    """The REST door of the service with an untrained reward model; no image may make it log a fault."""
-    service = start_module_service(UNTRAINED)
+    """The REST door of the service with the models that come with it; no image may make it log a fault."""
+    service = start_module_service("freerein_reward")
     with opened(service) as client:
         yield client
     assert not re.search(r'"event": "bug"|the model failed|Traceback', service.log.read_text())
@@ -97,13 +96,13 @@ def test_the_reward_is_the_same_alone_together_among_others_and_after_a_restart(
     start_service: StartService, tmp_path: Path
 ) -> None:
     images = [png(RNG.integers(0, 255, (64, 64, 3), np.uint8)) for _ in range(32)]
-    with opened(first := start_service(UNTRAINED, tmp_path)) as client:
+    with opened(first := start_service("freerein_reward", tmp_path)) as client:
         alone = [ask(client, image, mode="raw")["rewards"][0] for image in images]
         together = ask(client, *images, mode="raw")["rewards"]
         with ThreadPoolExecutor(16) as pool:
             merged = list(pool.map(lambda image: ask(client, image, mode="raw"), images))
         assert first.stop() == 0
-    with opened(start_service(UNTRAINED, tmp_path)) as client:
+    with opened(start_service("freerein_reward", tmp_path)) as client:
         again = [ask(client, image, mode="raw")["rewards"][0] for image in images]
 
     assert again == alone

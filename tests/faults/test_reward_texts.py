@@ -4,7 +4,6 @@ import base64
 import re
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -17,15 +16,14 @@ from freerein_reward.model.tokenizer import MAX_TOKENS, Tokenizer
 from freerein_reward.relations import rivals
 
 pytestmark = pytest.mark.e2e
-UNTRAINED = str(Path(__file__).parents[1] / "reward" / "untrained_service.py")
 MOST = 2_000
 LONGEST_TOKENISING_S = 0.02
 
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: Callable[..., Any]) -> Iterator[httpx.Client]:
-    """The REST door of the service with an untrained reward model; no text may make it log a fault."""
-    service = start_module_service(UNTRAINED)
+    """The REST door of the service with the models that come with it; no text may make it log a fault."""
+    service = start_module_service("freerein_reward")
     with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
         wait_until_ready(client)
         yield client
