@@ -1,0 +1,91 @@
+"""What a training by PPO may choose."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded, parse
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Everything that a training may choose; the defaults suit frames, and rewards of 0 and 1.
+
+    Attributes:
+        iterations: Times that experience is collected and learnt from.
+        num_envs: Environments that step together.
+        steps: Timesteps of each environment per iteration.
+        epochs: Times that each timestep is learnt from.
+        batch_size: Timesteps per update. It divides `num_envs * steps`; with a memory, whole sequences are learnt from,
+            and it is a multiple of `steps`.
+        learning_rate: Of Adam, before the first update; it falls to zero as half a cosine.
+        discount: Of rewards, per timestep (gamma).
+        trace_decay: Between one-step advantages, 0, and whole returns, 1 (lambda).
+        clip: How far the probability of an action may move from 1, as a ratio, before its gradient is cut off.
+        entropy_weight: Of the entropy, which is raised.
+        value_weight: Of the value's squared error.
+        is_recurrent: Whether the networks have a memory.
+        scale_rewards: Whether rewards are divided by the running spread of their discounted sums.
+        features: Image features.
+        hidden: Units of each hidden layer, and of the memory.
+        log_std: Of continuous actions, before the first update.
+        seed: Of every random draw of the learner; environments have their own.
+        threads: Of torch on the CPU.
+
+    Raises:
+        InvalidInput: `batch_size` does not divide what is collected.
+    """
+
+    iterations: int = bounded(100, least=1, most=1_000_000)
+    num_envs: int = bounded(8, least=1, most=1024)
+    steps: int = bounded(256, least=2, most=65_536)
+    epochs: int = bounded(4, least=1, most=100)
+    batch_size: int = bounded(256, least=2, most=1_048_576)
+    learning_rate: float = bounded(3e-4, least=1e-7, most=1.0)
+    discount: float = bounded(0.98, least=0.0, most=1.0)
+    trace_decay: float = bounded(0.95, least=0.0, most=1.0)
+    clip: float = bounded(0.2, least=0.01, most=1.0)
+    entropy_weight: float = bounded(0.005, least=0.0, most=1.0)
+    value_weight: float = bounded(0.5, least=0.0, most=10.0)
+    is_recurrent: bool = False
+    scale_rewards: bool = False
+    features: int = bounded(128, least=8, most=1024)
+    hidden: int = bounded(64, least=2, most=1024)
+    log_std: float = bounded(-0.5, least=-5.0, most=2.0)
+    seed: int = bounded(0, least=0, most=2**31 - 1)
+    threads: int = bounded(1, least=1, most=256)
+
+    def __post_init__(self) -> None:
+        collected = self.num_envs * self.steps
+        whole = self.steps if self.is_recurrent else 1
+        if collected % self.batch_size or self.batch_size % whole:
+            raise InvalidInput(
+                f"`batch_size` must divide num_envs * steps = {collected} and be a multiple of {whole}; "
+                f"got {self.batch_size}.",
+                field="batch_size",
+                hint=f"Choose {collected // next(n for n in (4, 2, 1) if self.num_envs % n == 0)}.",
+            )
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, object]) -> "PPOConfig":
+        """Returns the configuration that `values` describe; what is left out has its default.
+
+        Raises:
+            InvalidInput: A key is unknown, a value is of the wrong type or out of bounds, or two do not fit together.
+        """
+        return parse(cls, values)
+
+    @property
+    def sequence(self) -> int:
+        """Timesteps that are learnt from together and in order: a rollout's with a memory, else 1."""
+        return self.steps if self.is_recurrent else 1
+
+    @property
+    def sequences(self) -> int:
+        """Sequences per iteration."""
+        return self.num_envs * self.steps // self.sequence
+
+    @property
+    def updates(self) -> int:
+        """Updates per iteration."""
+        return self.epochs * self.num_envs * self.steps // self.batch_size

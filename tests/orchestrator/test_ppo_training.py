@@ -1,0 +1,275 @@
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.learning import checkpoints, tensor_files, weights
+from freerein_orchestrator import ppo_training
+from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.ppo_config import PPOConfig
+from freerein_orchestrator.ppo_training import PPOTraining
+from freerein_orchestrator.reward_scale import RewardScale
+from freerein_orchestrator.rollout import Actions, Environments, Observations, Standing, Step, collect
+
+CPU = torch.device("cpu")
+FRAME = (12, 12, 1)
+FRAMES = PPOConfig(
+    iterations=12, num_envs=8, steps=32, batch_size=64, learning_rate=2e-3, discount=0.5, features=16, hidden=16
+)
+
+
+class DotEnvironments:
+    """A dot at the left or the right of a frame moves at random; an action towards its side is worth 1, others 0.
+
+    Episodes end by chance, or are cut off after 10 timesteps.
+    """
+
+    def __init__(self, num_envs: int, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._is_right = np.zeros(num_envs, np.bool_)
+        self._ages = np.zeros(num_envs, np.int64)
+
+    @property
+    def num_envs(self) -> int:
+        return len(self._ages)
+
+    def reset(self) -> Observations:
+        self._ages[:] = 0
+        return self._move()
+
+    def step(self, actions: Actions) -> Step:
+        rewards = ((actions[:, 0] > 0) == self._is_right).astype(np.float32)
+        self._ages += 1
+        terminated, truncated = self._rng.random(self.num_envs) < 0.05, self._ages >= 10
+        final = self._move()
+        self._ages[terminated | truncated] = 0
+        return Step(self._move(), rewards, terminated, truncated, final)
+
+    def snapshot(self) -> bytes:
+        state = self._rng.bit_generator.state, self._is_right.tolist(), self._ages.tolist()
+        return json.dumps(state).encode()
+
+    def restore(self, snapshot: bytes) -> None:
+        self._rng.bit_generator.state, is_right, ages = json.loads(snapshot)
+        self._is_right, self._ages = np.array(is_right), np.array(ages)
+
+    def _move(self) -> Observations:
+        self._is_right = self._rng.random(self.num_envs) < 0.5
+        frames = self._rng.integers(90, 110, (self.num_envs, *FRAME), np.uint8)
+        frames[np.arange(self.num_envs), 4:8, np.where(self._is_right, 9, 2)] = 255
+        return frames
+
+
+def begin(config: PPOConfig, environments: Environments) -> PPOTraining:
+    return ppo_training.begin(config, ppo_training.design(config, observation=FRAME), environments, device=CPU)
+
+
+def test_what_to_do_is_learnt_from_frames() -> None:
+    environments = DotEnvironments(8, seed=0)
+    training, rewards = begin(FRAMES, environments), []
+    for _ in range(FRAMES.iterations):
+        training, metrics = ppo_training.iterate(training, environments)
+        rewards.append(metrics["episode_return"] / metrics["episode_length"])
+    assert training.iteration == FRAMES.iterations
+    assert rewards[0] < 0.65
+    assert rewards[-1] > 0.9
+
+
+@pytest.mark.parametrize("is_recurrent", [False, True])
+def test_a_training_killed_between_any_two_iterations_ends_at_the_same_bits(tmp_path: Path, is_recurrent: bool) -> None:
+    config = replace(FRAMES, is_recurrent=is_recurrent, scale_rewards=True)
+    environments = DotEnvironments(8, seed=0)
+    training = begin(config, environments)
+    for iteration in range(4):
+        taken = ppo_training.snapshot(training, environments=environments.snapshot())
+        checkpoints.save(tmp_path / str(iteration), taken)
+        training, _ = ppo_training.iterate(training, environments)
+
+    for iteration in range(4):
+        again = _finish(config, tmp_path / str(iteration), iterations=4)
+        assert weights.sha256(again.network) == weights.sha256(training.network)
+        assert _digest(again) == _digest(training)
+
+
+def _finish(config: PPOConfig, folder: Path, *, iterations: int) -> PPOTraining:
+    """Returns a training gone on with from a checkpoint, by objects of its own."""
+    found, environments = (
+        checkpoints.newest(folder, on_corrupt=lambda *_: pytest.fail("damaged")),
+        DotEnvironments(8, seed=99),
+    )
+    assert found is not None
+    spec = ppo_training.design(config, observation=FRAME)
+    training, state = ppo_training.restore(found, config, spec, device=CPU)
+    environments.restore(state)
+    while training.iteration < iterations:
+        training, _ = ppo_training.iterate(training, environments)
+    return training
+
+
+def _digest(training: PPOTraining) -> str:
+    """Returns the sha256 of the complete state."""
+    snapshot = ppo_training.snapshot(training)
+    document = json.dumps(dict(snapshot.document), sort_keys=True).encode()
+    return hashlib.sha256(tensor_files.dump(snapshot.tensors) + document).hexdigest()
+
+
+def test_an_iteration_whose_rewards_are_not_finite_is_refused_and_rolled_back_to_the_same_bits() -> None:
+    class Broken(DotEnvironments):
+        def step(self, actions: Actions) -> Step:
+            step = super().step(actions)
+            return replace(step, rewards=np.full_like(step.rewards, np.nan)) if self._ages.max() == 9 else step
+
+    whole, broken = DotEnvironments(8, seed=0), Broken(8, seed=0)
+    training = begin(FRAMES, whole)
+    before, state = ppo_training.snapshot(training), whole.snapshot()
+    broken.restore(state)
+    with pytest.raises(InvalidInput, match="finite reward"):
+        ppo_training.iterate(training, broken)
+    again, _ = ppo_training.restore(before, FRAMES, training.network.spec, device=CPU)
+    whole.restore(state)
+    undisturbed = begin(FRAMES, other := DotEnvironments(8, seed=0))
+    assert _digest(ppo_training.iterate(again, whole)[0]) == _digest(ppo_training.iterate(undisturbed, other)[0])
+
+
+def test_a_snapshot_is_not_restored_to_another_configuration() -> None:
+    training = begin(FRAMES, DotEnvironments(8, seed=0))
+    snapshot = ppo_training.snapshot(training)
+    with pytest.raises(FailedPrecondition, match=r"clip was 0\.2 and is 0\.3"):
+        ppo_training.restore(snapshot, replace(FRAMES, clip=0.3), training.network.spec, device=CPU)
+
+
+class ScriptedEnvironments:
+    """Three environments, rewards of 1: the first ends at timestep 2, the second is cut off there, the third both."""
+
+    num_envs = 3
+
+    def __init__(self) -> None:
+        self._rng, self._t = np.random.default_rng(0), 0
+        self.final = self.reset()
+
+    def reset(self) -> Observations:
+        return self._rng.standard_normal((3, 2), np.float32)
+
+    def step(self, actions: Actions) -> Step:
+        is_over = np.full(3, self._t == 2)
+        self._t += 1
+        self.final = self.reset() if self._t <= 3 else self.final
+        terminated, truncated = is_over & [True, False, True], is_over & [False, True, True]
+        return Step(self.reset(), np.ones(3, np.float32), terminated, truncated, self.final)
+
+
+@pytest.mark.parametrize("is_recurrent", [False, True])
+def test_an_episode_cut_off_is_worth_what_it_would_have_gone_on_to_and_one_at_its_end_nothing(
+    is_recurrent: bool,
+) -> None:
+    network, environments = (
+        ActorCritic(ActorCriticSpec(vector_size=2, is_recurrent=is_recurrent)),
+        ScriptedEnvironments(),
+    )
+    generator = torch.Generator().manual_seed(0)
+    weights.draw(network, generator=generator)
+    standing = Standing.begin(environments.reset(), network.spec, scale=None)
+    rollout, after = collect(network, environments, standing, steps=5, discount=0.9, generator=generator)
+
+    lived = torch.cat([rollout.observations[:3], torch.from_numpy(environments.final)[None]])
+    starts = torch.zeros(4, 3, dtype=torch.bool)
+    with torch.no_grad():
+        beyond = network(lived, starts, standing.memory).values[3, 1]
+    expected = torch.ones(5, 3)
+    expected[2, 1] += 0.9 * beyond
+    torch.testing.assert_close(rollout.rewards, expected)
+    assert rollout.ends.tolist() == [[t == 2] * 3 for t in range(5)]
+    assert rollout.starts.tolist() == [[t in (0, 3)] * 3 for t in range(5)]
+    assert (rollout.returns.tolist(), rollout.lengths.tolist()) == ([3.0] * 3, [3] * 3)
+    assert after.lengths.tolist() == [2] * 3
+
+
+class CueEnvironments:
+    """A cue, +1 or -1, is seen once; three timesteps later naming it is worth 1, anything else 0."""
+
+    def __init__(self, num_envs: int, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._cues, self._t = np.zeros(num_envs), 0
+
+    @property
+    def num_envs(self) -> int:
+        return len(self._cues)
+
+    def reset(self) -> Observations:
+        self._cues, self._t = self._rng.choice([-1.0, 1.0], self.num_envs), 0
+        return self._seen()
+
+    def step(self, actions: Actions) -> Step:
+        is_last, self._t = self._t == 3, self._t + 1
+        rewards = (is_last & ((actions[:, 0] == 1) == (self._cues > 0))).astype(np.float32)
+        seen = self.reset() if is_last else self._seen()
+        return Step(seen, rewards, np.full(self.num_envs, is_last), np.zeros(self.num_envs, np.bool_), seen)
+
+    def _seen(self) -> Observations:
+        cues = self._cues if self._t == 0 else np.zeros_like(self._cues)
+        return np.stack([cues, np.full_like(cues, self._t == 3)], axis=1).astype(np.float32)
+
+
+@pytest.mark.parametrize(("is_recurrent", "least", "most"), [(True, 0.95, 1.0), (False, 0.3, 0.7)])
+def test_what_must_be_remembered_is_learnt_with_a_memory_only(is_recurrent: bool, least: float, most: float) -> None:
+    config = PPOConfig(
+        iterations=25,
+        num_envs=16,
+        steps=16,
+        batch_size=64,
+        learning_rate=1e-2,
+        hidden=16,
+        is_recurrent=is_recurrent,
+    )
+    environments = CueEnvironments(16, seed=0)
+    spec = ppo_training.design(config, observation=(2,), action_choices=2)
+    training, returns = ppo_training.begin(config, spec, environments, device=CPU), []
+    for _ in range(config.iterations):
+        training, metrics = ppo_training.iterate(training, environments)
+        returns.append(metrics["episode_return"])
+    assert least <= np.mean(returns[-3:]) <= most
+
+
+def test_a_reward_scale_does_not_depend_on_the_unit_of_rewards() -> None:
+    rng, scales = np.random.default_rng(0), [RewardScale.begin(4), RewardScale.begin(4)]
+    for _ in range(50):
+        rewards, ends = (
+            torch.from_numpy(rng.standard_normal(4).astype(np.float32)),
+            torch.from_numpy(rng.random(4) < 0.1),
+        )
+        scales = [
+            scale.observe(unit * rewards, discount=0.9).end(ends) for scale, unit in zip(scales, (1, 64), strict=True)
+        ]
+    torch.testing.assert_close(scales[0].apply(rewards), scales[1].apply(64 * rewards))
+    assert scales[0].moments[0] == 200
+
+
+def test_a_reward_scale_is_the_spread_of_all_discounted_sums() -> None:
+    rng, scale, sums, seen = np.random.default_rng(0), RewardScale.begin(4), np.zeros(4), []
+    for rewards in rng.standard_normal((50, 4)).astype(np.float32):
+        scale, sums = scale.observe(torch.from_numpy(rewards), discount=0.9), 0.9 * sums + rewards
+        seen.append(sums)
+    expected = torch.tensor([0.5]) / np.std(seen)
+    torch.testing.assert_close(scale.apply(torch.tensor([0.5])), expected.float())
+
+
+@pytest.mark.parametrize(
+    "values", [{"batch_size": 100}, {"batch_size": 128, "is_recurrent": True}, {"clip": 0.0}, {"gamma": 0.9}]
+)
+def test_a_configuration_that_cannot_be_is_refused(values: dict[str, object]) -> None:
+    assert PPOConfig.from_mapping({"steps": 64.0}).updates == 8
+    with pytest.raises(InvalidInput):
+        PPOConfig.from_mapping(values)
+
+
+def test_environments_that_do_not_fit_the_training_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="8 environments; got 4"):
+        begin(FRAMES, DotEnvironments(4, seed=0))
+    spec = ppo_training.design(FRAMES, observation=(24, 24, 1))
+    with pytest.raises(InvalidInput, match="uint8"):
+        ppo_training.begin(FRAMES, spec, DotEnvironments(8, seed=0), device=CPU)
