@@ -99,7 +99,7 @@ class ServedEnvironments:
 
     def reset(self) -> Frames:
         """Begins an episode in every environment; returns their first frames, uint8 (N, H, W, C)."""
-        return cast(Frames, self._only(self._sim.reset(ResetRequest(self._session, cameras=self._cameras)).frames))
+        return self._only(self._sim.reset(ResetRequest(self._session, cameras=self._cameras)).frames)
 
     def step(self, actions: Actions) -> Step:
         """Takes one action in every environment, and has what it came to judged."""
