@@ -1,0 +1,45 @@
+"""A run's child process that counts: `python -m toy_child FOLDER`. It waits where it is told to, once, to be killed."""
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+from freerein.durable import write_durably
+from freerein.serving.child import end_with_parent
+
+
+def main(folder: Path) -> int:
+    end_with_parent()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(save(folder)))
+    config = json.loads((folder / "config.json").read_bytes())["config"]
+    with (folder / "pids.txt").open("a") as pids:
+        pids.write(f"{os.getpid()}\n")
+    checkpoint = folder / "checkpoint.txt"
+    step = int(checkpoint.read_text()) if checkpoint.exists() else 0
+    if config.get("complaint"):
+        sys.stderr.write(config["complaint"] + "\n")
+        return 2
+    while step < config["steps"]:
+        step += 1
+        write_durably(checkpoint, b"%d" % step)
+        with (folder / "steps.txt").open("a") as steps:
+            steps.write(f"{step}\n")
+        with (folder / "metrics.jsonl").open("a") as metrics:
+            metrics.write(json.dumps({"step": step, "loss": 1 / step, "broken": float("nan")}) + "\n")
+        if step == config.get("wait_at"):
+            signal.pause()
+    if config.get("crash"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_durably(folder / "artifacts" / "count.txt", b"%d" % step)
+    return 0
+
+
+def save(folder: Path) -> int:
+    write_durably(folder / "saved.txt", b"yes")
+    return 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(Path(sys.argv[1])))

@@ -1,0 +1,87 @@
+"""An orchestrator without doors: `python toy_worker.py DATA_DIR NAME DATABASE_URL`, a JSON command a line on stdin."""
+
+import asyncio
+import json
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from freerein.errors import ServiceError
+from freerein.serving.health import Health
+from freerein_orchestrator.durable import DurableRuns
+from freerein_orchestrator.runs.attempts import Attempts
+from freerein_orchestrator.runs.core import Runs
+from freerein_orchestrator.runs.records import RunRecords, RunRequest
+
+
+async def main(data_dir: Path, name: str, url: str) -> int:
+    health, records = Health(), RunRecords(data_dir / "runs")
+    attempt = Attempts(records, {"count": "toy_child"}).make
+    durable = DurableRuns(
+        data_dir / "runs",
+        database_url=url,
+        executor_id=name,
+        attempt=attempt,
+        note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
+        takeover_s=0.3,
+    )
+    runs = Runs(records, durable, resolve=lambda kind, config: {"steps": 5, **config}, health=health)
+    try:
+        await runs.open()
+    except ServiceError as error:
+        sys.stderr.write(error.detail)
+        await runs.close()
+        return 3
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, health.drain)
+    say("open")
+    commands = asyncio.create_task(obey(runs))
+    await health.wait_for_drain()
+    commands.cancel()
+    await asyncio.wait({commands})
+    await runs.close()
+    return 0
+
+
+def say(reply: Any) -> None:
+    sys.stdout.write(json.dumps(reply) + "\n")
+    sys.stdout.flush()
+
+
+async def obey(runs: Runs) -> None:
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    pipe, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    try:
+        while line := await reader.readline():
+            command = json.loads(line)
+            try:
+                reply = await answer(runs, command.pop("do"), **command)
+            except ServiceError as error:
+                reply = {"error": type(error).__name__}
+            say(reply)
+    finally:
+        pipe.close()
+
+
+async def answer(runs: Runs, do: str, **values: Any) -> Any:
+    match do:
+        case "start":
+            return asdict(await runs.start(RunRequest("count", values["config"], values["key"])))
+        case "watch":
+            events = []
+            async for event in runs.watch(values["id"], values["start"]):
+                events.append(asdict(event))
+                if event.step >= values["until_step"]:
+                    break
+            return events
+        case "list":
+            return [asdict(run) for run in await runs.list()]
+        case _:
+            return asdict(await getattr(runs, do)(values["id"]))
+
+
+if __name__ == "__main__":
+    status = asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3]))
+    raise SystemExit(status)
