@@ -38,6 +38,19 @@ def address(service: str, environ: Mapping[str, str]) -> str:
     Raises:
         InvalidInput: There is no such service, or the variable does not hold `host:port`.
     """
+    return addresses(service, environ)[0]
+
+
+def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
+    """Returns the gRPC addresses of all replicas of a service; the variable may hold several, with commas between.
+
+    Args:
+        service: A key of `PORTS`.
+        environ: The environment, such as `os.environ`.
+
+    Raises:
+        InvalidInput: There is no such service, or the variable does not hold `host:port`.
+    """
     if service not in PORTS:
         raise InvalidInput(
             f"The service must be one of {', '.join(PORTS)}; got another name.",
@@ -45,12 +58,13 @@ def address(service: str, environ: Mapping[str, str]) -> str:
             hint="Name the service whose address you want.",
         )
     variable = f"FREEREIN_{service.upper()}_ADDRESS"
-    found = environ.get(variable) or f"127.0.0.1:{PORTS[service].grpc}"
-    host, _, port = found.rpartition(":")
-    if not (host and port.isdecimal()):
-        raise InvalidInput(
-            f"{variable} must hold host:port; got no such pair.",
-            field=variable,
-            hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc}, or unset it.",
-        )
-    return found
+    found = (environ.get(variable) or f"127.0.0.1:{PORTS[service].grpc}").split(",")
+    for each in found:
+        host, _, port = each.rpartition(":")
+        if not (host and port.isdecimal()):
+            raise InvalidInput(
+                f"{variable} must hold host:port; got no such pair.",
+                field=variable,
+                hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc}, or unset it.",
+            )
+    return tuple(found)

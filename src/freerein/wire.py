@@ -27,6 +27,7 @@ from freerein import tensors
 from freerein.api.common.v1 import common_pb2
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.api.learning.v1 import learning_pb2
+from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
@@ -39,6 +40,7 @@ _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.imitation": imitation_pb2,
     "freerein.types.learning": learning_pb2,
+    "freerein.types.orchestrator": orchestrator_pb2,
     "freerein.types.reward": reward_pb2,
     "freerein.types.segmentation": segmentation_pb2,
     "freerein.types.sim": sim_pb2,

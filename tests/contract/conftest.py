@@ -94,7 +94,9 @@ class _Rest:
             reply = await self._client.post(method.path, json=values)
         if reply.status_code != 200:
             raise _error(reply)
-        if not method.descriptor.server_streaming:
+        if method.rest_form == "file":
+            return [method.response(reply.content)]
+        if method.rest_form == "reply":
             return [_dataclass(reply.json(), method)]
         lines = [line for line in reply.text.splitlines() if line.startswith("data: ")]
         return [_dataclass(json.loads(line.removeprefix("data: ")), method) for line in lines]

@@ -205,9 +205,9 @@ SEGMENTATION_CASES = (
     segment("output_not_finite", frames=FRAMES + np.uint8(2)),
 )
 
-# --- imitation and reward
+# --- imitation, reward and the orchestrator
 
-imitation_cases, reward_cases = beside("imitation_cases"), beside("reward_cases")
+imitation_cases, reward_cases, run_cases = beside("imitation_cases"), beside("reward_cases"), beside("run_cases")
 
 
 def build_imitation(data_dir: Path, health: Health) -> Service:
@@ -221,6 +221,7 @@ def build_reward(data_dir: Path, health: Health) -> Service:
 SERVICES = {
     "imitation": Row(build_imitation, tuple(Case(*case) for case in imitation_cases.cases(VERSION))),
     "learning": Row(build_learning, LEARNING_CASES),
+    "orchestrator": Row(run_cases.build, tuple(Case(*case) for case in run_cases.CASES)),
     "reward": Row(build_reward, tuple(Case(*case) for case in reward_cases.cases(VERSION))),
     "segmentation": Row(build_segmentation, SEGMENTATION_CASES),
 }
@@ -270,7 +271,7 @@ async def test_every_rpc_is_reachable_through_both_doors(row: Row, open_doors: O
     doors = await open_doors(row.build)
     paths = doors.app.openapi()["paths"]
     for method in doors.methods:
-        if not method.descriptor.client_streaming:
+        if method.rest_form != "none":
             assert list(paths[method.path]) == ["get" if method.reads else "post"]
         path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
         call = doors.channel.stream_stream(path)(iter([b"\xff"]))
@@ -295,7 +296,7 @@ async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(row
     document = doors.app.openapi()
     schemathesis.openapi.from_dict(document).validate()
     schemas = document["components"]["schemas"]
-    served = [method for method in doors.methods if not method.descriptor.client_streaming]
+    served = [method for method in doors.methods if method.rest_form != "none"]
     assert set(document["paths"]) == {method.path for method in served}
     for method in served:
         operation = document["paths"][method.path]["get" if method.reads else "post"]

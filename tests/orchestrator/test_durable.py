@@ -126,9 +126,17 @@ def test_a_run_is_queued_runs_and_succeeds_and_a_watcher_may_come_back_for_the_r
     events = worker.watch(run_id)
     assert [event["sequence"] for event in events] == list(range(len(events)))
     assert [event["state"] for event in events][:2] == ["queued", "running"]
-    assert events[-1] == {"sequence": len(events) - 1, "state": "succeeded", "step": 5} | {
+    assert events[-1] == {
+        "sequence": len(events) - 1,
+        "id": run_id,
+        "kind": "ppo",
+        "state": "succeeded",
+        "config": {"steps": 5},
+        "step": 5,
+        "steps": 5,
         "metrics": {"loss": 0.2},  # without what was not finite
-        "reason": "",
+        "model": None,
+        "error": "",
     }
     assert worker.watch(run_id, start=2) == events[2:]
     assert (worker.runs / run_id / "artifacts" / "count.txt").read_text() == "5"
@@ -176,9 +184,9 @@ def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_b
     run_id = worker.start(crash=True)
     end = worker.watch(run_id)[-1]
     assert end["state"] == "failed"
-    assert end["reason"].startswith("3 attempts in a row ended without progress. Its process was killed by SIGKILL")
+    assert end["error"].startswith("3 attempts in a row ended without progress. Its process was killed by SIGKILL")
     assert len(worker.pids(run_id)) == 3
-    assert worker.ask("resume", id=run_id)["last"]["state"] in ("queued", "running")
+    assert worker.ask("resume", id=run_id)["state"] in ("queued", "running")
     assert worker.watch(run_id, start=end["sequence"] + 1)[-1]["state"] == "failed"
     assert len(worker.pids(run_id)) == 6
 
@@ -186,7 +194,7 @@ def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_b
 def test_what_cannot_succeed_is_tried_once_and_says_why(begin):
     worker = begin()
     run_id = worker.start(complaint="The dataset must hold two skills; it holds one.")
-    assert worker.watch(run_id)[-1]["reason"] == "The dataset must hold two skills; it holds one."
+    assert worker.watch(run_id)[-1]["error"] == "The dataset must hold two skills; it holds one."
     assert len(worker.pids(run_id)) == 1
 
 
@@ -196,7 +204,7 @@ def test_a_run_is_cancelled_within_two_seconds_saves_and_can_be_resumed(begin):
     run_id = worker.start(wait_at=3)
     worker.watch(run_id, until_step=3)
     child, began = worker.child(run_id), time.monotonic()
-    assert worker.ask("cancel", id=run_id)["last"]["state"] == "cancelled"
+    assert worker.ask("cancel", id=run_id)["state"] == "cancelled"
     child.wait(5)
     assert time.monotonic() - began < 2
     assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
@@ -212,8 +220,8 @@ def test_runs_are_made_one_at_a_time_and_a_queued_one_can_be_cancelled(begin):
     worker = begin()
     first, second = worker.start(wait_at=1), worker.start()
     worker.watch(first, until_step=1)
-    assert worker.ask("get", id=second)["last"]["state"] == "queued"
-    assert worker.ask("cancel", id=second)["last"]["state"] == "cancelled"
+    assert worker.ask("get", id=second)["state"] == "queued"
+    assert worker.ask("cancel", id=second)["state"] == "cancelled"
     worker.child(first).kill()
     assert worker.watch(first)[-1]["state"] == "succeeded"
     assert not (worker.runs / second / "pids.txt").exists()
@@ -295,7 +303,7 @@ def test_two_workers_on_one_postgres_share_the_queue_and_take_over_from_each_oth
     assert set(parents) == {one.process.pid, two.process.pid}
 
     of_one, of_two = (waiting[parents.index(worker.process.pid)] for worker in (one, two))
-    assert one.ask("cancel", id=of_two)["last"]["state"] == "cancelled"  # though the other has its child
+    assert one.ask("cancel", id=of_two)["state"] == "cancelled"  # though the other has its child
     children[waiting.index(of_two)].wait(2)
     one.end(signal.SIGKILL)
     assert two.watch(of_one)[-1]["state"] == "succeeded"

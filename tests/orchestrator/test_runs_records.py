@@ -7,9 +7,10 @@ import sys
 import pytest
 
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
-from freerein_orchestrator.runs.records import RunRecords, RunRequest
+from freerein.types.orchestrator import StartRunRequest
+from freerein_orchestrator.runs.records import RunRecords
 
-REQUEST = RunRequest("ppo", {"seed": 3}, "key")
+REQUEST = StartRunRequest("ppo", {"seed": 3}, "key")
 
 
 @pytest.fixture
@@ -18,10 +19,11 @@ def records(tmp_path):
 
 
 def test_a_request_is_on_disk_with_its_configuration_when_it_has_an_id(records):
-    run_id = records.add(REQUEST, {"seed": 3, "steps": 10})
+    run_id = records.add(REQUEST, {"seed": 3, "steps": 10}, steps=10)
     assert json.loads((records.folder(run_id) / "config.json").read_bytes()) == {
         "kind": "ppo",
         "config": {"seed": 3, "steps": 10},
+        "steps": 10,
     }
     assert records.watch(run_id).read()[0].state == "queued"
 
@@ -31,8 +33,8 @@ def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(records
     assert records.add(REQUEST, {"seed": 3}) == run_id
     assert len(records.watch(run_id).read()) == 1
     with pytest.raises(AlreadyExists):
-        records.add(RunRequest("ppo", {"seed": 4}, "key"), {"seed": 4})
-    unnamed = RunRequest("ppo", {})
+        records.add(StartRunRequest("ppo", {"seed": 4}, "key"), {"seed": 4})
+    unnamed = StartRunRequest("ppo", {})
     assert records.add(unnamed, {}) != records.add(unnamed, {})
 
 

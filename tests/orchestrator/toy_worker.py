@@ -4,21 +4,30 @@ import asyncio
 import json
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
 from freerein.serving.health import Health
+from freerein.types.orchestrator import (
+    CancelRunRequest,
+    GetRunRequest,
+    ListRunsRequest,
+    ResumeRunRequest,
+    StartRunRequest,
+    WatchRunRequest,
+)
 from freerein_orchestrator.durable import DurableRuns
 from freerein_orchestrator.runs.attempts import Attempts
-from freerein_orchestrator.runs.core import Runs
-from freerein_orchestrator.runs.records import RunRecords, RunRequest
+from freerein_orchestrator.runs.core import Resolved, Runs
+from freerein_orchestrator.runs.records import RunRecords
 
 
 async def main(data_dir: Path, name: str, url: str) -> int:
     health, records = Health(), RunRecords(data_dir / "runs")
-    attempt = Attempts(records, {"count": "toy_child"}).make
+    attempt = Attempts(records, module="toy_child").make
     durable = DurableRuns(
         data_dir / "runs",
         database_url=url,
@@ -27,9 +36,9 @@ async def main(data_dir: Path, name: str, url: str) -> int:
         note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
         takeover_s=0.3,
     )
-    runs = Runs(records, durable, resolve=lambda kind, config: {"steps": 5, **config}, health=health)
+    runs = Runs(records, durable, resolve=resolve, health=health)
     try:
-        await runs.open()
+        await runs.start()
     except ServiceError as error:
         sys.stderr.write(error.detail)
         await runs.close()
@@ -68,18 +77,27 @@ async def obey(runs: Runs) -> None:
 async def answer(runs: Runs, do: str, **values: Any) -> Any:
     match do:
         case "start":
-            return asdict(await runs.start(RunRequest("count", values["config"], values["key"])))
+            return asdict((await runs.start_run(StartRunRequest("ppo", values["config"], values["key"]))).run)
+        case "get":
+            return asdict((await runs.get_run(GetRunRequest(values["id"]))).run)
+        case "cancel":
+            return asdict((await runs.cancel_run(CancelRunRequest(values["id"]))).run)
+        case "resume":
+            return asdict((await runs.resume_run(ResumeRunRequest(values["id"]))).run)
         case "watch":
             events = []
-            async for event in runs.watch(values["id"], values["start"]):
-                events.append(asdict(event))
-                if event.step >= values["until_step"]:
+            async for event in runs.watch_run(WatchRunRequest(values["id"], values["start"])):
+                events.append({"sequence": event.sequence, **asdict(event.run)})
+                if event.run.step >= values["until_step"]:
                     break
             return events
         case "list":
-            return [asdict(run) for run in await runs.list()]
-        case _:
-            return asdict(await getattr(runs, do)(values["id"]))
+            return [asdict(run) for run in (await runs.list_runs(ListRunsRequest())).runs]
+
+
+def resolve(_kind: str, config: Mapping[str, Any]) -> Resolved:
+    whole = {"steps": 5, **config}
+    return Resolved(whole, whole["steps"])
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, SetWorkflowID, Wo
 from sqlalchemy.exc import DBAPIError
 
 from freerein.errors import FailedPrecondition, NotFound, ServiceError, Unavailable
-from freerein_orchestrator.outcomes import ENDED, Attempt, RunState
+from freerein.types.orchestrator import ENDED, RunState
+from freerein_orchestrator.outcomes import Attempt
 from freerein_orchestrator.worker_locks import FileLocks, PostgresLocks, WorkerLocks
 
 _log = logging.getLogger(__name__)

@@ -1,10 +1,7 @@
-"""How runs stand, and how the attempts at them end."""
+"""How attempts at runs end."""
 
 from dataclasses import dataclass
 from typing import Literal
-
-RunState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-ENDED: tuple[RunState, ...] = ("succeeded", "failed", "cancelled")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from freerein.clients.channel import Channel as Channel
 from freerein.clients.imitation import ImitationClient as ImitationClient
 from freerein.clients.learning import FitClient as FitClient
 from freerein.clients.learning import ModelClient as ModelClient
+from freerein.clients.orchestrator import OrchestratorClient as OrchestratorClient
 from freerein.clients.reward import RewardClient as RewardClient
 from freerein.clients.segmentation import SegmentationClient as SegmentationClient
 from freerein.clients.sim import SimClient as SimClient

@@ -12,6 +12,15 @@ IDEMPOTENT = {
     "freerein.api.learning.v1.FitService": ("StartFit", "GetFit", "ListFits", "WatchFit", "CancelFit"),
     "freerein.api.learning.v1.ModelService": ("ListModels",),
     "freerein.api.reward.v1.RewardService": ("Reward", "Ground", "Describe", "EmbedGoal"),
+    "freerein.api.orchestrator.v1.OrchestratorService": (
+        "StartRun",
+        "GetRun",
+        "ListRuns",
+        "WatchRun",
+        "CancelRun",
+        "ListArtifacts",
+        "GetArtifact",
+    ),
     "freerein.api.segmentation.v1.SegmentationService": ("Segment", "ListSkills"),
     "freerein.api.sim.v1.SimService": (
         "ListTasks",
@@ -26,9 +35,10 @@ IDEMPOTENT = {
 }
 """By service: the calls whose repetition changes nothing.
 
-`StartFit` and `CreateSession` are among them because clients always send an idempotency key, `Step` because of its
-`step_id`. `Reset` is not: it draws from the generators. `ActivateModel` is not: its second attempt would not find the
-version that it expects. A stream is begun again only while nothing of it has arrived; `Connect` and `Control` never.
+`StartFit`, `StartRun` and `CreateSession` are among them because clients always send an idempotency key, `Step` because
+of its `step_id`. `Reset` is not: it draws from the generators. `ActivateModel` and `ResumeRun` are not: their second
+attempt would not find what they expect. A stream is begun again only while nothing of it has arrived; `Connect` and
+`Control` never.
 """
 
 MAX_ATTEMPTS = 4

@@ -2,13 +2,14 @@
 
 Both doors are made from this table, so that they cannot differ. The rule: RPC `ListSkills` is answered by
 `core.list_skills`, takes the dataclass of its request message and returns the dataclass of its response message; over
-REST it is `/v1/list-skills`, by GET for `List`, `Get` and `Watch`, else by POST.
+REST it is `/v1/list-skills`, by GET for `List`, `Get` and `Watch`, else by POST. There, what a `Watch` call streams is
+server-sent events, the parts of a file are the reply's body, and other streams are gRPC's alone.
 """
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
 from google.protobuf.message import Message
@@ -17,6 +18,9 @@ from freerein import wire
 from freerein.errors import ServiceError
 
 _READS = ("List", "Get", "Watch")
+_PART = ["data"]
+
+RestForm = Literal["reply", "events", "file", "none"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,17 @@ class Method:
     def reads(self) -> bool:
         """Whether it changes nothing, so that REST serves it by GET."""
         return self.name.startswith(_READS)
+
+    @property
+    def rest_form(self) -> RestForm:
+        """How REST serves it."""
+        if self.descriptor.client_streaming:
+            return "none"
+        if not self.descriptor.server_streaming:
+            return "reply"
+        if self.name.startswith("Watch"):
+            return "events"
+        return "file" if [field.name for field in self.descriptor.output_type.fields] == _PART else "none"
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,8 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import aclosing
 from functools import cache
 from typing import Any, cast
 
@@ -20,11 +21,16 @@ from freerein.serving import body, problems
 from freerein.serving.edge import Edge
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
-from freerein.serving.methods import Method
+from freerein.serving.methods import Method, RestForm
 from freerein.serving.metrics import Metrics
 from freerein.serving.schemas import schema_of
 
 _log = logging.getLogger(__name__)
+_MEDIA_TYPES: dict[RestForm, str] = {
+    "reply": "application/json",
+    "events": "text/event-stream",
+    "file": "application/octet-stream",
+}
 _SCHEMAS = "#/components/schemas/{model}"
 _PROBLEMS = {
     status: {
@@ -69,17 +75,23 @@ def make_app(
 
     Args:
         name: The service's name.
-        methods: What it answers; bidirectional streams are left to gRPC.
+        methods: What it answers; those that have no form over REST are left to gRPC.
         health: Tells readiness, and when draining.
         metrics: Where calls are counted.
         limits: The bounds.
         token: Bearer token that calls must carry; empty for none.
     """
-    served = [method for method in methods if not method.descriptor.client_streaming]
+    served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
     streams = asyncio.Semaphore(limits.streams)
     for method in served:
-        answer = _stream(method, health, streams) if method.descriptor.server_streaming else _unary(method, limits)
+        match method.rest_form:
+            case "events":
+                answer = _stream(method, health, streams)
+            case "file":
+                answer = _file(method, streams)
+            case _:
+                answer = _unary(method, limits)
         app.add_route(method.path, answer, methods=["GET"] if method.reads else ["POST"], include_in_schema=False)
     _add_operations(app, health, metrics)
     app.add_exception_handler(ServiceError, _answer_service_error)
@@ -108,8 +120,7 @@ def _stream(method: Method, health: Health, streams: asyncio.Semaphore) -> Calla
         message = body.read_query(request, method.request)
         if (last := request.headers.get("last-event-id", "")).isdecimal():
             message = type(message)(**{**vars(message), "from_sequence": int(last[:18]) + 1})
-        if streams.locked():
-            raise Overloaded("As many streams as may be open are open.", hint="Close one first.")
+        _check_streams(streams)
         events = method.call(message)
         async with streams:
             # before the reply begins, so that an unknown id is a 404, not a broken stream
@@ -127,6 +138,31 @@ async def _events(
         while event is not None:
             yield b"id: %d\ndata: %s\n\n" % (event.sequence, orjson.dumps(wire.to_json(event)))
             event = await health.unless_draining(anext(events, None))
+
+
+def _file(method: Method, streams: asyncio.Semaphore) -> Callable[[Request], Awaitable[Response]]:
+    """A file, in the parts that the core yields; it is read no faster than it is taken."""
+
+    async def answer(request: Request) -> Response:
+        _check_streams(streams)
+        parts = method.call(body.read_query(request, method.request))
+        async with streams:  # before the reply begins, so that an unknown name is a 404, not a broken body
+            first = await _unless_disconnected(request, anext(parts), None)
+        return StreamingResponse(_bytes(first, parts, streams), media_type="application/octet-stream")
+
+    return answer
+
+
+async def _bytes(first: Any, parts: AsyncGenerator[Any, None], streams: asyncio.Semaphore) -> AsyncIterator[bytes]:
+    async with streams, aclosing(parts):
+        yield first.data
+        async for part in parts:
+            yield part.data
+
+
+def _check_streams(streams: asyncio.Semaphore) -> None:
+    if streams.locked():
+        raise Overloaded("As many streams as may be open are open.", hint="Close one first.")
 
 
 async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float | None) -> Any:
@@ -217,7 +253,7 @@ def _openapi(app: FastAPI, methods: Sequence[Method]) -> dict[str, Any]:
 
 
 def _operation(method: Method, schemas: dict[str, Any]) -> dict[str, Any]:
-    media_type = "text/event-stream" if method.descriptor.server_streaming else "application/json"
+    media_type = _MEDIA_TYPES[method.rest_form]
     summary = (method.request.__doc__ or "").partition("\n")[0]
     operation: dict[str, Any] = {
         "operationId": method.name,
@@ -232,7 +268,7 @@ def _operation(method: Method, schemas: dict[str, Any]) -> dict[str, Any]:
             **_PROBLEMS,
         },
     }
-    if media_type == "text/event-stream":
+    if method.rest_form != "reply":
         operation["responses"]["200"]["content"] = {media_type: {"schema": {"type": "string"}}}
     if method.reads:
         operation["parameters"] = _parameters(method.descriptor.input_type)

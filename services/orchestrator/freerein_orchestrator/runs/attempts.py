@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,13 +31,13 @@ class Attempts:
 
     Args:
         records: The runs.
-        modules: The child's module for each kind of run.
+        module: The child's.
         arguments: What its command line holds beside the run's folder.
     """
 
-    def __init__(self, records: RunRecords, modules: Mapping[str, str], arguments: Sequence[str] = ()) -> None:
+    def __init__(self, records: RunRecords, *, module: str, arguments: Sequence[str] = ()) -> None:
         self._records = records
-        self._modules = modules
+        self._module = module
         self._arguments = arguments
 
     def make(self, run_id: str, stop: Callable[[], bool]) -> Attempt:
@@ -50,12 +50,12 @@ class Attempts:
         Raises:
             Interrupted: It was told to stop; the child has saved and ended, or was killed.
         """
-        folder, kind = self._records.folder(run_id), self._records.config(run_id)["kind"]
+        folder = self._records.folder(run_id)
         before = self._records.last(run_id).step
         with _alone(folder, stop) as lock, (folder / "log.txt").open("ab") as log:
             self._records.note(run_id, "running")
             child = subprocess.Popen(
-                [sys.executable, "-m", self._modules[kind], str(folder), *self._arguments],
+                [sys.executable, "-m", self._module, str(folder), *self._arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,

@@ -1,38 +1,62 @@
-"""What the orchestrator answers about runs: start, get, list, watch, cancel, resume."""
+"""`Runs`: the core of the orchestrator. Started, watched, cancelled, resumed; what happened survives every process.
+
+A request is on disk before its run is queued in the database, and acknowledged after. What the database says of a run
+wins over what its events say: a crash in between is mended when the run is next looked at.
+"""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, Overloaded, Unavailable
 from freerein.serving.health import Health
 from freerein.types.common import check_name
+from freerein.types.orchestrator import (
+    ENDED,
+    CancelRunRequest,
+    CancelRunResponse,
+    GetArtifactRequest,
+    GetArtifactResponse,
+    GetRunRequest,
+    GetRunResponse,
+    ListArtifactsRequest,
+    ListArtifactsResponse,
+    ListRunsRequest,
+    ListRunsResponse,
+    ResumeRunRequest,
+    ResumeRunResponse,
+    Run,
+    RunKind,
+    RunState,
+    StartRunRequest,
+    StartRunResponse,
+    WatchRunRequest,
+    WatchRunResponse,
+)
 from freerein_orchestrator.durable import DurableRuns
-from freerein_orchestrator.outcomes import ENDED, RunState
-from freerein_orchestrator.runs.records import RunEvent, RunRecords, RunRequest
+from freerein_orchestrator.runs.records import RunEvent, RunRecords
 
 _LOOK_S = 0.2
+_WAITING = 256
+_PART_BYTES = 1 << 20
 _UNSAID = "A bug of ours; the log says more."
-
-Resolve = Callable[[str, Mapping[str, Any]], dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Run:
-    """A run as it stands.
+class Resolved:
+    """What a run is to be.
 
     Attributes:
-        id: 32 hexadecimal digits.
-        kind: Its kind.
         config: The whole configuration, defaults filled in.
-        last: Its last event, whose sequence is not counted here.
+        steps: How many steps it takes.
     """
 
-    id: str
-    kind: str
     config: dict[str, Any]
-    last: RunEvent
+    steps: int
+
+
+Resolve = Callable[[RunKind, Mapping[str, Any]], Resolved]
 
 
 class Runs:
@@ -41,8 +65,8 @@ class Runs:
     Args:
         records: What is on disk.
         durable: What is in the database.
-        resolve: Returns the whole configuration for a kind and a partial one; raises InvalidInput for what cannot be.
-        health: Ends the streams of `watch` on drain.
+        resolve: Returns what a run of a kind and a partial configuration is; raises InvalidInput for what cannot be.
+        health: Ends the streams of `watch_run` on drain.
     """
 
     def __init__(self, records: RunRecords, durable: DurableRuns, *, resolve: Resolve, health: Health) -> None:
@@ -50,75 +74,102 @@ class Runs:
         self._durable = durable
         self._resolve = resolve
         self._health = health
+        self._reason = "The database of the runs is being opened."
 
-    async def open(self) -> None:
-        """Goes on with what had not ended. Raises FailedPrecondition when a worker of this name is running."""
-        await asyncio.to_thread(self._durable.open)
-        await self.list()
+    def not_ready(self) -> str:
+        """Returns why runs cannot be started yet, empty when they can."""
+        return self._reason
+
+    async def start(self) -> None:
+        """Goes on with what had not ended; waits for the database as long as it takes.
+
+        Raises:
+            FailedPrecondition: A worker of this name is running.
+        """
+        while not self._health.draining:
+            try:
+                await asyncio.to_thread(self._durable.open)
+            except Unavailable as away:
+                self._reason = f"{away.detail} {away.hint}"
+                continue
+            self._reason = ""
+            await self.list_runs(ListRunsRequest())
+            return
 
     async def close(self) -> None:
         """Stops the child, which saves first; the next start goes on with its run."""
         await asyncio.to_thread(self._durable.close)
 
-    async def start(self, request: RunRequest) -> Run:
+    async def start_run(self, request: StartRunRequest) -> StartRunResponse:
         """Queues a run, or returns the one that this idempotency key has started already.
 
         Raises:
             InvalidInput: The configuration is wrong.
             AlreadyExists: The idempotency key belongs to another request.
+            Overloaded: Too many runs wait already.
+            Unavailable: The database of the runs cannot be reached.
         """
+        self._check_open()
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
-        config = self._resolve(request.kind, request.config)
+        asked = self._resolve(request.kind, request.config)
 
         def start() -> Run:
-            run_id = self._records.add(request, config)
+            if list(self._durable.states().values()).count("queued") >= _WAITING:
+                raise Overloaded(
+                    f"At most {_WAITING} runs may wait; they do.", hint="Cancel one, or wait for one to end."
+                )
+            run_id = self._records.add(request, asked.config, steps=asked.steps)
             self._durable.start(run_id)
             return self._standing(run_id, self._durable.state(run_id))
 
-        return await asyncio.to_thread(start)
+        return StartRunResponse(await asyncio.to_thread(start))
 
-    async def get(self, run_id: str) -> Run:
+    async def get_run(self, request: GetRunRequest) -> GetRunResponse:
         """Returns one run. Raises NotFound when there is none of that id."""
-        return await asyncio.to_thread(lambda: self._standing(run_id, self._state(run_id)))
+        return GetRunResponse(await asyncio.to_thread(self._look, request.id))
 
-    async def list(self) -> tuple[Run, ...]:
+    async def list_runs(self, _request: ListRunsRequest) -> ListRunsResponse:
         """Returns all runs, newest first, without those whose folders were deleted."""
+        self._check_open()
 
         def standings() -> tuple[Run, ...]:
             states = self._durable.states().items()
             return tuple(self._standing(run_id, state) for run_id, state in states if self._records.has(run_id))
 
-        return await asyncio.to_thread(standings)
+        return ListRunsResponse(await asyncio.to_thread(standings))
 
-    async def watch(self, run_id: str, from_sequence: int = 0) -> AsyncIterator[RunEvent]:
+    async def watch_run(self, request: WatchRunRequest) -> AsyncIterator[WatchRunResponse]:
         """Yields a run's events from a sequence number on; ends when the run has ended, or on drain.
+
+        Nothing is kept for a watcher but its place in a file: however slow it is, the run does not wait for it.
 
         Raises:
             NotFound: There is none of that id.
         """
-        await self.get(run_id)
-        tail, last = self._records.watch(run_id), None
+        run = await asyncio.to_thread(self._look, request.id)
+        tail, last = self._records.watch(request.id), None
         while True:
             for event in await asyncio.to_thread(tail.read):
                 last = event
-                if event.sequence >= from_sequence:
-                    yield event
+                if event.sequence >= request.from_sequence:
+                    yield WatchRunResponse(event.sequence, self._as_of(event, run))
             if last is not None and last.ended:
                 return
             if await self._health.unless_draining(asyncio.sleep(_LOOK_S, True)) is None:
                 return
 
-    async def cancel(self, run_id: str) -> Run:
+    async def cancel_run(self, request: CancelRunRequest) -> CancelRunResponse:
         """Ends a run that has not ended; its last checkpoint stays. Raises NotFound when there is none of that id."""
+        self._check_open()
 
         def cancel() -> Run:
-            self._records.folder(run_id)
-            return self._standing(run_id, self._durable.cancel(run_id))
+            self._records.config(request.id)
+            return self._standing(request.id, self._durable.cancel(request.id))
 
-        return await asyncio.to_thread(cancel)
+        return CancelRunResponse(await asyncio.to_thread(cancel))
 
-    async def resume(self, run_id: str) -> Run:
+    async def resume_run(self, request: ResumeRunRequest) -> ResumeRunResponse:
         """Queues a run again that failed or was cancelled; it goes on from its last checkpoint.
 
         Raises:
@@ -127,26 +178,67 @@ class Runs:
         """
 
         def resume() -> Run:
-            state = self._standing(run_id, self._state(run_id)).last.state
-            if state not in ("failed", "cancelled"):
+            run = self._look(request.id)
+            if run.state not in ("failed", "cancelled"):
                 raise FailedPrecondition(
-                    f"A run to resume must be failed or cancelled; this one is {state}.",
+                    f"A run to resume must be failed or cancelled; this one is {run.state}.",
                     field="id",
                     hint="Start a new run, or cancel this one first.",
                 )
-            self._records.note(run_id, "queued")  # before its worker notes that it runs
-            self._durable.resume(run_id)
-            return self._standing(run_id, self._durable.state(run_id))
+            self._records.note(request.id, "queued")  # before its worker notes that it runs
+            self._durable.resume(request.id)
+            return self._standing(request.id, self._durable.state(request.id))
 
-        return await asyncio.to_thread(resume)
+        return ResumeRunResponse(await asyncio.to_thread(resume))
 
-    def _state(self, run_id: str) -> RunState:
-        self._records.folder(run_id)  # refuses what is no id
-        return self._durable.state(run_id)
+    async def list_artifacts(self, request: ListArtifactsRequest) -> ListArtifactsResponse:
+        """Names the files that a run has left behind. Raises NotFound when there is none of that id."""
+
+        def found() -> ListArtifactsResponse:
+            self._records.config(request.id)
+            return ListArtifactsResponse(self._records.artifacts(request.id))
+
+        return await asyncio.to_thread(found)
+
+    async def get_artifact(self, request: GetArtifactRequest) -> AsyncIterator[GetArtifactResponse]:
+        """Yields the parts of one file, at least one.
+
+        Raises:
+            NotFound: There is no such run, or it has no file of that name.
+        """
+
+        def opened() -> Any:
+            self._records.config(request.id)
+            return self._records.artifact(request.id, request.name).open("rb")
+
+        with await asyncio.to_thread(opened) as file:
+            part = await asyncio.to_thread(file.read, _PART_BYTES)
+            yield GetArtifactResponse(part)
+            while part := await asyncio.to_thread(file.read, _PART_BYTES):
+                yield GetArtifactResponse(part)
+
+    def _check_open(self) -> None:
+        if self._reason:
+            raise Unavailable(
+                f"Runs are in a database, which must be open; it is not: {self._reason}",
+                hint="Try again in a moment; /readyz says when.",
+                retry_after_s=1.0,
+            )
+
+    def _look(self, run_id: str) -> Run:
+        self._check_open()
+        self._records.config(run_id)
+        return self._standing(run_id, self._durable.state(run_id))
 
     def _standing(self, run_id: str, state: RunState) -> Run:
         """Returns a run, and notes an end that a crash kept from being noted."""
-        config = self._records.config(run_id)
+        asked = self._records.config(run_id)
         if state in ENDED:
             self._records.note(run_id, state, reason=_UNSAID if state == "failed" else "")
-        return Run(run_id, config["kind"], config["config"], self._records.last(run_id))
+        run = Run(run_id, asked["kind"], "queued", asked["config"], steps=asked["steps"])
+        return self._as_of(self._records.last(run_id), run)
+
+    def _as_of(self, event: RunEvent, run: Run) -> Run:
+        """Returns a run as it stood at an event."""
+        model = self._records.model(run.id) if event.state == "succeeded" else None
+        return replace(run, state=event.state, step=event.step, metrics=event.metrics, model=model, error=event.reason)

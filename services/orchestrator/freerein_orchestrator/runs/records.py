@@ -1,10 +1,12 @@
 """Runs on disk, where every worker and every child process finds them. The database says which runs there are.
 
-<root>/<id>/config.json    kind and configuration, for the child process
+<root>/<id>/config.json    kind, configuration and steps planned, for the child process
 <root>/<id>/request.json   what StartRun was sent, written before the run is queued
 <root>/<id>/events.jsonl   the run after each change, numbered from 0 by line; the last line is how it stands
 <root>/<id>/metrics.jsonl  written by the child, one line a step
 <root>/<id>/checkpoints/   the child's own
+<root>/<id>/tensorboard/   the same, for TensorBoard
+<root>/<id>/model.json     the model that it made for a service
 <root>/<id>/artifacts/     what the run leaves behind
 <root>/<id>/log.txt        what its child processes said
 """
@@ -21,8 +23,8 @@ from typing import Any, BinaryIO
 
 from freerein.durable import write_durably
 from freerein.errors import AlreadyExists, NotFound
-from freerein.types.common import check_id, check_name
-from freerein_orchestrator.outcomes import ENDED, RunState
+from freerein.types.common import ModelRef, check_id, check_name
+from freerein.types.orchestrator import ENDED, Artifact, RunState, StartRunRequest
 
 _TAIL = 65536
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
@@ -52,34 +54,6 @@ class RunEvent:
         return self.state in ENDED
 
 
-@dataclass(frozen=True)
-class RunRequest:
-    """What a run was asked to be.
-
-    Attributes:
-        kind: Its kind, such as `ppo`.
-        config: As it was asked for.
-        idempotency_key: The same key and request is the same run; empty for none.
-    """
-
-    kind: str
-    config: dict[str, Any]
-    idempotency_key: str = ""
-
-
-@dataclass(frozen=True)
-class Artifact:
-    """A file that a run left behind.
-
-    Attributes:
-        name: Its name.
-        size: In bytes.
-    """
-
-    name: str
-    size: int
-
-
 class RunRecords:
     """The runs of one data directory. Any number of processes may read and append at the same time.
 
@@ -98,12 +72,13 @@ class RunRecords:
         """
         return self._root / check_id(run_id, field="id")
 
-    def add(self, request: RunRequest, config: Mapping[str, Any]) -> str:
+    def add(self, request: StartRunRequest, config: Mapping[str, Any], *, steps: int = 0) -> str:
         """Records a request, durably, and returns the id of its run, which is the same for the same idempotency key.
 
         Args:
             request: What was asked for.
             config: The whole configuration, defaults filled in.
+            steps: How many steps it takes.
 
         Raises:
             AlreadyExists: The idempotency key belongs to another request.
@@ -114,14 +89,14 @@ class RunRecords:
         folder.mkdir(parents=True, exist_ok=True)
         with _appending(folder / "events.jsonl") as file:
             asked = folder / "request.json"
-            if asked.is_file() and RunRequest(**json.loads(asked.read_bytes())) != request:
+            if asked.is_file() and StartRunRequest(**json.loads(asked.read_bytes())) != request:
                 raise AlreadyExists(
                     "An idempotency key belongs to one request; this one was used for another.",
                     field="idempotency_key",
                     hint="Choose a new key for a new run.",
                 )
             if not asked.is_file():
-                body = {"kind": request.kind, "config": dict(config)}
+                body = {"kind": request.kind, "config": dict(config), "steps": steps}
                 write_durably(folder / "config.json", json.dumps(body).encode())
                 write_durably(asked, json.dumps(asdict(request)).encode())
             if _last(file) is None:
@@ -133,7 +108,7 @@ class RunRecords:
         return (self.folder(run_id) / "config.json").is_file()
 
     def config(self, run_id: str) -> dict[str, Any]:
-        """Returns a run's `kind` and `config`.
+        """Returns a run's `kind`, `config` and `steps`.
 
         Raises:
             NotFound: There is none of that id.
@@ -175,6 +150,11 @@ class RunRecords:
             return {}
         with path.open("rb") as file:
             return _last(file) or {}
+
+    def model(self, run_id: str) -> ModelRef | None:
+        """Returns the model that a run has made for a service; None when there is none."""
+        path = self.folder(run_id) / "model.json"
+        return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
     def artifacts(self, run_id: str) -> tuple[Artifact, ...]:
         """Returns what a run has left behind, by name."""

@@ -1,0 +1,132 @@
+"""What the child process of a run works with: its folder, its configuration, the services, and when to stop."""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from freerein.clients import (
+    Channel,
+    FitClient,
+    ImitationClient,
+    ModelClient,
+    RewardClient,
+    SegmentationClient,
+    SimClient,
+    Synchronous,
+)
+from freerein.clients.client import Client
+from freerein.durable import write_durably
+from freerein.errors import InvalidInput
+from freerein.ports import address, addresses
+from freerein.types.common import ModelRef
+from freerein_orchestrator.curve import Curve
+
+_CLIENTS: Mapping[str, type[Client]] = {
+    "imitation": ImitationClient,
+    "reward": RewardClient,
+    "segmentation": SegmentationClient,
+    "sim": SimClient,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """A run, as its child process sees it.
+
+    Attributes:
+        folder: The run's; `checkpoints/` and `artifacts/` in it are the work's own.
+        key: The run's id, and that of a part with its name: an idempotency key for what it asks of services.
+        config: What `resolve` of its kind returned.
+        data_dir: Where datasets, models and all runs lie.
+        device: `auto`, `cpu` or `cuda:N`.
+        environ: Says where services are.
+        stop: Whether to save and end; asked often.
+        closing: What is closed when the work has ended.
+    """
+
+    folder: Path
+    key: str
+    config: Mapping[str, Any]
+    data_dir: Path
+    device: str
+    environ: Mapping[str, str]
+    stop: Callable[[], bool]
+    closing: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def artifacts(self) -> Path:
+        """Where the files lie that the run leaves behind; made when missing."""
+        folder = self.folder / "artifacts"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def client(self, service: str) -> Synchronous:
+        """Returns a blocking client of a service."""
+        return self._connect(_CLIENTS[service], address(service, self.environ))
+
+    def clients(self, service: str) -> tuple[Synchronous, ...]:
+        """Returns a blocking client of each replica of a service: `FREEREIN_<SERVICE>_ADDRESS` may name several."""
+        return tuple(self._connect(_CLIENTS[service], each) for each in addresses(service, self.environ))
+
+    def fits(self, service: str) -> Synchronous:
+        """Returns a blocking `FitClient` of a service."""
+        return self._connect(FitClient, address(service, self.environ))
+
+    def models(self, service: str) -> Synchronous:
+        """Returns a blocking `ModelClient` of a service."""
+        return self._connect(ModelClient, address(service, self.environ))
+
+    def curve(self, *, last_step: int) -> Curve:
+        """Returns what the run's metrics are written to, after those up to `last_step`."""
+        curve = Curve(self.folder, last_step=last_step)
+        self.closing.callback(curve.close)
+        return curve
+
+    def note_model(self, model: ModelRef) -> None:
+        """Notes, durably, the model that the run has made for a service."""
+        write_durably(self.folder / "model.json", json.dumps(asdict(model)).encode())
+
+    def say(self, text: str) -> None:
+        """Writes a line to the run's log."""
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+
+    def part(self, name: str, config: Mapping[str, Any]) -> "Work":
+        """Returns a part of this work, in a folder of its own within the run's."""
+        folder = self.folder / "parts" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return replace(self, folder=folder, key=f"{self.key}.{name}", config=config)
+
+    def run_folder(self, name: str) -> Path:
+        """Returns the folder of another run, by its id, or of a part of the same pipeline, by its name.
+
+        Raises:
+            InvalidInput: There is neither.
+        """
+        for folder in (self.folder.parent / name, self.data_dir / "runs" / name):
+            if (folder / "artifacts").is_dir():
+                return folder
+        raise InvalidInput(
+            "A run to build on must be one that has left something behind, or an earlier step of the pipeline; "
+            "there is none of that name.",
+            field="config",
+            hint="`freerein runs list` names the runs.",
+        )
+
+    def _connect(self, client: type[Client], where: str) -> Synchronous:
+        channel = Channel(
+            where,
+            token=self.environ.get("FREEREIN_TOKEN", ""),
+            root_certificates=_certificates(self.environ.get("FREEREIN_TLS_CERT", "")),
+        )
+        connected = Synchronous(client(channel))
+        self.closing.callback(connected.close)
+        return connected
+
+
+def _certificates(path: str) -> bytes | None:
+    return Path(path).read_bytes() if path else None
