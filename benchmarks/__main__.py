@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
-_BENCHMARKS = ("rendering", "stepping", "segmenting", "batching", "acting", "streaming", "rewarding")
+_BENCHMARKS = ("rendering", "stepping", "segmenting", "batching", "acting", "streaming", "rewarding", "training")
 _ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
 """For BLAS and torch, and for Mesa, whose 0 is no thread beside the caller's, as in the workers of the service."""
 

@@ -178,4 +178,4 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     store = ModelStore(data_dir / "models" / "reward")
     ref = store.publish("", folder)
     store.activate(ref)
-    return ref, trained.RewardModel(network), spec.side
+    return ref, RewardModel(network), spec.side

@@ -20,7 +20,7 @@ row = 0
 for index, length in enumerate(scene.LENGTHS):
     for t in range(length):
         item = dataset[row]
-        assert (item["task"], int(item["episode_index"]), int(item["frame_index"])) == (scene.TASK, index, t)
+        assert (item["task"], int(item["episode_index"]), int(item["frame_index"])) == (scene.TASKS[index], index, t)
         assert abs(float(item["timestamp"]) - t / scene.FPS) < 1e-4
         assert np.array_equal(item["action"].numpy(), scene.actions(index)[t])
         for camera in scene.SIZES:

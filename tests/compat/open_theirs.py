@@ -10,7 +10,8 @@ from freerein.data import Dataset, verify
 
 dataset = Dataset(Path(sys.argv[1]))
 assert len(dataset) == len(scene.LENGTHS)
-assert (dataset.spec.fps, dataset.spec.task, dataset.spec.robot_type) == (scene.FPS, scene.TASK, "arm")
+assert (dataset.spec.fps, dataset.spec.task, dataset.spec.robot_type) == (scene.FPS, "", "arm")
+assert dataset.goal_texts == scene.TASKS
 assert dataset.spec.action.names == scene.ACTION_NAMES
 for index, trajectory in enumerate(dataset):
     assert np.array_equal(trajectory.frames["front"], scene.frames(index, "front"))

@@ -4,6 +4,8 @@ import numpy as np
 
 FPS = 20
 TASK = "tidy the desk"
+GOAL_TEXTS = ("", "put the cup away", "wipe the desk")
+TASKS = tuple(text or TASK for text in GOAL_TEXTS)
 SIZES = {"front": (24, 32, 3), "wrist": (16, 16, 1)}
 ACTION_NAMES = ("x", "y", "grip")
 SKILLS = (("pick",), ("pick", "place"), ())

@@ -19,9 +19,9 @@ spec = DatasetSpec(
     task=scene.TASK,
 )
 with create(root / "continuous", spec) as writer:
-    for index, skills in enumerate(scene.SKILLS):
+    for index, (skills, text) in enumerate(zip(scene.SKILLS, scene.GOAL_TEXTS, strict=True)):
         frames = {camera: scene.frames(index, camera) for camera in scene.SIZES}
-        writer.append(Trajectory(frames=frames, actions=scene.actions(index), skills=skills))
+        writer.append(Trajectory(frames=frames, actions=scene.actions(index), skills=skills, goal_text=text))
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
 with create(root / "discrete", replace(spec, action=choice)) as writer:

@@ -27,6 +27,8 @@ for index, length in enumerate(scene.LENGTHS):
     for t in range(length):
         frame = {key: scene.frames(index, key.split(".")[-1])[t] for key in features if ".images." in key}
         state = np.zeros(2, np.float32)
-        dataset.add_frame({**frame, "observation.state": state, "action": scene.actions(index)[t], "task": scene.TASK})
+        dataset.add_frame(
+            {**frame, "observation.state": state, "action": scene.actions(index)[t], "task": scene.TASKS[index]}
+        )
     dataset.save_episode()
 dataset.finalize()

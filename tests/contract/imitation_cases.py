@@ -88,6 +88,8 @@ def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
         act("unsupported_media", seen=Image("png", 0, 0, b"GIF89a")),
         act("invalid_input", goal=Goal()),
         act("invalid_input", goal=Goal(recipe=("reach",))),
+        act("invalid_input", goal=Goal(text="wave")),
+        act("invalid_input", goal=Goal((image(7),), text="wave")),
         act("invalid_input", goal=Goal((image(), image(height=1)))),
         act("invalid_input", executed_actions=done.astype(np.float64)),
         act("invalid_input", executed_actions=done[:, :1]),

@@ -13,7 +13,7 @@ from freerein.types import orchestrator
 from freerein.types.orchestrator import CancelRunRequest, StartRunRequest
 from freerein_orchestrator.__main__ import resolve
 from freerein_orchestrator.durable import DurableRuns
-from freerein_orchestrator.outcomes import Attempt, Interrupted
+from freerein_orchestrator.outcomes import Attempt, Interrupted, Reason
 from freerein_orchestrator.runs.core import Runs
 from freerein_orchestrator.runs.records import RunRecords
 
@@ -29,7 +29,7 @@ def build(data_dir: Path, health: Health) -> Service:
         attempt=wait,
         note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
     )
-    runs = Runs(records, durable, resolve=resolve, health=health)
+    runs = Runs(records, durable, resolve=lambda kind, config: resolve(kind, config, data_dir), health=health)
 
     async def start() -> None:
         await runs.start()
@@ -42,7 +42,7 @@ def build(data_dir: Path, health: Health) -> Service:
     return Service("orchestrator", methods_of(contract, runs), start, runs.close, runs.not_ready)
 
 
-def wait(_run_id: str, stop: Callable[[], bool]) -> Attempt:
+def wait(_run_id: str, stop: Callable[[], Reason]) -> Attempt:
     while not stop():
         time.sleep(0.01)
     raise Interrupted

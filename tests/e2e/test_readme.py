@@ -15,7 +15,7 @@ import pytest
 CLONE = Path(__file__).parents[2]
 README = CLONE / "README.md"
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
-SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8101, 8102, 8103, 8104))
+SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8100, 8101, 8102, 8103, 8104))
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("default-ports")]
 

@@ -94,12 +94,13 @@ StartFaulty = Callable[..., Faulty]
 
 @pytest.fixture(scope="module")
 def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaulty]:
-    """A function that starts the faulty service; at the end of the module none may have logged a bug."""
+    """A function that starts the faulty service, or another; at the end of the module none may have logged a bug."""
     started: list[Faulty] = []
 
     def start(data_dir: Path | None = None, *, script: str = "faulty_service.py", **environ: str) -> Faulty:
         environ["FREEREIN_SHIPPED_DIR"] = "none"  # the scripts load no other models than theirs
-        service = start_module_service(str(Path(__file__).with_name(script)), data_dir, **environ)
+        module = str(Path(__file__).with_name(script)) if script.endswith(".py") else script
+        service = start_module_service(module, data_dir, **environ)
         token = environ.get("FREEREIN_TOKEN", "")
         headers = {"authorization": f"Bearer {token}"} if token else {}
         http = httpx.Client(base_url=service.url, headers=headers, timeout=30, trust_env=False)
@@ -117,6 +118,12 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
 def robots() -> Any:
     """The module `control_robot`, whose robots speak to `faulty_policy`."""
     return _beside("control_robot")
+
+
+@pytest.fixture(scope="session")
+def network() -> Any:
+    """The module `chaos_proxy`."""
+    return _beside("chaos_proxy")
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ CASES, SECONDS = 20_000, 20  # in `make fuzz`, and in `make test`
 SERVICES = {
     "segmentation": (str(Path(__file__).with_name("faulty_service.py")), {}),
     "sim": ("freerein_sim", {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "8"}),
+    "orchestrator": ("freerein_orchestrator", {}),
 }
 
 

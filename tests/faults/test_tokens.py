@@ -1,5 +1,7 @@
 """No door opens without the token but those of the health checks, and none of the others was forgotten."""
 
+import itertools
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -9,8 +11,12 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
+from freerein.api.imitation.v1 import imitation_pb2
 from freerein.api.learning.v1 import learning_pb2
+from freerein.api.orchestrator.v1 import orchestrator_pb2
+from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.api.sim.v1 import sim_pb2
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
@@ -20,14 +26,23 @@ from freerein.serving.rest import make_app
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("C13")]
 TOKEN = "correct-horse-battery"
 OPEN = {"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"}
-SERVICES = [
-    segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
-    learning_pb2.DESCRIPTOR.services_by_name["FitService"],
-    learning_pb2.DESCRIPTOR.services_by_name["ModelService"],
-]
-RPCS = [f"/{service.full_name}/{method.name}" for service in SERVICES for method in service.methods] + [
-    f"/grpc.reflection.v1{version}.ServerReflection/ServerReflectionInfo" for version in ("alpha", "")
-]
+LEARNING = learning_pb2.DESCRIPTOR.services_by_name
+LEARNED = (LEARNING["FitService"], LEARNING["ModelService"])
+SERVICES = {
+    "segmentation": (segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"], *LEARNED),
+    "imitation": (imitation_pb2.DESCRIPTOR.services_by_name["ImitationService"], *LEARNED),
+    "reward": (reward_pb2.DESCRIPTOR.services_by_name["RewardService"], *LEARNED),
+    "sim": (sim_pb2.DESCRIPTOR.services_by_name["SimService"],),
+    "orchestrator": (orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"],),
+}
+MODULES = {
+    "segmentation": "faulty_service.py",
+    "imitation": "faulty_policy.py",
+    "reward": "faulty_reward.py",
+    "sim": "freerein_sim",
+    "orchestrator": "freerein_orchestrator",
+}
+REFLECTION = "grpc.reflection.v1{}.ServerReflection"
 WRONG = [None, "Bearer", "Bearer wrong", f"Bearer {TOKEN}x", f"Bearer {TOKEN[:-1]}", f"Basic {TOKEN}", TOKEN]
 
 
@@ -38,12 +53,18 @@ class EveryMethod:
         return name
 
 
-def routes() -> list[tuple[str, str]]:
-    """Returns every (method, path) that the REST app knows, and some that it does not."""
-    methods = [method for service in SERVICES for method in methods_of(service, EveryMethod())]
+def routes(name: str) -> list[tuple[str, str]]:
+    """Returns every (method, path) that a service's REST app knows, and some that it does not."""
+    methods = [method for service in SERVICES[name] for method in methods_of(service, EveryMethod())]
     app = make_app("x", methods, health=Health(), metrics=Metrics(), limits=Limits())
     known = [(verb, route.path) for route in app.routes for verb in route.methods]  # type: ignore[attr-defined]
     return sorted({*known, ("GET", "/"), ("POST", "/v1/unknown"), ("GET", "/healthz/"), ("GET", "/healthz/x")})
+
+
+@pytest.fixture(scope="module", params=SERVICES)
+def named(request: pytest.FixtureRequest, start_faulty: Callable[..., Any]) -> tuple[str, Any]:
+    """Each service, as a process that asks for the token."""
+    return request.param, start_faulty(script=MODULES[request.param], FREEREIN_TOKEN=TOKEN)
 
 
 @pytest.fixture(scope="module")
@@ -52,48 +73,56 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
 
 
 def test_the_routes_are_those_that_are_meant() -> None:
-    paths = {path for _, path in routes()}
+    paths = {path for name in SERVICES for _, path in routes(name)}
     assert paths >= OPEN | {"/metrics", "/openapi.json", "/docs", "/v1/segment", "/v1/watch-fit", "/v1/activate-model"}
+    assert paths >= {"/v1/step", "/v1/act", "/v1/reward", "/v1/start-run", "/v1/watch-run", "/v1/get-artifact"}
 
 
-@pytest.mark.parametrize(("verb", "path"), routes())
-def test_a_route_without_the_token_is_closed_unless_it_tells_health(
-    faulty: Any, refusal: Any, verb: str, path: str
-) -> None:
-    url = faulty.service.url + path
-    for authorization in WRONG:
-        headers = {"authorization": authorization} if authorization is not None else {}
-        reply = httpx.request(verb, url, headers=headers, params={"token": TOKEN}, trust_env=False)
-        if path in OPEN:
-            assert reply.status_code == 200
-        elif verb == "HEAD":
-            assert reply.status_code == 401
-        else:
-            refusal(reply, 401)
-            assert reply.headers["www-authenticate"] == "Bearer"
+def test_every_route_without_the_token_is_closed_unless_it_tells_health(named: tuple[str, Any], refusal: Any) -> None:
+    name, faulty = named
+    until_ready(faulty)
+    with httpx.Client(base_url=faulty.service.url, params={"token": TOKEN}, timeout=30, trust_env=False) as client:
+        for (verb, path), authorization in itertools.product(routes(name), WRONG):
+            headers = {"authorization": authorization} if authorization is not None else {}
+            reply = client.request(verb, path, headers=headers)
+            if path in OPEN:
+                assert reply.status_code == 200, path
+            elif verb == "HEAD":
+                assert reply.status_code == 401, path
+            else:
+                assert refusal(reply, 401), path
+                assert reply.headers["www-authenticate"] == "Bearer"
 
 
-@pytest.mark.parametrize("rpc", RPCS)
-async def test_an_rpc_without_the_token_is_closed(faulty: Any, rpc: str) -> None:
+def until_ready(faulty: Any) -> None:
+    while faulty.http.get("/readyz").status_code != 200:
+        time.sleep(0.02)
+
+
+async def test_every_rpc_without_the_token_is_closed(named: tuple[str, Any]) -> None:
+    name, faulty = named
+    rpcs = [f"/{service.full_name}/{method.name}" for service in SERVICES[name] for method in service.methods]
+    rpcs += [f"/{REFLECTION.format(version)}/ServerReflectionInfo" for version in ("alpha", "")]
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
-        for authorization in WRONG:
+        for rpc, authorization in itertools.product(rpcs, WRONG):
             metadata = (("authorization", authorization),) if authorization is not None else ()
             call = channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=10)
             with pytest.raises(grpc.aio.AioRpcError) as error:
                 await call.read()
-            assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED
+            assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED, rpc
 
 
-async def test_there_is_no_rpc_beyond_those_tested(faulty: Any) -> None:
+async def test_there_is_no_rpc_beyond_those_tested(named: tuple[str, Any]) -> None:
+    name, faulty = named
     metadata = (("authorization", f"Bearer {TOKEN}"),)
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         stub = reflection_pb2_grpc.ServerReflectionStub(channel)
         request = reflection_pb2.ServerReflectionRequest(list_services="")
         reply = await stub.ServerReflectionInfo(iter([request]), metadata=metadata).read()
     names = {service.name for service in reply.list_services_response.service}
-    assert names == {service.full_name for service in SERVICES} | {
+    assert names == {service.full_name for service in SERVICES[name]} | {
         "grpc.health.v1.Health",
-        "grpc.reflection.v1alpha.ServerReflection",
+        REFLECTION.format("alpha"),
     }
 
 

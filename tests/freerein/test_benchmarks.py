@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-KINDS = {"render", "sim", "segment", "batcher", "act", "control", "reward"}
+KINDS = {"render", "sim", "segment", "batcher", "act", "control", "reward", "ppo"}
 PROMISED = {
     "render.blocks_vs_stock",
     "render.blocks_vs_stock_without_shadows",
@@ -21,6 +21,7 @@ PROMISED = {
     "control.p99_vs_bare.32x50hz",
     "reward.goal_cached_vs_uncached.grpc",
     "reward.images32_vs_1.grpc",
+    "ppo.network_vs_in_process",
 }
 
 

@@ -94,10 +94,18 @@ def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(
     assert [answer["goal_reached"] for answer in answers] == [False, True]
     table = CliRunner().invoke(app, ["act", "--image", f"front={now}", "--goal", far]).stdout
     assert "pursuing goal 0; confidence" in table
+    refused = json.loads(_run("act", "--image", now, "--goal-text", "wave").stderr)
+    assert (refused["error"]["code"], refused["error"]["field"]) == ("invalid_input", "goal.images")
 
 
 @pytest.mark.parametrize(
-    "words", [["--goal", "x.png"], ["--image", "x.png"], ["--image", "x", "--goal", "x", "--recipe", "a"]]
+    "words",
+    [
+        ["--goal", "x.png"],
+        ["--image", "x.png"],
+        ["--image", "x", "--goal", "x", "--recipe", "a"],
+        ["--image", "x", "--recipe", "a", "--goal-text", "wave"],
+    ],
 )
 def test_what_cannot_be_acted_on_is_an_error(data_dir: Path, words: list[str]) -> None:
     result = _run("act", *words)

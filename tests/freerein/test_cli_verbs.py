@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
+from freerein.cli.configuring import setting
 from freerein.cli.doctor import doors, storage
-from freerein.cli.fit import _setting
 from freerein.cli.segment_picture import bar
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
@@ -69,7 +69,7 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["up", "doctor", "demo", "segment", "reward", "act", "sim", "fit", "dataset", "models"]
+    "name", ["up", "doctor", "demo", "segment", "reward", "act", "sim", "fit", "runs", "dataset", "models"]
 )
 def test_every_verb_explains_itself(name: str) -> None:
     result = _run(name, "--help")
@@ -129,13 +129,13 @@ def test_a_service_that_does_not_run_is_an_error_that_names_up(data_dir: Path, n
 
 
 def test_settings_are_json_where_they_can_be_and_text_elsewhere() -> None:
-    assert dict(map(_setting, ["updates=200", "objective=mil", "rates=[0.1]"])) == {
+    assert dict(map(setting, ["updates=200", "objective=mil", "rates=[0.1]"])) == {
         "updates": 200,
         "objective": "mil",
         "rates": [0.1],
     }
     with pytest.raises(InvalidInput, match="KEY=VALUE"):
-        _setting("updates")
+        setting("updates")
 
 
 def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked() -> None:

@@ -1,12 +1,24 @@
 """Writing, reading, caching."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from freerein.data import Dataset, DatasetSpec, Writer, create, dataset_path, inspect, integer_fps, open_writer, truth
+from freerein.data import (
+    Dataset,
+    DatasetSpec,
+    Writer,
+    create,
+    dataset_path,
+    inspect,
+    integer_fps,
+    open_writer,
+    truth,
+    verify,
+)
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
 
@@ -67,6 +79,33 @@ def test_trajectories_come_back_as_they_were_appended(root: Path, writer: Writer
     assert_equal(dataset[-1], expected[2])
     with pytest.raises(IndexError):
         dataset[3]
+
+
+def test_every_trajectory_may_have_a_goal_text_of_its_own(root: Path, writer: Writer) -> None:
+    texts = ("push the red block", "", "lift it — straight up", "push the red block")
+    for index, text in enumerate(texts):
+        writer.append(replace(trajectory(index), goal_text=text))
+    expected = ("push the red block", SPEC.task, "lift it — straight up", "push the red block")
+
+    assert Dataset(root).goal_texts == expected  # from the data files alone: `meta/` comes with `close`
+    writer.close()
+    assert Dataset(root).goal_texts == tuple(each.goal_text for each in Dataset(root)) == expected
+    assert inspect(root).goal_text_counts == {"push the red block": 2, SPEC.task: 1, "lift it — straight up": 1}
+
+
+def test_a_lost_meta_is_rebuilt_with_the_goal_texts(root: Path, writer: Writer) -> None:
+    for index, text in enumerate(("lift it", "push it", "lift it")):
+        writer.append(replace(trajectory(index), goal_text=text))
+    writer.close()
+    stored = {path.name: path.read_bytes() for path in (root / "meta").iterdir() if path.is_file()}
+    shutil.rmtree(root / "meta")
+
+    with open_writer(root) as again:
+        again.append(replace(trajectory(3), goal_text="push it"))
+
+    assert Dataset(root).goal_texts == ("lift it", "push it", "lift it", "push it")
+    assert (root / "meta/tasks.parquet").read_bytes() == stored["tasks.parquet"]
+    assert verify(root) == []
 
 
 def test_discrete_actions_come_back_as_they_were_appended(root: Path) -> None:
@@ -135,6 +174,8 @@ def test_what_is_no_dataset_is_not_found(tmp_path: Path) -> None:
         ("frames.front", replace(trajectory(0), frames=trajectory(1).frames)),
         ("skills", replace(trajectory(0), skills=("fly",))),
         ("skills", replace(trajectory(0), skills=("push", "pick"))),
+        ("goal_text", replace(trajectory(0), goal_text="x" * 2001)),
+        ("goal_text", replace(trajectory(0), goal_text="half a pair \ud800")),
     ],
 )
 def test_a_trajectory_that_is_not_as_the_spec_says_is_refused(

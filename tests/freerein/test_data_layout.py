@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import DatasetSpec, create
+from freerein.data import Dataset, DatasetSpec, create, open_writer
 from freerein.types.common import ActionSpec, Trajectory
 
 COUNTER = {"dtype": "int64", "shape": [1], "names": None}
@@ -119,6 +119,29 @@ def test_tasks_are_indexed_by_their_text_as_pandas_wants_it(root: Path) -> None:
     table = pq.read_table(root / "meta/tasks.parquet")
     assert table.to_pydict() == {"task_index": [0], "task": ["tidy the desk"]}
     assert table.schema.pandas_metadata["index_columns"] == ["task"]
+
+
+def test_every_goal_text_is_a_task_numbered_by_its_first_appearance(root: Path) -> None:
+    with open_writer(root) as writer:
+        for text in ("lift it", "tidy the desk", "lift it"):
+            frames = {"front": np.zeros((2, 6, 8, 3), np.uint8)}
+            writer.append(Trajectory(frames=frames, actions=np.zeros((2, 2), np.float32), goal_text=text))
+    tasks = pq.read_table(root / "meta/tasks.parquet").to_pydict()
+    assert tasks == {"task_index": [0, 1], "task": ["tidy the desk", "lift it"]}
+    assert json.loads((root / "meta/info.json").read_text())["total_tasks"] == 2
+    columns = [pq.read_table(path)["task_index"][0].as_py() for path in sorted((root / "data").rglob("*.parquet"))]
+    assert columns == [0, 0, 1, 0, 1]
+    episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet")
+    assert [text for (text,) in episodes["tasks"].to_pylist()][2:] == ["lift it", "tidy the desk", "lift it"]
+
+
+def test_a_data_file_from_before_there_were_goal_texts_is_read(root: Path) -> None:
+    path = root / "data/chunk-000/file-001.parquet"
+    table = pq.read_table(path)
+    footer = json.loads(table.schema.metadata[b"freerein"])
+    assert footer.pop("goal_text") == ""
+    pq.write_table(table.replace_schema_metadata({b"freerein": json.dumps(footer).encode()}), path)
+    assert Dataset(root).goal_texts == ("tidy the desk", "tidy the desk")
 
 
 def test_statistics_are_of_all_frames_in_lerobots_shapes(root: Path) -> None:

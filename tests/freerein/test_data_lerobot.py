@@ -80,6 +80,7 @@ def test_every_trajectory_of_a_shared_file_is_read(root: Path) -> None:
 
     assert (dataset.spec.cameras, dataset.spec.task) == ({"image": (6, 8, 3)}, "lift it")
     assert (dataset.spec.action.size, dataset.spec.action.names) == (2, ("pan", "lift"))
+    assert dataset.goal_texts == ("lift it",) * 3
     for index, (start, end) in enumerate([(0, 2), (2, 5), (5, 9)]):
         np.testing.assert_array_equal(dataset[index].frames["image"], PIXELS[start:end])
         np.testing.assert_array_equal(dataset[index].actions, ACTIONS[start:end])
@@ -102,6 +103,13 @@ def test_skills_are_read_where_episodes_have_them(root: Path) -> None:
     pq.write_table(pq.read_table(path).append_column("skills", [[["push"], None, ["pick", "push"]]]), path)
     assert Dataset(root).skills == (("push",), (), ("pick", "push"))
     assert Dataset(root).spec.skills == ("pick", "push")
+
+
+def test_goal_texts_are_read_where_episodes_name_one_task(root: Path) -> None:
+    pq.write_table(pa.table({"task_index": [0, 1], "task": ["lift it", "drop it"]}), root / "meta/tasks.parquet")
+    path = root / "meta/episodes/chunk-000/file-000.parquet"
+    pq.write_table(pq.read_table(path).append_column("tasks", [[["drop it"], ["lift it", "drop it"], None]]), path)
+    assert (Dataset(root).spec.task, Dataset(root).goal_texts) == ("", ("drop it", "", ""))
 
 
 def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root: Path) -> None:

@@ -1,6 +1,6 @@
 import re
-from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
 
 import pytest
 
@@ -31,6 +31,34 @@ def test_a_whole_number_may_come_as_a_float_as_from_a_protobuf_struct() -> None:
     steps = parse(Config, {"names": [], "steps": 3.0}).steps
     assert steps == 3
     assert type(steps) is int
+
+
+@dataclass(frozen=True)
+class Nested:
+    config: dict[str, Any]
+    steps: tuple[dict[str, Any], ...] = ()
+    policy: Literal["random"] | dict[str, Any] = "random"
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+def test_objects_and_one_of_several_kinds_can_be_given() -> None:
+    values = {"config": {"a": 1}, "steps": [{"b": [2]}], "policy": {"run": "c"}}
+    assert parse(Nested, values) == Nested({"a": 1}, ({"b": [2]},), {"run": "c"})
+    assert parse(Nested, {"config": {}, "policy": "random"}) == Nested({})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, "must hold config;"),
+        ({"config": []}, "`config` must be an object"),
+        ({"config": {}, "steps": [1]}, "`steps` must be a list of objects"),
+        ({"config": {}, "policy": "none"}, "`policy` must be random or an object"),
+    ],
+)
+def test_what_is_no_object_is_refused(values: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        parse(Nested, values)
 
 
 def test_an_unknown_key_is_refused_and_the_nearest_known_one_named() -> None:

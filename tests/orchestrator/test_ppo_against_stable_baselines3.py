@@ -21,7 +21,8 @@ from freerein_orchestrator import ppo, ppo_training
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.ppo import Samples
 from freerein_orchestrator.ppo_config import PPOConfig
-from freerein_orchestrator.rollout import Actions, Observations, Step
+from freerein_orchestrator.ppo_loop import iterations
+from freerein_orchestrator.rollout import Actions, Observations, Rewards, Step
 
 CPU = torch.device("cpu")
 CARTPOLE = PPOConfig(
@@ -34,6 +35,7 @@ CARTPOLE = PPOConfig(
     discount=0.98,
     trace_decay=0.8,
     entropy_weight=0.0,
+    scale_rewards=False,
 )
 
 
@@ -82,7 +84,7 @@ def test_loss_and_gradient_are_those_of_stable_baselines3(task: str, spec: Actor
         actions = policy.sample(generator)
         log_probs = policy.log_prob(actions) + 0.2 * torch.randn(1, count, generator=generator)
     advantages, targets = torch.randn(2, 1, count, generator=generator).unbind()
-    batch = Samples(observations, starts, actions, log_probs, advantages, targets, no_memory)
+    batch = Samples(observations, starts, actions, log_probs, torch.ones(1, count), advantages, targets, no_memory)
 
     losses = ppo.evaluate(network, batch, clip=0.2)
     loss = losses.total(PPOConfig(entropy_weight=0.01))
@@ -137,6 +139,7 @@ class GymnasiumEnvironments:
             [lambda: gymnasium.make(task) for _ in range(num_envs)], autoreset_mode=AutoresetMode.SAME_STEP
         )
         self._vector.reset(seed=seed)
+        self._rewards: list[Rewards] = []
 
     @property
     def num_envs(self) -> int:
@@ -151,7 +154,15 @@ class GymnasiumEnvironments:
         final = observations.copy()
         for index in np.flatnonzero(terminated | truncated):
             final[index] = info["final_obs"][index]
-        return Step(observations, rewards.astype(np.float32), terminated, truncated, final)
+        self._rewards.append(rewards.astype(np.float32))
+        return Step(observations, terminated, truncated, final)
+
+    def rewards(self) -> Rewards:
+        earned, self._rewards = np.stack(self._rewards), []
+        return earned
+
+    def snapshots(self) -> tuple[bytes, ...]:
+        return ()
 
 
 def _curve(config: PPOConfig) -> list[float]:
@@ -159,11 +170,9 @@ def _curve(config: PPOConfig) -> list[float]:
     torch.set_num_threads(1)
     environments = GymnasiumEnvironments("CartPole-v1", config.num_envs, config.seed)
     spec = ppo_training.design(config, observation=(4,), action_choices=2)
-    training, returns = ppo_training.begin(config, spec, environments, device=CPU), []
-    for _ in range(config.iterations):
-        training, metrics = ppo_training.iterate(training, environments)
-        returns.append(metrics.get("episode_return", np.nan))
-    return returns
+    training = ppo_training.begin(config, spec, environments, device=CPU)
+    made = iterations(training, lambda actor, at: ppo_training.roll_out(actor, at, environments, config))
+    return [each.metrics.get("episode_return", np.nan) for each in made]
 
 
 class _Returns(BaseCallback):

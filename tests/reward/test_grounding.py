@@ -82,3 +82,10 @@ def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
     exports.export(DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a",))), tmp_path, card={})
     with pytest.raises(InvalidInput, match="kind"):
         load(tmp_path, "cpu")
+
+
+def test_as_a_reward_model_it_knows_which_things_are_there(model: GroundingModel) -> None:
+    red, blue = (picture((32, 32, colour)) for colour in (RED, BLUE))
+    images = model.embed_images({"": np.stack([red, blue])})
+    texts, _ = model.embed_texts(PHRASES[:2])
+    assert (images @ texts.T).argmax(axis=1).tolist() == [0, 1]

@@ -68,7 +68,8 @@ def build(
 def _warm(loaded: Policy) -> Policy:
     """Returns a model after its first, slowest call."""
     frames = np.zeros((1, loaded.height, loaded.width, loaded.channels), np.uint8)
-    codes = loaded.encode_goals(loaded.skills[:1] if loaded.kind == "skills" else frames)
+    goals = {"goal_conditioned": frames, "skills": loaded.skills[:1], "language": ("begin",)}
+    codes = loaded.encode_goals(goals[loaded.kind])
     none = np.full((1, loaded.action_size), -1 if loaded.action_choices else 0)
     previous = none.astype(np.int64 if loaded.action_choices else np.float32)
     loaded.step(frames, codes, previous, np.zeros((1, loaded.memory_size), np.float32))

@@ -18,7 +18,7 @@ from freerein.types.common import ActionSpec
 from freerein_imitation.memory import Memory
 
 Content = npt.NDArray[np.uint8] | str
-"""One goal: an image (H, W, C), or the name of a skill."""
+"""One goal: an image (H, W, C), the name of a skill, or a sentence."""
 
 _CODES_BYTES = 32 * 2**20
 
@@ -52,7 +52,7 @@ class Policy(Protocol):
         action_choices: How many different actions there are when discrete, else 0.
         horizon: K, actions per answer.
         control_dt_s: Time between two actions, in seconds.
-        skills: The skills that it can execute; none where goals are images.
+        skills: The skills that it can execute; none where goals are of another form.
         memory_size: M, numbers that it remembers.
         reached_threshold: A goal counts as reached from this probability on.
         max_steps_per_goal: Control steps after which a goal is given up, unless a request says otherwise.
@@ -73,11 +73,11 @@ class Policy(Protocol):
     max_steps_per_goal: int
 
     @property
-    def kind(self) -> Literal["goal_conditioned", "skills"]:
-        """Whether its goals are images or skills."""
+    def kind(self) -> Literal["goal_conditioned", "skills", "language"]:
+        """Whether its goals are images, skills or a sentence, of which it cannot tell when it is done."""
 
     def encode_goals(self, goals: Any) -> npt.NDArray[np.float32]:
-        """Returns codes, float32 (N, G), of goal images, uint8 (N, H, W, C), or of a sequence of skills."""
+        """Returns codes, float32 (N, G), of goal images, uint8 (N, H, W, C), or of a sequence of skills or texts."""
 
     def step(
         self,
@@ -145,13 +145,13 @@ class Answer:
 
     Attributes:
         actions: float32 (K, A) or int64 (K, 1); K = 0 when all goals are done with.
-        reached: Whether every goal is reached.
+        reached: Whether every goal is reached; None where the policy cannot tell.
         confidence: The probability that the observation reaches the goal that was pursued.
         memory: What to have in mind.
     """
 
     actions: npt.NDArray[Any]
-    reached: bool
+    reached: bool | None
     confidence: float
     memory: Memory
 
@@ -226,8 +226,8 @@ def _stack(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
 
 
 def _together(contents: list[Content]) -> npt.NDArray[np.uint8] | list[str]:
-    names = [content for content in contents if isinstance(content, str)]
-    return names or np.stack([content for content in contents if not isinstance(content, str)])
+    words = [content for content in contents if isinstance(content, str)]
+    return words or np.stack([content for content in contents if not isinstance(content, str)])
 
 
 def _check_shapes(policy: Policy, step: Step, items: int) -> None:
@@ -278,8 +278,10 @@ def _answer(
 ) -> Answer | ServiceError:
     if isinstance(judged, OutputNotFinite) or isinstance(acted, OutputNotFinite):
         return _not_finite()
-    if memory.goal_index == len(item.targets):
-        return Answer(acted.actions[:0], not memory.abandoned, judged.reached, memory)
+    is_done, can_tell = memory.goal_index == len(item.targets), item.policy.kind != "language"
+    reached = is_done and not memory.abandoned if can_tell else None
+    if is_done:
+        return Answer(acted.actions[:0], reached, judged.reached, memory)
     if acted is not judged:
         memory = replace(memory, hidden=acted.hidden)
-    return Answer(acted.actions, False, judged.reached, memory)
+    return Answer(acted.actions, reached, judged.reached, memory)

@@ -14,7 +14,7 @@ from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, Ge
 from freerein_imitation import memory as memories
 from freerein_imitation.acting import Answer, Item, Policy, Target
 from freerein_imitation.memory import Memory
-from freerein_imitation.observing import digest_of, elapsed_steps, read_frame, read_goal, read_previous
+from freerein_imitation.observing import GOAL_FORMS, digest_of, elapsed_steps, read_frame, read_goal, read_previous
 
 Models = LoadedModels[Policy]
 Acting = Batcher[Item, Answer]
@@ -158,7 +158,7 @@ def spec_of(model: ModelRef, policy: Policy) -> GetSpecResponse:
         action=policy.action,
         horizon=policy.horizon,
         control_dt_s=policy.control_dt_s,
-        goal_form="recipe" if policy.kind == "skills" else "images",
+        goal_form=GOAL_FORMS[policy.kind],
         skills=policy.skills,
         max_steps_per_goal=policy.max_steps_per_goal,
         reached_threshold=policy.reached_threshold,

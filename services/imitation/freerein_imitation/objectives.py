@@ -1,6 +1,6 @@
 """Losses of chapter 3: which action leads to a goal (eq. 3.2), where it leads (eq. 3.4), and whether a goal is near.
 
-And of section 2.4: what a skill does, and whether it ends.
+And of section 2.4: what a skill does, and whether it ends; of section 4.3: what policies do that are distilled.
 """
 
 from torch import Tensor
@@ -48,6 +48,18 @@ def recognition(scores: Tensor, close: Tensor, far: Tensor, elsewhere: Tensor) -
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Returns the mean of the values where the mask is true, 0 where it is true nowhere: float ()."""
     return values.where(mask, 0.0).sum() / mask.sum().clamp(min=1)
+
+
+def action_squared_error(predicted: Tensor, executed: Tensor) -> Tensor:
+    """Returns the mean over the numbers of an action of (a_t - a)^2, the L2 loss of section 4.3: float (...).
+
+    Where policies differ about an observation, the best answer is their mean, which may be what none of them does.
+
+    Args:
+        predicted: Float (..., A).
+        executed: Float (..., A).
+    """
+    return (predicted - executed).square().mean(dim=-1)
 
 
 def absolute_error(predicted: Tensor, executed: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 import asyncio
 import hashlib
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -9,11 +11,17 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput
-from freerein.types.common import Goal, Image, Observation
+from freerein.types.common import MAX_TEXT, Goal, Image, Observation
+from freerein.types.imitation import GoalForm
 from freerein_imitation.acting import Policy, Target
 from freerein_imitation.memory import DIGEST_BYTES
 
 MAX_GOALS = 256
+GOAL_FORMS: Mapping[str, GoalForm] = MappingProxyType(
+    {"goal_conditioned": "images", "skills": "recipe", "language": "text"}
+)
+"""The form of a policy's goals, by its kind."""
+
 _RAW = ("raw_rgb8", "raw_gray8")
 _AT_ONCE_BYTES = 2**19  # what is hashed within half a millisecond need not go to a thread
 
@@ -51,17 +59,12 @@ async def read_goal(policy: Policy, goal: Goal) -> tuple[Target, ...]:
         InvalidInput: There are none, too many, or some that the policy does not know.
         UnsupportedMedia: An image is not in the encoding that it names.
     """
-    given, other = (goal.recipe, goal.images) if policy.kind == "skills" else (goal.images, goal.recipe)
-    field = "goal.recipe" if policy.kind == "skills" else "goal.images"
-    if other or not 1 <= len(given) <= MAX_GOALS:
-        raise InvalidInput(
-            f"`{field}` must hold 1 to {MAX_GOALS} goals of this model, and nothing else be given; "
-            f"got {len(given)}, and {len(other)} of the other form.",
-            field=field,
-            hint="GetSpec says in which form a model takes its goals.",
-        )
-    if policy.kind == "skills":
-        return tuple(_skill(policy, name, f"{field}.{i}") for i, name in enumerate(goal.recipe))
+    form = GOAL_FORMS[policy.kind]
+    _check_form(goal, form)
+    if form == "text":
+        return (Target(_digest(goal.text.encode()), goal.text),)
+    if form == "recipe":
+        return tuple(_skill(policy, name, f"goal.recipe.{i}") for i, name in enumerate(goal.recipe))
     if all(image.encoding in _RAW for image in goal.images) and sum(len(i.data) for i in goal.images) < _AT_ONCE_BYTES:
         return _goal_images(policy, goal.images)
     return await asyncio.to_thread(_goal_images, policy, goal.images)
@@ -106,6 +109,21 @@ def read_previous(policy: Policy, executed: npt.NDArray[Any] | None) -> npt.NDAr
 def elapsed_steps(executed: npt.NDArray[Any] | None) -> int:
     """Returns the control steps since the observation before: one at least, in which the robot may have held."""
     return len(executed) if executed is not None and executed.ndim == 2 and len(executed) else 1
+
+
+def _check_form(goal: Goal, form: GoalForm) -> None:
+    """Refuses a goal that is not given in one form alone, or is too short or too long."""
+    given = {"images": len(goal.images), "recipe": len(goal.recipe), "text": len(goal.text)}
+    count = given.pop(form)
+    most, things = (MAX_TEXT, "characters") if form == "text" else (MAX_GOALS, "goals")
+    if any(given.values()) or not 1 <= count <= most:
+        others = " and ".join(f"{number} of {name}" for name, number in given.items())
+        raise InvalidInput(
+            f"`goal.{form}` must hold 1 to {most} {things} for this model, and nothing else be given; "
+            f"got {count}, {others}.",
+            field=f"goal.{form}",
+            hint="GetSpec says in which form a model takes its goals.",
+        )
 
 
 def _pixels(policy: Policy, image: Image, field: str) -> npt.NDArray[np.uint8]:

@@ -1,6 +1,9 @@
 """The orchestrator as a process: `python -m freerein_orchestrator`."""
 
+import os
 from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
@@ -16,6 +19,7 @@ from freerein_orchestrator.runs.attempts import Attempts
 from freerein_orchestrator.runs.core import Resolved, Runs
 from freerein_orchestrator.runs.records import RunRecords
 from freerein_orchestrator.settings import OrchestratorSettings
+from freerein_orchestrator.work import Work
 
 NAME = "orchestrator"
 
@@ -33,7 +37,7 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
         attempt=attempts.make,
         note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
     )
-    runs = Runs(records, durable, resolve=resolve, health=health)
+    runs = Runs(records, durable, resolve=lambda kind, config: resolve(kind, config, settings.data_dir), health=health)
     return Service(
         name=NAME,
         methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs),
@@ -43,13 +47,17 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
     )
 
 
-def resolve(kind: RunKind, config: Mapping[str, Any]) -> Resolved:
+def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolved:
     """Returns what a run of a kind and a partial configuration is.
 
     Raises:
-        InvalidInput: The configuration is wrong.
+        InvalidInput: The configuration is wrong, or builds on what is not there.
     """
     whole = KINDS[kind].resolve(config)
+    with ExitStack() as closing:
+        folder = data_dir / "runs" / "asked"  # of no run: nothing is made there
+        work = Work(folder, folder.name, whole, data_dir, "cpu", os.environ, stop=bool, closing=closing)
+        KINDS[kind].check(work, ())
     return Resolved(whole, KINDS[kind].steps(whole))
 
 

@@ -15,6 +15,7 @@ from freerein.serving.child import end_with_parent
 from freerein.serving.fit_child import STOPPED
 from freerein.serving.fits import HOPELESS
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.outcomes import CANCELLED
 from freerein_orchestrator.work import Work
 
 
@@ -23,7 +24,16 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
     end_with_parent()
     asked = json.loads((folder / "config.json").read_bytes())
     with stop_on_sigterm() as stop:
-        work = Work(folder, folder.name, asked["config"], data_dir, device, os.environ, stop)
+        work = Work(
+            folder=folder,
+            key=folder.name,
+            config=asked["config"],
+            data_dir=data_dir,
+            device=device,
+            environ=os.environ,
+            stop=stop,
+            cancelled=(folder / CANCELLED).is_file,
+        )
         try:
             with work.closing:
                 return 0 if KINDS[asked["kind"]].run(work) else STOPPED

@@ -20,7 +20,7 @@ from sqlalchemy.exc import DBAPIError
 
 from freerein.errors import FailedPrecondition, NotFound, ServiceError, Unavailable
 from freerein.types.orchestrator import ENDED, RunState
-from freerein_orchestrator.outcomes import Attempt
+from freerein_orchestrator.outcomes import Attempt, Reason
 from freerein_orchestrator.worker_locks import FileLocks, PostgresLocks, WorkerLocks
 
 _log = logging.getLogger(__name__)
@@ -45,8 +45,8 @@ _STATES: dict[str, RunState] = {
 }
 
 
-MakeAttempt = Callable[[str, Callable[[], bool]], Attempt]
-"""Makes an attempt at the run of an id; raises Interrupted soon after the second argument has returned True."""
+MakeAttempt = Callable[[str, Callable[[], Reason]], Attempt]
+"""Makes an attempt at the run of an id; raises Interrupted soon after the second argument has returned a reason to."""
 NoteEnd = Callable[[str, RunState, str], None]
 """Notes a run's id, how it ended, and why it failed; perhaps twice."""
 
@@ -206,15 +206,17 @@ class DurableRuns:
                 self._attempts -= 1
                 self._idle.notify_all()
 
-    def _told_to_stop(self, run_id: str) -> bool:
+    def _told_to_stop(self, run_id: str) -> Reason:
         """Returns whether this worker is closing, or the run is no longer its own: cancelled, or taken over."""
         if self._closing.is_set():
-            return True
+            return "leave"
         try:
             status = self._status(run_id)
         except Unavailable:  # what has begun goes on without the database
-            return False
-        return status.status != "PENDING" or status.executor_id != self._executor_id
+            return ""
+        if status.status == "CANCELLED":
+            return "cancel"
+        return "leave" if status.status != "PENDING" or status.executor_id != self._executor_id else ""
 
     def _status(self, run_id: str) -> WorkflowStatus:
         with _database():

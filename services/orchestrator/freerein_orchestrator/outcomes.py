@@ -3,6 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
+Reason = Literal["", "leave", "cancel"]
+"""Why an attempt is to stop: another one will go on with the run, or the run was cancelled; empty while it goes on."""
+
+CANCELLED = "cancelled"
+"""A file in a run's folder, there when its child is told to stop because the run was cancelled."""
+
 
 @dataclass(frozen=True)
 class Attempt:

@@ -2,9 +2,14 @@
 
 Departures from the paper are those that everybody makes: advantages are normalised in each minibatch, gradients are
 clipped, the first weights are orthogonal (Huang et al. 2022, "The 37 implementation details").
+
+Where experience is collected while the last is learnt from, the policy that acted is not the one that learning begins
+with. The clipping is around the latter, and each timestep counts as much more or less as the latter would rather have
+acted so (Hilton et al. 2022, the decoupled objective), but never more than once (Espeholt et al. 2018).
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -17,13 +22,18 @@ from freerein.learning.descent import descend, learning_rate
 from freerein.learning.progress import Progress
 from freerein_orchestrator.networks import ActorCritic, Distribution
 from freerein_orchestrator.ppo_config import PPOConfig
+from freerein_orchestrator.rejection import Rejected
 from freerein_orchestrator.rollout import Rollout
 
 _NOTHING = 1e-8
 
 
 def learn(
-    progress: Progress[ActorCritic], rollout: Rollout, config: PPOConfig
+    progress: Progress[ActorCritic],
+    rollout: Rollout,
+    config: PPOConfig,
+    *,
+    interrupt: Callable[[], None] = lambda: None,
 ) -> tuple[Progress[ActorCritic], dict[str, float]]:
     """Returns the learner after one iteration's updates, and their metrics. The network is changed in place.
 
@@ -31,17 +41,25 @@ def learn(
         progress: Before them; its shuffle is over `config.sequences`.
         rollout: What to learn from.
         config: What was chosen.
+        interrupt: Called before each update; what it raises ends them.
+
+    Raises:
+        Rejected: A metric or a weight is not finite.
     """
-    samples, state, shuffle = prepare(rollout, config), progress.state, progress.shuffle
+    state, shuffle = progress.state, progress.shuffle
+    samples = prepare(rollout, config, state.network)
     metrics: list[Mapping[str, Tensor]] = []
     for _ in range(config.updates):
+        interrupt()
         batch = samples.pick(shuffle.draw(config.batch_size // config.sequence))
         losses = evaluate(state.network, batch, clip=config.clip)
         rate = learning_rate(config.learning_rate, state.step, warmup_steps=1, steps=config.iterations * config.updates)
         state = descend(state, losses.total(config), rate=rate)
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}
-    return replace(progress, state=state), means | {"explained_variance": _explained(rollout.values, samples.targets)}
+    means["explained_variance"] = _explained(rollout.values, samples.targets)
+    _check_finite(means, state.network)
+    return replace(progress, state=state), means
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +70,8 @@ class Samples:
         observations: uint8 (L, B, H, W, C) or float32 (L, B, D).
         starts: Whether an episode begins there, bool (L, B).
         actions: float32 (L, B, A) or int64 (L, B, 1).
-        log_probs: Of the actions when they were drawn, float32 (L, B).
+        log_probs: Of the actions by the policy that learning begins with, float32 (L, B).
+        weights: How much each timestep counts, float32 (L, B).
         advantages: float32 (L, B).
         targets: Of the value, float32 (L, B).
         memory: Before the first timestep, float32 (1, B, memory_size).
@@ -62,6 +81,7 @@ class Samples:
     starts: Tensor
     actions: Tensor
     log_probs: Tensor
+    weights: Tensor
     advantages: Tensor
     targets: Tensor
     memory: Tensor
@@ -72,11 +92,18 @@ class Samples:
         return Samples(**{each.name: getattr(self, each.name)[:, chosen] for each in fields(self)})
 
 
-def prepare(rollout: Rollout, config: PPOConfig) -> Samples:
-    """Returns what there is to learn from a rollout: its environments' sequences, or its timesteps one by one."""
+def prepare(rollout: Rollout, config: PPOConfig, network: ActorCritic) -> Samples:
+    """Returns what there is to learn from a rollout: its environments' sequences, or its timesteps one by one.
+
+    Args:
+        rollout: By the network, or where experience is collected meanwhile by an earlier one.
+        config: What was chosen.
+        network: Before its updates.
+    """
+    log_probs, values = _reconsider(rollout, network) if config.overlap else (rollout.log_probs, rollout.values)
     advantages = estimate_advantages(
         rollout.rewards,
-        rollout.values,
+        values,
         rollout.ends,
         rollout.next_values,
         discount=config.discount,
@@ -86,15 +113,25 @@ def prepare(rollout: Rollout, config: PPOConfig) -> Samples:
         observations=rollout.observations,
         starts=rollout.starts,
         actions=rollout.actions,
-        log_probs=rollout.log_probs,
+        log_probs=log_probs,
+        weights=(log_probs - rollout.log_probs).exp().clamp(max=1.0),
         advantages=advantages,
-        targets=advantages + rollout.values,
+        targets=advantages + values,
         memory=rollout.memory[None],
     )
     if config.is_recurrent:
         return whole
     singles = {each.name: getattr(whole, each.name).flatten(end_dim=1)[None] for each in fields(whole)}
     return Samples(**singles | {"memory": rollout.memory.new_zeros(1, rollout.starts.numel(), 0)})
+
+
+@torch.no_grad()
+def _reconsider(rollout: Rollout, network: ActorCritic) -> tuple[Tensor, Tensor]:
+    """Returns the log probabilities of a rollout's actions and the values of its observations, by a network."""
+    device = next(network.parameters()).device
+    shown = (rollout.observations, rollout.starts, rollout.memory)
+    outputs = network(*(each.to(device) for each in shown))
+    return outputs.actions.log_prob(rollout.actions.to(device)).cpu(), outputs.values.cpu()
 
 
 def estimate_advantages(
@@ -166,12 +203,22 @@ def clipped_losses(policy: Distribution, values: Tensor, batch: Samples, *, clip
     advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + _NOTHING)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
-    gain = torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip))
+    gain = batch.weights * torch.minimum(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip))
     with torch.no_grad():
         divergence = (ratio - 1 - log_ratio).mean()
         clipped_share = ((ratio - 1).abs() > clip).float().mean()
     value = functional.mse_loss(values, batch.targets)
     return Losses(-gain.mean(), value, policy.entropy().mean(), divergence, clipped_share)
+
+
+def _check_finite(metrics: Mapping[str, float], network: ActorCritic) -> None:
+    numbers = dict(metrics) | {"weights": sum(each.detach().sum().item() for each in network.parameters())}
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise Rejected(
+                f"A training's numbers must stay finite; {name} became {value}.",
+                hint="Lower the learning rate, or look at the rewards.",
+            )
 
 
 def _explained(values: Tensor, targets: Tensor) -> float:

@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, Self, TypeAlias
 
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
+
+RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,8 @@ class PPOConfig:
         clip: How far the probability of an action may move from 1, as a ratio, before its gradient is cut off.
         entropy_weight: Of the entropy, which is raised.
         value_weight: Of the value's squared error.
+        overlap: Whether experience is collected while the last is learnt from, with the weights from before; else
+            with those from after, one after the other.
         is_recurrent: Whether the networks have a memory.
         scale_rewards: Whether rewards are divided by the running spread of their discounted sums.
         features: Image features.
@@ -37,18 +42,19 @@ class PPOConfig:
     """
 
     iterations: int = bounded(100, least=1, most=1_000_000)
-    num_envs: int = bounded(8, least=1, most=1024)
-    steps: int = bounded(256, least=2, most=65_536)
+    num_envs: int = bounded(16, least=1, most=1024)
+    steps: int = bounded(32, least=2, most=65_536)
     epochs: int = bounded(4, least=1, most=100)
     batch_size: int = bounded(256, least=2, most=1_048_576)
-    learning_rate: float = bounded(3e-4, least=1e-7, most=1.0)
+    learning_rate: float = bounded(1e-3, least=1e-7, most=1.0)
     discount: float = bounded(0.98, least=0.0, most=1.0)
     trace_decay: float = bounded(0.95, least=0.0, most=1.0)
     clip: float = bounded(0.2, least=0.01, most=1.0)
-    entropy_weight: float = bounded(0.005, least=0.0, most=1.0)
+    entropy_weight: float = bounded(0.0, least=0.0, most=1.0)
     value_weight: float = bounded(0.5, least=0.0, most=10.0)
+    overlap: bool = True
     is_recurrent: bool = False
-    scale_rewards: bool = False
+    scale_rewards: bool = True
     features: int = bounded(128, least=8, most=1024)
     hidden: int = bounded(64, least=2, most=1024)
     log_std: float = bounded(-0.5, least=-5.0, most=2.0)
@@ -67,7 +73,7 @@ class PPOConfig:
             )
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, object]) -> "PPOConfig":
+    def from_mapping(cls, values: Mapping[str, object]) -> Self:
         """Returns the configuration that `values` describe; what is left out has its default.
 
         Raises:
@@ -89,3 +95,27 @@ class PPOConfig:
     def updates(self) -> int:
         """Updates per iteration."""
         return self.epochs * self.num_envs * self.steps // self.batch_size
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPORunConfig(PPOConfig):
+    """What a run of this kind may choose, beside how it learns.
+
+    Attributes:
+        task: The task's name.
+        goal_text: What is to be seen; empty for the task's own.
+        camera: Whose frames the policy and the reward see; empty for the task's first.
+        reward: `learned`, 1 where a reward model sees the goal text rather than its rivals; `base`, the similarity that
+            the grounding model has between goal text and frame; `oracle`, what is true, to compare with.
+        reward_model: The name of the model that judges; empty for the service's default, for `base` `grounding`. The
+            version that is active when the run begins judges to its end.
+        start_from: Whose weights to begin with: a run's id, the name of an earlier step of the same pipeline, or that
+            of a policy among the models of the orchestrator; empty for weights that know nothing.
+    """
+
+    task: str
+    goal_text: str = ""
+    camera: str = ""
+    reward: RewardForm = "learned"
+    reward_model: str = ""
+    start_from: str = ""

@@ -1,35 +1,38 @@
 """A training by PPO: its complete state between two iterations, to a checkpoint and back, bit by bit.
 
-What a snapshot does not hold is the environments themselves. Whoever has them brings their state along as bytes, which
-are saved in the same checkpoint: snapshots of simulated worlds, or what it takes to replay them.
+No experience is saved. A snapshot says where the next rollout begins, environments and all, and who acts in it, so that
+it can be collected again.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import InvalidInput
 from freerein.learning import progress as progresses
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning.config import parse
 from freerein.learning.progress import Progress, TrainingState
 from freerein.learning.shuffle import Shuffle
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
-from freerein_orchestrator.ppo import learn
 from freerein_orchestrator.ppo_config import PPOConfig
 from freerein_orchestrator.reward_scale import RewardScale
 from freerein_orchestrator.rollout import (
     Environments,
     Observations,
+    Rollout,
     Standing,
     checked_observations,
     collect,
     executable,
 )
+from freerein_orchestrator.tally import Tally
 
 _CALIBRATION_STEPS = 64
 _EPSILON = 1e-5  # of Adam
@@ -68,23 +71,43 @@ def design(
 
 
 @dataclass(frozen=True, eq=False)
+class Outset:
+    """Where a rollout begins: all that it depends on, but for the actor.
+
+    Attributes:
+        standing: Where the environments' episodes stand.
+        generator: The state of what draws the actions, uint8.
+        environments: How to bring the environments back to where they stand.
+    """
+
+    standing: Standing
+    generator: Tensor
+    environments: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class PPOTraining:
-    """Everything that the next iteration depends on, but for the environments.
+    """Everything that the next iteration depends on.
 
     Attributes:
         config: What was chosen.
-        progress: The learner: network, optimiser, updates made, the order of minibatches; and, as the generator of its
-            state, what draws the actions.
-        standing: Where the environments' episodes stand.
+        progress: The learner: network, optimiser, updates made, the order of minibatches.
+        actor: Collects the next rollout; never changed.
+        outset: Where that begins.
+        terms: What else it was begun with and must be gone on with.
+        metrics: Of the last iteration; none before the first.
     """
 
     config: PPOConfig
     progress: Progress[ActorCritic]
-    standing: Standing
+    actor: ActorCritic
+    outset: Outset
+    terms: Mapping[str, JSON] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def network(self) -> ActorCritic:
-        """The actor and the critic."""
+        """The actor and the critic, as they have learnt so far."""
         return self.progress.state.network
 
     @property
@@ -93,10 +116,26 @@ class PPOTraining:
         return self.progress.state.step // self.config.updates
 
 
-def begin(config: PPOConfig, spec: ActorCriticSpec, environments: Environments, *, device: torch.device) -> PPOTraining:
+def begin(
+    config: PPOConfig,
+    spec: ActorCriticSpec,
+    environments: Environments,
+    *,
+    device: torch.device,
+    taught: ActorCritic | None = None,
+    terms: Mapping[str, JSON] | None = None,
+) -> PPOTraining:
     """Returns a training before its first iteration, and begins an episode in every environment.
 
     Frames are calibrated on those that random actions lead to.
+
+    Args:
+        config: What was chosen.
+        spec: The networks.
+        environments: Where experience will be collected.
+        device: Where the networks are.
+        taught: A network of the same spec whose weights and calibration the training begins with.
+        terms: What else it is begun with and must be gone on with.
 
     Raises:
         InvalidInput: The environments are not as many as configured, or do not show what the network sees.
@@ -106,74 +145,83 @@ def begin(config: PPOConfig, spec: ActorCriticSpec, environments: Environments, 
             f"There must be {config.num_envs} environments; got {environments.num_envs}.", field="num_envs"
         )
     progress = _untrained(config, spec, device)
+    network, generator = progress.state.network, progress.state.generator
+    if taught is not None:
+        network.load_state_dict(taught.state_dict())
+    elif not spec.vector_size:
+        network.calibrate(_wander(environments, spec, generator).to(device))
     scale = RewardScale.begin(config.num_envs) if config.scale_rewards else None
-    if not spec.vector_size:
-        progress.state.network.calibrate(_wander(environments, spec, progress.state.generator).to(device))
-    return PPOTraining(config, progress, Standing.begin(environments.reset(), spec, scale=scale))
+    standing = Standing.begin(environments.reset(), spec, Tally.begin(config.num_envs, scale=scale))
+    outset = Outset(standing, generator.get_state(), environments.snapshots())
+    return PPOTraining(config, progress, frozen(network), outset, terms or {})
 
 
-def iterate(training: PPOTraining, environments: Environments) -> tuple[PPOTraining, dict[str, float]]:
-    """Returns the training after one iteration, and its metrics; networks and generators are changed in place.
+def frozen(network: ActorCritic) -> ActorCritic:
+    """Returns a copy of a network that nothing changes."""
+    return deepcopy(network).requires_grad_(False)
 
-    After an error, go on from a snapshot.
 
-    Args:
-        training: Before it.
-        environments: Stand where the last iteration left them.
+def roll_out(
+    actor: ActorCritic, outset: Outset, environments: Environments, config: PPOConfig
+) -> tuple[Rollout, Outset]:
+    """Returns the rollout that begins at an outset where the environments stand, and the outset of the next one.
 
     Raises:
-        InvalidInput: An environment answered what is no step.
-        FailedPrecondition: A metric is not finite.
+        Rejected: An environment answered what is no step, or a reward is not finite.
         ServiceError: What else stepping the environments raises.
     """
-    config, state = training.config, training.progress.state
+    generator = torch.Generator()
+    generator.set_state(outset.generator)
     rollout, standing = collect(
-        state.network,
-        environments,
-        training.standing,
-        steps=config.steps,
-        discount=config.discount,
-        generator=state.generator,
+        actor, environments, outset.standing, steps=config.steps, discount=config.discount, generator=generator
     )
-    progress, metrics = learn(training.progress, rollout, config)
-    if len(rollout.returns):
-        metrics["episode_return"] = rollout.returns.mean().item()
-        metrics["episode_length"] = rollout.lengths.double().mean().item()
-    _check_finite(metrics, training.iteration)
-    return PPOTraining(config, progress, standing), metrics
+    return rollout, Outset(standing, generator.get_state(), environments.snapshots())
 
 
-def snapshot(training: PPOTraining, *, environments: bytes = b"") -> Checkpoint:
+def snapshot(training: PPOTraining) -> Checkpoint:
     """Returns a copy of a training, which nothing that follows changes; for `freerein.learning.checkpoints`, too.
 
     Args:
         training: Between two iterations.
-        environments: How to bring these back to where they stand.
     """
-    made = progresses.to_checkpoint(training.progress, _identity(training.config, training.network))
-    tensors = {**made.tensors, **_to_tensors(training.standing), "environments": _from_bytes(environments)}
-    return replace(made, tensors={name: tensor.detach().clone() for name, tensor in tensors.items()})
+    identity = _identity(training.config, training.network, training.terms)
+    made = progresses.to_checkpoint(training.progress, identity)
+    tensors = {
+        **made.tensors,
+        **{f"actor/{name}": tensor for name, tensor in training.actor.state_dict().items()},
+        **{f"outset/{name}": tensor for name, tensor in _to_tensors(training.outset).items()},
+    }
+    return replace(
+        made,
+        tensors={name: tensor.detach().clone() for name, tensor in tensors.items()},
+        document={**made.document, "metrics": dict(training.metrics)},
+    )
 
 
 def restore(
-    checkpoint: Checkpoint, config: PPOConfig, spec: ActorCriticSpec, *, device: torch.device
-) -> tuple[PPOTraining, bytes]:
-    """Returns the training that a snapshot is of, and how to bring its environments back.
+    checkpoint: Checkpoint, config: PPOConfig, *, device: torch.device, terms: Mapping[str, JSON] | None = None
+) -> PPOTraining:
+    """Returns the training that a snapshot is of.
 
     Args:
         checkpoint: From `snapshot`.
         config: As the training was begun with.
-        spec: As well.
         device: As well.
+        terms: Those of its terms that could be others by now.
 
     Raises:
-        FailedPrecondition: The snapshot is of a training with another configuration, other networks, on another device
+        FailedPrecondition: The snapshot is of a training with another configuration or other terms, on another device
             or by another torch.
     """
-    fresh = _untrained(config, spec, device)
-    progress = progresses.from_checkpoint(checkpoint, fresh, _identity(config, fresh.state.network))
-    environments = checkpoint.tensors["environments"].numpy().tobytes()
-    return PPOTraining(config, progress, _from_tensors(checkpoint.tensors)), environments
+    begun = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
+    fresh = _untrained(config, parse(ActorCriticSpec, begun["network"]), device)
+    network, terms = fresh.state.network, {**begun["terms"], **(terms or {})}
+    actor = frozen(network)
+    progress = progresses.from_checkpoint(checkpoint, fresh, _identity(config, network, terms))
+    actor.load_state_dict(_under("actor/", checkpoint.tensors))
+    outset = _from_tensors(_under("outset/", checkpoint.tensors))
+    metrics = cast(Mapping[str, float], checkpoint.document["metrics"])
+    return PPOTraining(config, progress, actor, outset, terms, metrics)
 
 
 def _untrained(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> Progress[ActorCritic]:
@@ -196,40 +244,49 @@ def _wander(environments: Environments, spec: ActorCriticSpec, generator: torch.
         else:
             actions = 2 * torch.rand(size, generator=generator) - 1
         seen.append(environments.step(executable(actions)).observations)
+    environments.rewards()  # which nobody learns from
     return torch.cat([checked_observations(each, spec, environments.num_envs) for each in seen])
 
 
-def _identity(config: PPOConfig, network: ActorCritic) -> dict[str, JSON]:
+def _identity(config: PPOConfig, network: ActorCritic, terms: Mapping[str, JSON]) -> dict[str, JSON]:
     device = next(network.parameters()).device
     return {
         "config": asdict(config),
         "network": asdict(network.spec),
         "torch": torch.__version__,
         "device": str(device),
+        "terms": dict(terms),
     }
 
 
-def _to_tensors(standing: Standing) -> dict[str, Tensor]:
-    scale = standing.scale
-    parts = {f"standing/{each.name}": getattr(standing, each.name) for each in fields(standing) if each.name != "scale"}
-    return parts if scale is None else parts | {"scale/sums": scale.sums, "scale/moments": scale.moments}
+def _to_tensors(outset: Outset) -> dict[str, Tensor]:
+    standing, tally = outset.standing, outset.standing.tally
+    parts = {
+        "generator": outset.generator,
+        "observations": standing.observations,
+        "starts": standing.starts,
+        "memory": standing.memory,
+        "returns": tally.returns,
+        "lengths": tally.lengths,
+    }
+    if tally.scale is not None:
+        parts |= {"scale/sums": tally.scale.sums, "scale/moments": tally.scale.moments}
+    return parts | {f"environments/{index}": _from_bytes(data) for index, data in enumerate(outset.environments)}
 
 
-def _from_tensors(tensors: Mapping[str, Tensor]) -> Standing:
-    parts = {name.removeprefix("standing/"): each for name, each in tensors.items() if name.startswith("standing/")}
+def _from_tensors(tensors: Mapping[str, Tensor]) -> Outset:
     is_scaled = "scale/sums" in tensors
     scale = RewardScale(tensors["scale/sums"], tensors["scale/moments"]) if is_scaled else None
-    return Standing(**parts, scale=scale)
+    tally = Tally(tensors["returns"], tensors["lengths"], scale)
+    standing = Standing(tensors["observations"], tensors["starts"], tensors["memory"], tally)
+    count = len(_under("environments/", tensors))
+    environments = tuple(tensors[f"environments/{index}"].numpy().tobytes() for index in range(count))
+    return Outset(standing, tensors["generator"], environments)
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 def _from_bytes(data: bytes) -> Tensor:
     return torch.from_numpy(np.frombuffer(data, np.uint8).copy())
-
-
-def _check_finite(metrics: Mapping[str, float], iteration: int) -> None:
-    for name, value in metrics.items():
-        if not math.isfinite(value):
-            raise FailedPrecondition(
-                f"A training's metrics must stay finite; {name} is {value} in iteration {iteration}.",
-                hint="Lower the learning rate, or look at the rewards.",
-            )

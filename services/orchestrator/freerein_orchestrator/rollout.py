@@ -1,7 +1,8 @@
 """How experience is collected from environments, wherever these are.
 
-Actions are drawn from a generator of their own: experience is the same bits whether or not the learner is at work on
-what was collected before.
+Actions are drawn from a generator of their own, and the next one is drawn before the last one's reward is known:
+experience is the same bits whether or not the learner is at work on what was collected before, and however long
+rewards take.
 """
 
 from dataclasses import dataclass
@@ -14,12 +15,14 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec, Outputs
-from freerein_orchestrator.reward_scale import RewardScale
+from freerein_orchestrator.rejection import Rejected
+from freerein_orchestrator.tally import Tally
 
 Observations: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 """Of N environments: frames uint8 (N, H, W, C), or vectors float32 (N, D)."""
 Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """Of N environments: float32 (N, A) in [-1, 1], or choices int64 (N, 1)."""
+Rewards: TypeAlias = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +31,12 @@ class Step:
 
     Attributes:
         observations: Of the next timestep; where an episode ended, the first of the next one.
-        rewards: float32 (N,).
         terminated: bool (N,), whether the episode came to its end: nothing is worth anything thereafter.
         truncated: bool (N,), whether it was cut off, by a limit of time: it would have gone on.
         final_observations: As `observations`, but where an episode ended its own last one; the others are not read.
     """
 
     observations: Observations
-    rewards: npt.NDArray[np.float32]
     terminated: npt.NDArray[np.bool_]
     truncated: npt.NDArray[np.bool_]
     final_observations: Observations
@@ -54,6 +55,12 @@ class Environments(Protocol):
     def step(self, actions: Actions) -> Step:
         """Takes one action in every environment."""
 
+    def rewards(self) -> Rewards:
+        """Returns the rewards of the T steps since they were last asked for, float32 (T, N); waits for them."""
+
+    def snapshots(self) -> tuple[bytes, ...]:
+        """Returns how to bring the environments back to where they stand; none where that cannot be."""
+
 
 @dataclass(frozen=True, eq=False)
 class Standing:
@@ -63,20 +70,16 @@ class Standing:
         observations: The present ones, uint8 (N, H, W, C) or float32 (N, D).
         starts: Whether an episode begins with them, bool (N,).
         memory: The actor's, float32 (N, memory_size).
-        returns: Sum of the rewards of each episode so far, float64 (N,).
-        lengths: Timesteps of each episode so far, int64 (N,).
-        scale: What rewards are divided by; None where they are learnt from as they are.
+        tally: What the episodes have come to.
     """
 
     observations: Tensor
     starts: Tensor
     memory: Tensor
-    returns: Tensor
-    lengths: Tensor
-    scale: RewardScale | None
+    tally: Tally
 
     @classmethod
-    def begin(cls, observations: Observations, spec: ActorCriticSpec, *, scale: RewardScale | None) -> "Standing":
+    def begin(cls, observations: Observations, spec: ActorCriticSpec, tally: Tally) -> "Standing":
         """Returns how episodes stand that begin with some observations.
 
         Raises:
@@ -87,9 +90,7 @@ class Standing:
             observations=checked_observations(observations, spec, count),
             starts=torch.ones(count, dtype=torch.bool),
             memory=torch.zeros(count, spec.memory_size),
-            returns=torch.zeros(count, dtype=torch.float64),
-            lengths=torch.zeros(count, dtype=torch.int64),
-            scale=scale,
+            tally=tally,
         )
 
 
@@ -139,82 +140,79 @@ def collect(
 
     Args:
         network: Acts; it is not changed.
-        environments: Stand where `standing` says.
+        environments: Stand where `standing` says; no rewards are left that were not asked for.
         standing: Where the last rollout ended.
         steps: T.
         discount: Of rewards, per timestep.
         generator: Draws the actions; on the CPU.
 
     Raises:
-        InvalidInput: An environment answered what is no step, such as a reward that is not finite.
+        Rejected: An environment answered what is no step, or a reward is not finite.
     """
-    memory, taken = standing.memory, list[_Taken]()
+    seen, taken = _Seen(standing.observations, standing.starts, standing.memory), list[_Taken]()
     for _ in range(steps):
-        step, standing = _take(network, environments, standing, discount=discount, generator=generator)
+        step, seen = _take(network, environments, seen, generator=generator)
         taken.append(step)
-    after = _outputs(network, standing.observations, standing.starts, standing.memory)
+    after = _outputs(network, seen.observations, seen.starts, seen.memory)
+    ends = torch.stack([step.ends for step in taken])
+    rewards = _checked_rewards(environments.rewards(), ends.shape)
+    earnings, tally = standing.tally.add(rewards, ends, discount=discount)
     rollout = Rollout(
         observations=torch.stack([step.observations for step in taken]),
         starts=torch.stack([step.starts for step in taken]),
         actions=torch.stack([step.actions for step in taken]),
         log_probs=torch.stack([step.log_probs for step in taken]),
         values=torch.stack([step.values for step in taken]),
-        rewards=torch.stack([step.rewards for step in taken]),
-        ends=torch.stack([step.ends for step in taken]),
+        rewards=earnings.rewards + discount * torch.stack([step.values_beyond for step in taken]),
+        ends=ends,
         next_values=after.values[0].cpu(),
-        memory=memory,
-        returns=torch.cat([step.returns for step in taken]),
-        lengths=torch.cat([step.lengths for step in taken]),
+        memory=standing.memory,
+        returns=earnings.returns,
+        lengths=earnings.lengths,
     )
-    return rollout, standing
+    return rollout, Standing(seen.observations, seen.starts, seen.memory, tally)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the actor acts on, fields as of `Standing`."""
+
+    observations: Tensor
+    starts: Tensor
+    memory: Tensor
 
 
 @dataclass(frozen=True, eq=False)
 class _Taken:
-    """One timestep of a rollout, fields as there."""
+    """One timestep of a rollout, fields as there; and where an episode was cut off, what would have come is worth."""
 
     observations: Tensor
     starts: Tensor
     actions: Tensor
     log_probs: Tensor
     values: Tensor
-    rewards: Tensor
     ends: Tensor
-    returns: Tensor
-    lengths: Tensor
+    values_beyond: Tensor
 
 
 def _take(
-    network: ActorCritic,
-    environments: Environments,
-    standing: Standing,
-    *,
-    discount: float,
-    generator: torch.Generator,
-) -> tuple[_Taken, Standing]:
-    seen = _outputs(network, standing.observations, standing.starts, standing.memory)
-    actions = seen.actions.sample(generator)
+    network: ActorCritic, environments: Environments, seen: _Seen, *, generator: torch.Generator
+) -> tuple[_Taken, _Seen]:
+    outputs = _outputs(network, seen.observations, seen.starts, seen.memory)
+    actions, memory = outputs.actions.sample(generator), outputs.memory.cpu()
     step = environments.step(executable(actions[0]))
-    observations, rewards = _checked(step, network.spec, len(standing.starts))
+    observations = _checked_step(step, network.spec, len(seen.starts))
     ends = torch.from_numpy(step.terminated | step.truncated)
-    returns, lengths = standing.returns + rewards, standing.lengths + 1
-    scale = standing.scale
-    if scale is not None:
-        scale = scale.observe(rewards, discount=discount)
-        rewards, scale = scale.apply(rewards), scale.end(ends)
     taken = _Taken(
-        observations=standing.observations,
-        starts=standing.starts,
+        observations=seen.observations,
+        starts=seen.starts,
         actions=actions[0].cpu(),
-        log_probs=seen.actions.log_prob(actions)[0].cpu(),
-        values=seen.values[0].cpu(),
-        rewards=rewards + discount * _values_beyond(network, step, seen.memory.cpu()),
+        log_probs=outputs.actions.log_prob(actions)[0].cpu(),
+        values=outputs.values[0].cpu(),
         ends=ends,
-        returns=returns[ends],
-        lengths=lengths[ends],
+        values_beyond=_values_beyond(network, step, memory),
     )
-    after = Standing(observations, ends, seen.memory.cpu(), returns * ~ends, lengths * ~ends, scale)
-    return taken, after
+    return taken, _Seen(observations, ends, memory)
 
 
 def executable(actions: Tensor) -> Actions:
@@ -228,7 +226,7 @@ def _values_beyond(network: ActorCritic, step: Step, memory: Tensor) -> Tensor:
     values = torch.zeros(len(memory))
     was_cut = torch.from_numpy(step.truncated & ~step.terminated)
     if was_cut.any():
-        last = checked_observations(step.final_observations, network.spec, len(memory))[was_cut]
+        last = _observed(step.final_observations, network.spec, len(memory))[was_cut]
         goes_on = torch.zeros(len(last), dtype=torch.bool)
         values[was_cut] = _outputs(network, last, goes_on, memory[was_cut]).values[0].cpu()
     return values
@@ -241,17 +239,34 @@ def _outputs(network: ActorCritic, observations: Tensor, starts: Tensor, memory:
     return outputs
 
 
-def _checked(step: Step, spec: ActorCriticSpec, count: int) -> tuple[Tensor, Tensor]:
-    """Returns the observations and rewards of a step that is one."""
-    shapes = step.rewards.shape, step.terminated.shape, step.truncated.shape
-    if set(shapes) != {(count,)} or not np.isfinite(step.rewards).all():
-        raise InvalidInput(
-            f"Environments must answer a finite reward and whether an episode ended, {count} times; "
-            f"got shapes {', '.join(map(str, shapes))} and {np.isfinite(step.rewards).sum()} finite rewards.",
-            hint="Look at the logs of the service that rewards come from.",
+def _checked_step(step: Step, spec: ActorCriticSpec, count: int) -> Tensor:
+    """Returns the observations of a step that is one."""
+    if {step.terminated.shape, step.truncated.shape} != {(count,)}:
+        raise Rejected(
+            f"Environments must answer {count} times whether an episode ended; "
+            f"got shapes {step.terminated.shape} and {step.truncated.shape}.",
+            hint="Look at the log of the sim service.",
         )
-    rewards = torch.from_numpy(np.array(step.rewards, np.float32))  # a copy: it may be read-only
-    return checked_observations(step.observations, spec, count), rewards
+    return _observed(step.observations, spec, count)
+
+
+def _observed(observations: Observations, spec: ActorCriticSpec, count: int) -> Tensor:
+    """Returns observations as `checked_observations`, but what is wrong with them is no fault of the caller's."""
+    try:
+        return checked_observations(observations, spec, count)
+    except InvalidInput as error:
+        raise Rejected(error.detail, hint="Look at the log of the sim service.") from error
+
+
+def _checked_rewards(rewards: Rewards, shape: torch.Size) -> Tensor:
+    """Returns a copy of rewards that are finite and one for each step."""
+    if rewards.shape != shape or not np.isfinite(rewards).all():
+        raise Rejected(
+            f"Rewards must be finite and of shape {tuple(shape)}; "
+            f"got shape {rewards.shape} with {np.isfinite(rewards).sum()} finite ones.",
+            hint="Look at the log of the service that rewards come from.",
+        )
+    return torch.from_numpy(np.array(rewards, np.float32))
 
 
 def checked_observations(observations: Observations, spec: ActorCriticSpec, count: int) -> Tensor:

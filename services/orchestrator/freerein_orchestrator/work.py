@@ -22,7 +22,7 @@ from freerein.clients.client import Client
 from freerein.durable import write_durably
 from freerein.errors import InvalidInput
 from freerein.ports import address, addresses
-from freerein.types.common import ModelRef
+from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator.curve import Curve
 
 _CLIENTS: Mapping[str, type[Client]] = {
@@ -45,6 +45,10 @@ class Work:
         device: `auto`, `cpu` or `cuda:N`.
         environ: Says where services are.
         stop: Whether to save and end; asked often.
+        cancelled: Whether it is to stop because the run was cancelled: nobody goes on with it soon.
+        around: The folders of what this is a part of, the run's first; none of a whole run.
+        first_step: Steps of the run before this part's.
+        prefix: Of the names of this part's metrics.
         closing: What is closed when the work has ended.
     """
 
@@ -55,6 +59,10 @@ class Work:
     device: str
     environ: Mapping[str, str]
     stop: Callable[[], bool]
+    cancelled: Callable[[], bool] = lambda: False
+    around: tuple[Path, ...] = ()
+    first_step: int = 0
+    prefix: str = ""
     closing: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -63,6 +71,11 @@ class Work:
         folder = self.folder / "artifacts"
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    @property
+    def run(self) -> Path:
+        """The folder of the whole run."""
+        return (*self.around, self.folder)[0]
 
     def client(self, service: str) -> Synchronous:
         """Returns a blocking client of a service."""
@@ -81,25 +94,41 @@ class Work:
         return self._connect(ModelClient, address(service, self.environ))
 
     def curve(self, *, last_step: int) -> Curve:
-        """Returns what the run's metrics are written to, after those up to `last_step`."""
-        curve = Curve(self.folder, last_step=last_step)
+        """Returns what the run's metrics are written to, after those up to `last_step` of this part."""
+        curve = Curve(self.run, last_step=last_step, first_step=self.first_step, prefix=self.prefix)
         self.closing.callback(curve.close)
         return curve
 
     def note_model(self, model: ModelRef) -> None:
-        """Notes, durably, the model that the run has made for a service."""
-        write_durably(self.folder / "model.json", json.dumps(asdict(model)).encode())
+        """Notes, durably, the model that this work, and so what it is a part of, has made for a service."""
+        for folder in (self.folder, *self.around):
+            write_durably(folder / "model.json", json.dumps(asdict(model)).encode())
 
     def say(self, text: str) -> None:
         """Writes a line to the run's log."""
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
 
-    def part(self, name: str, config: Mapping[str, Any]) -> "Work":
-        """Returns a part of this work, in a folder of its own within the run's."""
-        folder = self.folder / "parts" / name
-        folder.mkdir(parents=True, exist_ok=True)
-        return replace(self, folder=folder, key=f"{self.key}.{name}", config=config)
+    def part(self, name: str, config: Mapping[str, Any], *, first_step: int) -> "Work":
+        """Returns a part of this work, in a folder of its own within the run's, with metrics `<name>/<metric>`.
+
+        What it opens is closed with this work, or earlier by its own `closing`.
+
+        Args:
+            name: Of the part.
+            config: What `resolve` of its kind returned.
+            first_step: Steps of this work before the part's.
+        """
+        return replace(
+            self,
+            folder=self.folder / "parts" / name,
+            key=f"{self.key}.{name}",
+            config=config,
+            around=(*self.around, self.folder),
+            first_step=self.first_step + first_step,
+            prefix=f"{self.prefix}{name}/",
+            closing=self.closing.enter_context(ExitStack()),
+        )
 
     def run_folder(self, name: str) -> Path:
         """Returns the folder of another run, by its id, or of a part of the same pipeline, by its name.
@@ -107,12 +136,12 @@ class Work:
         Raises:
             InvalidInput: There is neither.
         """
+        check_name(name, field="config")
         for folder in (self.folder.parent / name, self.data_dir / "runs" / name):
-            if (folder / "artifacts").is_dir():
+            if folder.is_dir():
                 return folder
         raise InvalidInput(
-            "A run to build on must be one that has left something behind, or an earlier step of the pipeline; "
-            "there is none of that name.",
+            "A run to build on must be there, or be an earlier step of the pipeline; there is none of that name.",
             field="config",
             hint="`freerein runs list` names the runs.",
         )

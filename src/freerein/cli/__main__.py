@@ -1,15 +1,15 @@
-"""`freerein`: run services, record demonstrations, train, label, look after datasets and models."""
+"""`freerein`: run services, record demonstrations, train, run, label, look after datasets and models."""
 
 import typer
 
-from freerein.cli import act, dataset, fit, models, reward, segment, sim
+from freerein.cli import act, dataset, fit, models, reward, runs, segment, sim
 from freerein.cli.demo import demo
 from freerein.cli.doctor import doctor
 from freerein.cli.up import up
 
 app = typer.Typer(
     help="Serves learned robot skills. `freerein demo` shows all of it; `freerein doctor` says what is missing.",
-    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command.",
+    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command, 130 Ctrl-C.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -21,6 +21,7 @@ app.command()(reward.reward)
 app.add_typer(act.app, name="act")
 app.add_typer(sim.app, name="sim")
 app.add_typer(fit.app, name="fit")
+app.add_typer(runs.app, name="runs")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(models.app, name="models")
 

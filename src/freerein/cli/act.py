@@ -28,6 +28,7 @@ _Goals = Annotated[
 _Recipe = Annotated[
     list[str] | None, typer.Option(metavar="SKILL", help="A skill to execute; several, one after the other.")
 ]
+_GoalText = Annotated[str, typer.Option(metavar="TEXT", help="What is to be done, in words.")]
 
 
 @app.callback()
@@ -38,21 +39,22 @@ def act(
     image: _Images = None,
     goal: _Goals = None,
     recipe: _Recipe = None,
+    goal_text: _GoalText = "",
     model: Model = "",
     version: Version = "",
     as_json: AsJson = False,
 ) -> None:
-    """Ask a policy once for the next actions towards goal images, or through a recipe of skills."""
+    """Ask a policy once for the next actions towards goal images, through a recipe of skills, or as a text says."""
     if context.invoked_subcommand:
         return
     from freerein import wire
     from freerein.types.common import Goal, ModelRef, Observation
     from freerein.types.imitation import ActRequest
 
-    _check(image, goal, recipe)
+    _check(image, goal, recipe, goal_text)
     request = ActRequest(
         observation=Observation(read_images(image or ())),
-        goal=Goal(read_images(goal or ()), tuple(recipe or ())),
+        goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
     )
     answer = asyncio.run(_call(lambda client: client.act(request)))
@@ -81,14 +83,15 @@ async def _call(ask: "Callable[[ImitationClient], Awaitable[T]]") -> T:
         return await ask(client)
 
 
-def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | None) -> None:
+def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | None, goal_text: str) -> None:
     if not image:
         raise InvalidInput(
             "An image of what is seen now must be given; got none.", field="image", hint="Send --image now.png."
         )
-    if bool(goal) == bool(recipe):
+    given = sum(map(bool, (goal, recipe, goal_text)))
+    if given != 1:
         raise InvalidInput(
-            f"Exactly one of goal images and a recipe must be given; got {'both' if goal else 'neither'}.",
+            f"Exactly one of goal images, a recipe and a goal text must be given; got {given or 'none'} of them.",
             field="goal",
             hint="`freerein act spec` says which one the model takes.",
         )
@@ -99,7 +102,9 @@ def _show_answer(answer: "ActResponse") -> None:
     show_table(("step", "action"), rows)
     reached = "reached" if answer.goal_reached else f"pursuing goal {answer.goal_index}"
     abandoned = ", one was given up" if answer.goal_abandoned else ""
-    typer.echo(f"{reached}{abandoned}; confidence {answer.goal_confidence:.2f}; {_name(answer.model)}")
+    is_unknown = answer.goal_reached is None
+    confidence = "cannot tell when it is reached" if is_unknown else f"confidence {answer.goal_confidence:.2f}"
+    typer.echo(f"{reached}{abandoned}; {confidence}; {_name(answer.model)}")
 
 
 def _show_spec(answer: "GetSpecResponse") -> None:
@@ -113,7 +118,7 @@ def _show_spec(answer: "GetSpecResponse") -> None:
         ("goal", answer.goal_form),
         ("skills", ", ".join(answer.skills)),
         ("gives up after", f"{answer.max_steps_per_goal} steps"),
-        ("reached from", f"confidence {answer.reached_threshold:.2f}"),
+        ("reached from", "" if answer.goal_form == "text" else f"confidence {answer.reached_threshold:.2f}"),
         ("model", _name(answer.model)),
     ]
     show_table(("", ""), [row for row in rows if row[1]])

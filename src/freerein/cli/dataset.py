@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Datasets: what they hold, and whether they are whole.", no_args_is_help=True)
 
+_GOAL_TEXTS = 6  # shown at most
+
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
 
@@ -80,6 +82,13 @@ def _root(name: str) -> Path:
     return dataset_path(CliSettings().data_dir, name)
 
 
+def _goal_texts(summary: "Summary") -> str:
+    """Returns the goal texts of trajectories, most frequent first, but for what the dataset says of all."""
+    counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
+    own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
+    return "; ".join([*own[:_GOAL_TEXTS], *(["..."] if len(own) > _GOAL_TEXTS else [])]) or "none of their own"
+
+
 def _rows(name: str, summary: "Summary") -> list[tuple[str, str]]:
     spec = summary.spec
     cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
@@ -87,6 +96,7 @@ def _rows(name: str, summary: "Summary") -> list[tuple[str, str]]:
     return [
         ("dataset", name),
         ("task", spec.task),
+        ("goal texts", _goal_texts(summary)),
         ("trajectories", f"{summary.trajectories}, of {summary.shortest} to {summary.longest} timesteps"),
         ("timesteps", f"{summary.frames}, {summary.duration_s / 60:.1f} minutes at {spec.fps} Hz"),
         ("cameras", cameras),

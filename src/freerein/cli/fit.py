@@ -1,15 +1,17 @@
 """`freerein fit`: trainings, started, listed, watched, cancelled."""
 
 import asyncio
-import json
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import aclosing
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, progress_bar, show_table, verb
-from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, Unavailable
+from freerein.cli import watching
+from freerein.cli.configuring import Settings, configuration
+from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.underway import steps_of
+from freerein.errors import ServiceError, Unavailable
 
 if TYPE_CHECKING:
     from freerein.clients import FitClient
@@ -21,7 +23,6 @@ app = typer.Typer(help="Trainings: started, listed, watched, cancelled.", no_arg
 
 Service = Annotated[str, typer.Option(help="The service that trains.")]
 _Services = Annotated[str, typer.Option(help="The service that trains; all that do when empty.")]
-_Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Not as by default.")]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="What `freerein fit list` lists.")]
 
 _LEARN = {
@@ -39,11 +40,11 @@ def _add_start(service: str, explanation: str) -> None:
     def start(
         dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
         model_name: Annotated[str, typer.Option(help="Name for the model; `default` when empty.")] = "",
-        settings: _Settings = None,
+        settings: Settings = None,
         watch: Annotated[bool, typer.Option("--watch", help="Wait for the end.")] = False,
         as_json: AsJson = False,
     ) -> None:
-        config = dict(_setting(text) for text in settings or ())
+        config = configuration(settings)
 
         async def ask(client: "FitClient") -> "Fit":
             from freerein.types.learning import StartFitRequest
@@ -140,29 +141,22 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
     Raises:
         FailedPrecondition: It ended without a model.
     """
-    with progress_bar(f"fit {fit_id[:8]}", total=1, is_shown=not as_json) as advance:
-
-        async def follow_to_the_end(client: "FitClient") -> "Fit":
-            from freerein import wire
-            from freerein.cli.fitting import follow
-
-            async with aclosing(follow(client, fit_id)) as changes:
-                async for fit in changes:
-                    last = fit
-                    advance(fit.step, f"{fit.state} {_figures(fit)}", total=fit.steps or 1)
-                    if as_json:
-                        print_json(wire.to_json(fit))
-            return last
-
-        fit = asyncio.run(_call(service, follow_to_the_end))
-    if fit.state != "succeeded":
-        sentence = f"The fit must succeed; its state is {fit.state}. {fit.error}".rstrip()
-        raise FailedPrecondition(sentence, hint=_LOG_HINT)
+    name = f"fit {fit_id[:8]}"
+    way_back = f"freerein fit watch {fit_id}"
+    fit = watching.watch(_changes(service, fit_id), name=name, way_back=way_back, as_json=as_json)
     if not as_json:
         _show([(service, fit)], as_json=False)
 
 
-_LOG_HINT = "The data directory's fits/<service>/<id>/work/log.txt says more."
+async def _changes(service: str, fit_id: str) -> "AsyncGenerator[Fit, None]":
+    from freerein.cli.connection import open_channel
+    from freerein.cli.following import follow_fit
+    from freerein.cli.settings import CliSettings
+    from freerein.clients import FitClient
+
+    async with FitClient(open_channel(service, CliSettings())) as client, aclosing(follow_fit(client, fit_id)) as fits:
+        async for fit in fits:
+            yield fit
 
 
 async def _call(service: str, ask: "Callable[[FitClient], Awaitable[T]]") -> T:
@@ -172,21 +166,6 @@ async def _call(service: str, ask: "Callable[[FitClient], Awaitable[T]]") -> T:
 
     async with FitClient(open_channel(service, CliSettings())) as client:
         return await ask(client)
-
-
-def _setting(text: str) -> tuple[str, object]:
-    """Returns a setting's key and value: a JSON value, else a string."""
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise InvalidInput(
-            "A setting must be KEY=VALUE; got one without a key or a value.",
-            field="set",
-            hint="Write --set updates=200 or --set objective=mil.",
-        )
-    try:
-        return key, json.loads(value)
-    except json.JSONDecodeError:
-        return key, value
 
 
 def _show(fits: "Sequence[tuple[str, Fit]]", *, as_json: bool) -> None:
@@ -204,13 +183,9 @@ def _show(fits: "Sequence[tuple[str, Fit]]", *, as_json: bool) -> None:
             fit.state,
             fit.dataset,
             f"{fit.model.name} {fit.model.version}" if fit.model else fit.model_name,
-            f"{fit.step}/{fit.steps}",
-            fit.error or _figures(fit),
+            steps_of(fit),
+            fit.error or watching.figures(fit),
         )
         for service, fit in fits
     ]
     show_table(("fit", "service", "state", "dataset", "model", "updates", "figures"), rows)
-
-
-def _figures(fit: "Fit") -> str:
-    return " ".join(f"{name}={value:.4g}" for name, value in fit.metrics.items())

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, ParamSpec, Protocol
+from typing import Annotated, ParamSpec
 
 import typer
 
@@ -14,13 +14,6 @@ from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 P = ParamSpec("P")
 
 _ENDLESS = 1000
-
-
-class Advance(Protocol):
-    """Moves a progress bar: to `done` of `total`, both counts, with a note beside it."""
-
-    def __call__(self, done: int, note: str = "", total: int | None = None) -> None:
-        """Moves it; a total of None stays as it is."""
 
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
@@ -86,23 +79,13 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Advance]:
-    """Yields what moves a bar on stderr; nothing is shown where nobody looks."""
+def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[[int], None]]:
+    """Yields what moves a bar on stderr, to a count; nothing is shown where nobody looks."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not (is_shown and console.is_terminal)) as progress:
-        bar = progress.add_task(name, total=total, note="")
-
-        def advance(done: int, note: str = "", total: int | None = None) -> None:
-            progress.update(bar, completed=done, total=total, note=note)
-
-        yield advance
+        bar = progress.add_task(name, total=total)
+        yield lambda done: progress.update(bar, completed=done)

@@ -1,11 +1,12 @@
 """`freerein segment`: which skill is executed when, in one trajectory of a dataset, or in all of them."""
 
 import asyncio
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import Advance, AsJson, print_json, progress_bar, verb
+from freerein.cli.output import AsJson, print_json, progress_bar, verb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,7 +67,7 @@ async def _ask(request: "SegmentRequest") -> "SegmentResponse":
         return await client.segment(request)
 
 
-async def _save(root: "Path", request: "SegmentRequest", camera: str, on_count: Advance) -> "LabelsInfo":
+async def _save(root: "Path", request: "SegmentRequest", camera: str, on_count: Callable[[int], None]) -> "LabelsInfo":
     from freerein.cli.connection import open_channel
     from freerein.cli.labelling import label_all
     from freerein.cli.settings import CliSettings

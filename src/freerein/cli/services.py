@@ -4,13 +4,38 @@ import contextlib
 import socket
 import ssl
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 
 from freerein.errors import FailedPrecondition, NotFound
-from freerein.ports import PORTS, Ports
+from freerein.ports import PORTS, Ports, address
 
 GROUP = "freerein.services"
 LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Doors:
+    """Where services are found.
+
+    Attributes:
+        urls: The address of each service's REST door.
+        addresses: The gRPC address, `host:port`, of each.
+    """
+
+    urls: Mapping[str, str]
+    addresses: Mapping[str, str]
+
+
+def running(names: Iterable[str], environ: Mapping[str, str]) -> Doors:
+    """Returns where services are that somebody started: what the environment says, REST at its usual port beside gRPC.
+
+    Raises:
+        InvalidInput: One of these names is no service's, or an address is none.
+    """
+    addresses = {name: address(name, environ) for name in names}
+    urls = {name: f"http://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
+    return Doors(urls, addresses)
 
 
 def installed() -> dict[str, str]:

@@ -21,20 +21,25 @@ async def unbroken(
 
     Args:
         open_stream: Opens it where the last one broke off.
-        patience_s: How long nothing may come while the service is away, in seconds.
+        patience_s: How long the service may be away, in seconds. A stream that was open for longer than that, however
+            quiet, shows that it was there.
 
     Raises:
         Unavailable: The service stayed away, or `WorkerLost`.
     """
-    heard = time.monotonic()
+    there_s = time.monotonic()
     while True:
+        opened_s = time.monotonic()
         try:
             async with aclosing(open_stream()) as items:
                 async for item in items:
-                    heard = time.monotonic()
+                    there_s = time.monotonic()
                     yield item
             return
         except (Unavailable, WorkerLost):
-            if time.monotonic() - heard > patience_s:
+            broken_s = time.monotonic()
+            if broken_s - opened_s > patience_s:
+                there_s = broken_s
+            if broken_s - there_s > patience_s:
                 raise
             await asyncio.sleep(_RETRY_S)

@@ -21,6 +21,7 @@ M = TypeVar("M", bound=Message)
 
 _DETAILS_KEY = "grpc-status-details-bin"
 _TOO_LARGE = "larger than max"  # gRPC's words for a message over the limit; the status is that of a full queue
+_BROKEN = "Internal error from Core"  # grpc.aio's words for a stream that ended while it was being written to
 _BY_STATUS: dict[grpc.StatusCode, type[ServiceError]] = {
     grpc.StatusCode.CANCELLED: errors.Cancelled,
     grpc.StatusCode.DEADLINE_EXCEEDED: errors.DeadlineExceeded,
@@ -78,5 +79,9 @@ def _detail(status: status_pb2.Status, kind: type[M]) -> M | None:
 
 def _grpc_made(error: aio.AioRpcError, *, call: str) -> ServiceError:
     details = error.details() or error.code().name
-    cls = errors.TooLarge if _TOO_LARGE in details else _BY_STATUS.get(error.code(), errors.Internal)
+    cls = _BY_STATUS.get(error.code(), errors.Internal)
+    if _TOO_LARGE in details:
+        cls = errors.TooLarge
+    elif _BROKEN in details:
+        cls = errors.Unavailable
     return cls(f"{call} failed: {details}.", hint=_HINTS.get(cls, ""))

@@ -63,7 +63,7 @@ def describe(data: bytes, *, index: int, first_frame: int) -> Row:
         "dataset_from_index": first_frame,
         "dataset_to_index": first_frame + footer.length,
         "data/bytes": len(data),
-        "tasks": [footer.spec.task],
+        "tasks": [footer.goal_text or footer.spec.task],
         "skills": list(footer.skills),
         "data/sha256": hashlib.sha256(data).hexdigest(),
         "meta/episodes/chunk_index": 0,
@@ -79,6 +79,11 @@ def describe(data: bytes, *, index: int, first_frame: int) -> Row:
 def extended(table: pa.Table, rows: Iterable[Row]) -> pa.Table:
     """Returns a table with rows added at its end."""
     return pa.concat_tables([table, pa.Table.from_pylist(list(rows), schema=table.schema)]).combine_chunks()
+
+
+def task_indices(table: pa.Table) -> dict[str, int]:
+    """Returns the number of each different goal text, in order of first appearance."""
+    return {text: number for number, text in enumerate(dict.fromkeys(text for (text,) in table["tasks"].to_pylist()))}
 
 
 def frame_count(table: pa.Table) -> int:

@@ -22,6 +22,7 @@ class Summary:
         longest: Timesteps of the longest.
         skill_counts: In how many trajectories each skill occurs, by skill.
         untagged: Trajectories whose skills are unknown.
+        goal_text_counts: In how many trajectories each goal text was to be done, by goal text.
         labelled: Trajectories with ground-truth labels beside them.
         data_bytes: Size of `data/`.
         fingerprint: sha256 of the contents, in hexadecimal.
@@ -35,6 +36,7 @@ class Summary:
     longest: int
     skill_counts: dict[str, int]
     untagged: int
+    goal_text_counts: dict[str, int]
     labelled: int
     data_bytes: int
     fingerprint: str
@@ -59,6 +61,7 @@ def inspect(root: Path) -> Summary:
         longest=int(dataset.lengths.max(initial=0)),
         skill_counts={skill: occurrences[skill] for skill in dataset.spec.skills},
         untagged=dataset.skills.count(()),
+        goal_text_counts=dict(Counter(text for text in dataset.goal_texts if text)),
         labelled=len(truth.labelled(root)),
         data_bytes=sum(file.size for file in layout.numbered_files(root / "data")),
         fingerprint=dataset.fingerprint,

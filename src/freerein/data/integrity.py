@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import episodes, layout, meta, truth
+from freerein.data.episodes import Row
 from freerein.data.reader import Dataset
 from freerein.data.rows import read_rows
 from freerein.data.spec import DatasetSpec
@@ -52,22 +53,34 @@ def verify(root: Path) -> list[Problem]:
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
     recorded = meta.read_episodes(root, spec).select(["dataset_from_index", "data/sha256"]).to_pylist()
     expected = first_frame = 0
+    tasks = dict[str, int]()
     for file in layout.numbered_files(root / "data"):
         yield from (Problem(_where("data", index), _GAP, _RESTORE) for index in range(expected, file.index))
         expected, row = file.index + 1, recorded[file.index] if file.index < len(recorded) else None
         first_frame = row["dataset_from_index"] if row else first_frame
         try:
-            first_frame += _check_data_file(
-                root, spec, index=file.index, first_frame=first_frame, sha256=row and row["data/sha256"]
+            described = _check_data_file(
+                root, spec, index=file.index, first_frame=first_frame, sha256=row and row["data/sha256"], tasks=tasks
             )
+            first_frame += described["length"]
         except InvalidInput as error:
             yield Problem(_where("data", file.index), error.detail, _RESTORE)
             if row is None:
                 return  # without its length, nothing can be said of the files after it
 
 
-def _check_data_file(root: Path, spec: DatasetSpec, *, index: int, first_frame: int, sha256: str | None) -> int:
-    """Returns a data file's length in timesteps.
+def _check_data_file(
+    root: Path, spec: DatasetSpec, *, index: int, first_frame: int, sha256: str | None, tasks: dict[str, int]
+) -> Row:
+    """Returns what a data file says of itself.
+
+    Args:
+        root: The dataset's folder.
+        spec: The dataset's spec.
+        index: The trajectory's number.
+        first_frame: Number of its first frame in the dataset.
+        sha256: Recorded when it was written, if it was.
+        tasks: Number of each goal text so far; a new one is added.
 
     Raises:
         InvalidInput: It is broken, not the trajectory that its name says, or not what was written.
@@ -82,7 +95,10 @@ def _check_data_file(root: Path, spec: DatasetSpec, *, index: int, first_frame: 
         raise InvalidInput(f"The frames must count on from frame {first_frame} of the dataset; they do not.")
     if sha256 and described["data/sha256"] != sha256:
         raise InvalidInput("The file must be as it was written; it has changed since.")
-    return len(rows)
+    number = tasks.setdefault(described["tasks"][0], len(tasks))
+    if not np.all(rows["task_index"].to_numpy() == number):
+        raise InvalidInput(f"The goal text must be number {number} of the dataset in every frame; it is not.")
+    return described
 
 
 def _count_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:

@@ -101,14 +101,14 @@ def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
     return described
 
 
-def info(spec: DatasetSpec, *, trajectories: int, frames: int) -> dict[str, object]:
+def info(spec: DatasetSpec, *, trajectories: int, frames: int, tasks: int) -> dict[str, object]:
     """Returns the contents of `info.json`."""
     return {
         "codebase_version": CODEBASE_VERSION,
         "robot_type": spec.robot_type,
         "total_episodes": trajectories,
         "total_frames": frames,
-        "total_tasks": 1,
+        "total_tasks": tasks,
         "chunks_size": CHUNK_SIZE,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,

@@ -24,7 +24,7 @@ class Foreign:
 
     Attributes:
         spec: What its trajectories have in common.
-        episodes: One row per trajectory, with `length`, `data/chunk_index`, `data/file_index` and `skills`.
+        episodes: One row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks` and `skills`.
         camera_keys: By camera, the column that holds its frames.
     """
 
@@ -130,17 +130,18 @@ def _episodes(root: Path) -> pa.Table:
     folder = root / "meta" / "episodes"
     with refusing_corruption("`meta/episodes`"):
         paths = [layout.numbered(folder, chunk=f.chunk, file=f.file) for f in layout.numbered_files(folder)]
-        tables = [_with_skills(pq.read_table(path, use_threads=False)) for path in paths]
+        tables = [_with_lists(pq.read_table(path, use_threads=False)) for path in paths]
         return pa.concat_tables(tables).sort_by("episode_index")
 
 
-def _with_skills(table: pa.Table) -> pa.Table:
-    """Returns the columns that are read here; without a column of skills, they are unknown."""
-    chosen = table.select(_EPISODE_COLUMNS)
-    strings = pa.list_(pa.string())
-    if "skills" in table.column_names:
-        return chosen.append_column("skills", table["skills"].cast(strings).fill_null([]))
-    return chosen.append_column("skills", pa.array([[]] * len(table), strings))
+def _with_lists(table: pa.Table) -> pa.Table:
+    """Returns the columns that are read here; without a column of tasks or of skills, they are unknown."""
+    chosen, strings = table.select(_EPISODE_COLUMNS), pa.list_(pa.string())
+    for name in ("tasks", "skills"):
+        is_there = name in table.column_names
+        column = table[name].cast(strings).fill_null([]) if is_there else pa.array([[]] * len(table), strings)
+        chosen = chosen.append_column(name, column)
+    return chosen
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:

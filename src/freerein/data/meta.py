@@ -89,9 +89,10 @@ def save(root: Path, spec: DatasetSpec, table: pa.Table) -> None:
     """Writes all of `meta/`, the counts last: they commit the rest."""
     combined = episodes.dataset_statistics(table, spec)
     stats = {feature: {name: each[name].tolist() for name in each} for feature, each in combined.items()}
-    counts = layout.info(spec, trajectories=table.num_rows, frames=episodes.frame_count(table))
+    tasks = list(episodes.task_indices(table)) or [spec.task]
+    counts = layout.info(spec, trajectories=table.num_rows, frames=episodes.frame_count(table), tasks=len(tasks))
     write_durably(root / layout.SPEC_FILE, dumps(spec).encode())
-    write_durably(root / layout.TASKS_FILE, _parquet(_tasks(spec)))
+    write_durably(root / layout.TASKS_FILE, _parquet(_tasks(tasks)))
     write_durably(root / layout.EPISODES_FILE, _parquet(table))
     write_durably(root / layout.STATS_FILE, json.dumps(stats, indent=4).encode())
     write_durably(root / layout.INFO_FILE, json.dumps(counts, indent=4).encode())
@@ -124,7 +125,7 @@ def _believed(stored: pa.Table, files: list[layout.DataFile]) -> int:
     return int(changed[0]) if len(changed) else len(sizes)
 
 
-def _tasks(spec: DatasetSpec) -> pa.Table:
+def _tasks(texts: list[str]) -> pa.Table:
     """LeRobot reads this table with pandas and wants the text as its index, which only pandas' own metadata can say."""
     pandas = {
         "index_columns": ["task"],
@@ -134,7 +135,7 @@ def _tasks(spec: DatasetSpec) -> pa.Table:
             {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
         ],
     }
-    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": pa.array([spec.task], pa.string())})
+    table = pa.table({"task_index": pa.array(range(len(texts)), pa.int64()), "task": pa.array(texts, pa.string())})
     return table.replace_schema_metadata({b"pandas": json.dumps(pandas).encode()})
 
 

@@ -27,6 +27,8 @@ class Dataset:
         spec: What the trajectories have in common.
         lengths: int64 (n,), the timesteps of each trajectory.
         skills: The set of skills of each trajectory, sorted; empty where unknown.
+        goal_texts: What was to be done in each trajectory, in words: the spec's `task` where it does not say it itself;
+            empty where unknown.
 
     Raises:
         NotFound: There is no dataset in `root`.
@@ -44,6 +46,7 @@ class Dataset:
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
+        self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in table["tasks"].to_pylist())
         self._places = [
             (int(chunk), int(file))
             for chunk, file in zip(
@@ -65,7 +68,12 @@ class Dataset:
         index = range(len(self))[index]
         rows = self._rows(index, [*self._keys.values(), "action"])
         frames = {camera: self._frames(rows, camera) for camera in self._keys}
-        return Trajectory(frames=frames, actions=decode_actions(rows, self.spec), skills=self.skills[index])
+        return Trajectory(
+            frames=frames,
+            actions=decode_actions(rows, self.spec),
+            skills=self.skills[index],
+            goal_text=self.goal_texts[index],
+        )
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[index] for index in range(len(self)))

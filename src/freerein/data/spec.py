@@ -19,7 +19,7 @@ class DatasetSpec:
         action: What an action is: its size, or its number of choices when it is discrete.
         robot_type: What robot acted.
         skills: The vocabulary of skills; labels are indices into it. Empty when the dataset has none.
-        task: What was to be done, in words.
+        task: What was to be done, in words, in trajectories that do not say it themselves.
     """
 
     fps: int

@@ -1,7 +1,7 @@
 """One trajectory as one parquet file that describes itself: `meta/` can be rebuilt from such files alone.
 
-The columns are LeRobot's. What LeRobot keeps elsewhere (the dataset's spec, the trajectory's skills and statistics)
-also stands in the file's footer, under the key `freerein`.
+The columns are LeRobot's. What LeRobot keeps elsewhere (the dataset's spec, the trajectory's goal text, skills and
+statistics) also stands in the file's footer, under the key `freerein`.
 """
 
 import io
@@ -32,16 +32,18 @@ class Footer:
         spec: The dataset's spec.
         length: Timesteps, T.
         skills: The set of skills that occur, sorted.
+        goal_text: What was to be done, in words; empty where the spec says it.
         statistics: By feature.
     """
 
     spec: DatasetSpec
     length: int
     skills: tuple[str, ...]
+    goal_text: str
     statistics: dict[str, FeatureStatistics]
 
 
-def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame: int) -> bytes:
+def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame: int, task_index: int) -> bytes:
     """Returns a trajectory as a parquet file.
 
     Args:
@@ -49,14 +51,16 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
         spec: The dataset's spec.
         index: Number of the trajectory in the dataset.
         first_frame: Number of its first frame in the dataset.
+        task_index: Number of its goal text among those of the dataset.
     """
-    numbers = _numbers(trajectory, spec, index, first_frame)
+    numbers = _numbers(trajectory, spec, index, first_frame, task_index)
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
     columns["action"] = _action_column(trajectory.actions)
     columns |= {name: pa.array(column[:, 0]) for name, column in numbers.items() if name != "action"}
     described: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
+        "goal_text": trajectory.goal_text,
         "statistics": {name: _as_lists(each) for name, each in _statistics(trajectory, spec, numbers).items()},
     }
     schema = layout.data_schema(spec).with_metadata({_FOOTER_KEY: json.dumps(described).encode()})
@@ -89,11 +93,14 @@ def read_footer(file: BinaryIO, *, index: int) -> Footer | None:
             spec=loads(json.dumps(described["spec"])),
             length=metadata.num_rows,
             skills=tuple(described["skills"]),
+            goal_text=str(described.get("goal_text", "")),
             statistics={name: _as_arrays(each) for name, each in described["statistics"].items()},
         )
 
 
-def _numbers(trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int) -> dict[str, npt.NDArray[Any]]:
+def _numbers(
+    trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int, task_index: int
+) -> dict[str, npt.NDArray[Any]]:
     """Every column but the images: (T, A) actions, and the (T, 1) that LeRobot wants beside them."""
     t = np.arange(len(trajectory.actions))
     columns: dict[str, npt.NDArray[Any]] = {
@@ -101,7 +108,7 @@ def _numbers(trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame:
         "frame_index": t,
         "episode_index": np.full_like(t, index),
         "index": first_frame + t,
-        "task_index": np.zeros_like(t),
+        "task_index": np.full_like(t, task_index),
     }
     return {"action": trajectory.actions, **{name: column[:, None] for name, column in columns.items()}}
 

@@ -17,7 +17,7 @@ from freerein.data.spec import DatasetSpec
 from freerein.data.trajectory_file import encode
 from freerein.durable import UNFINISHED, sync_folder, write_durably
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
-from freerein.types.common import Trajectory
+from freerein.types.common import MAX_TEXT, Trajectory
 
 
 def create(root: Path, spec: DatasetSpec) -> "Writer":
@@ -84,6 +84,7 @@ class Writer:
             raise
         self._rows: list[Row] = []
         self._frames = episodes.frame_count(self._table)
+        self._tasks = episodes.task_indices(self._table)
         self._is_open = True
 
     def __len__(self) -> int:
@@ -108,7 +109,9 @@ class Writer:
             raise FailedPrecondition("A writer must be open to append; this one is closed.", hint="Use open_writer.")
         _check_trajectory(trajectory, self.spec)
         index = len(self)
-        data = encode(trajectory, self.spec, index=index, first_frame=self._frames)
+        task = trajectory.goal_text or self.spec.task
+        number = self._tasks.get(task, len(self._tasks))
+        data = encode(trajectory, self.spec, index=index, first_frame=self._frames, task_index=number)
         truth.discard(self._root, index)  # of an append that failed half-way
         if labels is not None:
             _check_labels(labels, self.spec, length=len(trajectory.actions))
@@ -116,6 +119,7 @@ class Writer:
         write_durably(layout.trajectory_path(self._root / "data", index), data)
         self._rows.append(episodes.describe(data, index=index, first_frame=self._frames))
         self._frames += len(trajectory.actions)
+        self._tasks[task] = number
         if len(self._rows) == layout.CHUNK_SIZE:
             self._save_meta()
         return index
@@ -182,6 +186,13 @@ def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
             f"A trajectory's skills must be sorted, different, and of the dataset's {len(spec.skills)} skills; "
             f"got {len(trajectory.skills)}, {len(unknown)} of them unknown.",
             field="skills",
+        )
+    text = trajectory.goal_text
+    if len(text) > MAX_TEXT or text.encode(errors="replace").decode() != text:
+        raise InvalidInput(
+            f"A goal text must have up to {MAX_TEXT} characters, all of Unicode; got {len(text)}.",
+            field="goal_text",
+            hint="Say what is to be done in one sentence.",
         )
 
 

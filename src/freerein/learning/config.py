@@ -4,7 +4,8 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from inspect import getattr_static
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from freerein.errors import InvalidInput
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _HUGE = 1e18
+_UNIONS = (Union, UnionType)
 C = TypeVar("C", bound="DataclassInstance")
 N = TypeVar("N", int, float)
 
@@ -57,7 +59,8 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     JSON and protobuf's Struct have one kind of number: 3.0 is taken where an int is wanted, 3.5 is not.
 
     Args:
-        kind: A frozen dataclass whose fields are bool, int, float, str, tuple[str, ...] or Literal of strings.
+        kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], a tuple of
+            any number of str or dict[str, Any], or one of several of these.
         values: By field name.
 
     Raises:
@@ -71,7 +74,8 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
                 field="config",
                 hint=_suggestion(key, names),
             )
-    missing = [each.name for each in fields(kind) if each.default is MISSING and each.name not in values]
+    needed = [each.name for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING]
+    missing = [name for name in needed if name not in values]
     if missing:
         raise InvalidInput(f"The configuration must hold {', '.join(missing)}; got none.", field="config")
     parsed: dict[str, Any] = {key: _convert(key, types[key], value) for key, value in values.items()}
@@ -87,24 +91,43 @@ def _suggestion(key: str, known: Iterable[str]) -> str:
     return f"Did you mean `{nearest[0]}`?" if nearest else "Leave it out."
 
 
-def _convert(key: str, kind: object, value: object) -> bool | int | float | str | tuple[str, ...]:
-    if get_origin(kind) is Literal and isinstance(value, str) and value in get_args(kind):
-        return value
-    if kind in (bool, str) and type(value) is kind:
-        return value
-    if kind == tuple[str, ...] and isinstance(value, list | tuple) and all(isinstance(each, str) for each in value):
-        return tuple(value)
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE:
-        if kind is float:
-            return float(value)
-        if kind is int and value == int(value):
-            return int(value)
+def _convert(key: str, kind: object, value: object) -> Any:
+    for each in get_args(kind) if get_origin(kind) in _UNIONS else (kind,):
+        converted = _converted(each, value)
+        if converted is not MISSING:
+            return converted
     raise InvalidInput(f"`{key}` must be {_describe(kind)}; got something else.", field=f"config.{key}")
 
 
+def _converted(kind: object, value: object) -> Any:
+    """Returns the value as one of a kind, MISSING where it is none."""
+    if get_origin(kind) is tuple and isinstance(value, list | tuple):
+        items = tuple(_converted(get_args(kind)[0], each) for each in value)
+        return MISSING if MISSING in items else items
+    if kind in (int, float):
+        return _number(kind, value)
+    if kind == dict[str, Any]:
+        return dict(value) if isinstance(value, Mapping) else MISSING
+    is_known = (
+        isinstance(value, str) and value in get_args(kind) if get_origin(kind) is Literal else type(value) is kind
+    )
+    return value if is_known else MISSING
+
+
+def _number(kind: object, value: object) -> Any:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < _HUGE:
+        return MISSING
+    if kind is int:
+        return int(value) if value == int(value) else MISSING
+    return float(value)
+
+
 def _describe(kind: object) -> str:
+    if get_origin(kind) in _UNIONS:
+        return " or ".join(map(_describe, get_args(kind)))
     if get_origin(kind) is Literal:
-        return "one of " + ", ".join(get_args(kind))
+        return "one of " + ", ".join(get_args(kind)) if len(get_args(kind)) > 1 else str(get_args(kind)[0])
     names: dict[object, str] = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string"}
-    names[tuple[str, ...]] = "a list of strings"
+    names[dict[str, Any]] = "an object"
+    names[tuple[str, ...]], names[tuple[dict[str, Any], ...]] = "a list of strings", "a list of objects"
     return names[kind]

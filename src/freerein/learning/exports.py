@@ -6,7 +6,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -23,6 +23,22 @@ WEIGHTS, CARD = "model.safetensors", "card.json"
 _MAX_CARD_BYTES = 1 << 20
 
 
+@dataclass(frozen=True)
+class Names:
+    """What the two files are called.
+
+    Attributes:
+        weights: The file of the weights.
+        card: The card.
+    """
+
+    weights: str = WEIGHTS
+    card: str = CARD
+
+
+MODEL = Names()
+
+
 class Specified(Protocol):
     """A network that knows what it is: `spec`, a frozen dataclass from which another like it can be made."""
 
@@ -37,20 +53,21 @@ class Specified(Protocol):
 N = TypeVar("N", bound=nn.Module)
 
 
-def export(network: Specified, folder: Path, *, card: Mapping[str, JSON]) -> None:
+def export(network: Specified, folder: Path, *, card: Mapping[str, JSON], names: Names = MODEL) -> None:
     """Writes a trained network as a folder that `load` reads.
 
     Args:
         network: Trained.
         folder: Made when missing; its files are written over.
         card: What to tell about the model beside its `spec`: kind, configuration, seed, data, figures.
+        names: What the files are called.
     """
-    write_durably(folder / WEIGHTS, tensor_files.dump(dict(network.state_dict())))
+    write_durably(folder / names.weights, tensor_files.dump(dict(network.state_dict())))
     document = {**card, "spec": asdict(network.spec)}
-    write_durably(folder / CARD, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
+    write_durably(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str) -> N:
+def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: Names = MODEL) -> N:
     """Returns the network in a folder, in evaluation mode.
 
     Args:
@@ -58,15 +75,16 @@ def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: s
         spec_class: The dataclass of its spec.
         make: Returns a network of a spec; its weights come from the file.
         device: `auto`, `cpu` or `cuda:N`.
+        names: What the files are called.
 
     Raises:
         InvalidInput: A file is missing, or is not what `export` writes.
     """
-    spec = _spec(read_card(folder), spec_class)
+    spec = _spec(read_card(folder, names=names), spec_class)
     with torch.device("meta"):  # no weights are drawn
         network = make(spec)
     try:
-        weights = tensor_files.parse((folder / WEIGHTS).read_bytes())
+        weights = tensor_files.parse((folder / names.weights).read_bytes())
         own = network.state_dict()
         if any(name in own and tensor.dtype != own[name].dtype for name, tensor in weights.items()):
             raise RuntimeError("another type")
@@ -79,13 +97,13 @@ def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: s
     return network.to(choose_device(device)).eval()
 
 
-def read_card(folder: Path) -> dict[str, Any]:
+def read_card(folder: Path, *, names: Names = MODEL) -> dict[str, Any]:
     """Returns what the card in a folder says.
 
     Raises:
         InvalidInput: There is none, or it is no JSON object.
     """
-    path = folder / CARD
+    path = folder / names.card
     try:
         if path.stat().st_size > _MAX_CARD_BYTES:
             raise ValueError("too large")

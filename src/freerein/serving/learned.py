@@ -13,11 +13,10 @@ from freerein.serving.fits import Fits
 from freerein.serving.lifecycle import Service
 from freerein.serving.loaded import LoadedModels
 from freerein.serving.methods import methods_of
-from freerein.serving.models import ModelStore
+from freerein.serving.models import IN_A_CLONE, ModelStore
 from freerein.serving.settings import ServiceSettings
 
 M = TypeVar("M")
-_IN_A_CLONE = Path(__file__).parents[3] / "models"
 
 
 class LearnedSettings(ServiceSettings):
@@ -36,7 +35,7 @@ class LearnedSettings(ServiceSettings):
 
 def open_store(name: str, settings: LearnedSettings) -> ModelStore:
     """Returns the models of a service: its own in the data directory, and those shipped."""
-    return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or _IN_A_CLONE) / name)
+    return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or IN_A_CLONE) / name)
 
 
 def learned_service(

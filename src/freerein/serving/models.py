@@ -19,6 +19,8 @@ from freerein.types.learning import Model
 DEFAULT_NAME = "default"
 MANIFEST = "manifest.json"
 CARD = "card.json"
+IN_A_CLONE = Path(__file__).parents[3] / "models"
+"""Where the models lie that came with freerein, unless told otherwise."""
 
 
 class ModelStore:

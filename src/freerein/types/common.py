@@ -11,6 +11,9 @@ from freerein.errors import InvalidInput
 
 Encoding = Literal["raw_rgb8", "raw_gray8", "png", "jpeg", "webp"]
 
+MAX_TEXT = 2000
+"""Characters of a goal text, at most."""
+
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ID = re.compile(r"[0-9a-f]{32}")
 
@@ -73,11 +76,13 @@ class Trajectory:
         frames: By camera, uint8 (T, H, W, C) with C = 1 or 3, RGB; frame t was seen before action t.
         actions: float32 (T, A) in [-1, 1] where continuous, int64 (T, 1) where discrete.
         skills: The set of skills that occur, sorted: the only tag that learners see. Empty when unknown.
+        goal_text: What was to be done, in words; empty when unknown, or where the dataset says it for all.
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
     actions: npt.NDArray[Any]
     skills: tuple[str, ...] = ()
+    goal_text: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,15 +135,17 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What a robot is to achieve: exactly one of the two.
+    """What a robot is to achieve: exactly one of the three.
 
     Attributes:
         images: A goal image, or a sequence of landmarks to reach one after the other.
         recipe: Skills to execute one after the other.
+        text: What is to be done, in words, 1 to 2000 characters.
     """
 
     images: tuple[Image, ...] = ()
     recipe: tuple[str, ...] = ()
+    text: str = ""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from freerein.types.common import ActionSpec, Camera, Draining, Error, Goal, ModelRef, Observation, Timing
 
-GoalForm = Literal["images", "recipe"]
+GoalForm = Literal["images", "recipe", "text"]
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,10 @@ class GetSpecResponse:
         horizon: Actions per reply, one for each of the next control steps.
         control_dt_s: Time between two actions, in seconds.
         goal_form: The form of its goals.
-        skills: The skills that a recipe may name; none where goals are images.
+        skills: The skills that a recipe may name; none where goals are of another form.
         max_steps_per_goal: Control steps after which a goal is given up, unless the request says otherwise.
-        reached_threshold: A goal counts as reached when `goal_confidence` is at least this.
+        reached_threshold: A goal counts as reached when `goal_confidence` is at least this; 1 where the policy cannot
+            tell.
     """
 
     model: ModelRef
@@ -76,23 +77,25 @@ class ActResponse:
 
     Attributes:
         actions: float32 (K, A) in [-1, 1] or int64 (K, 1); K = 0 when there is nothing more to do: hold.
-        goal_reached: Whether every goal is reached.
-        goal_confidence: The probability that this observation reaches the goal that was pursued, in [0, 1].
+        goal_confidence: The probability that this observation reaches the goal that was pursued, in [0, 1]; 0 where the
+            policy cannot tell.
         goal_index: Goals done with, reached or given up: the index of the one now pursued. It never falls.
         goal_abandoned: Whether a goal was given up, now or before.
         state: The policy's memory, for the next call. Opaque; at most 64 KiB.
         model: The model that answered.
         timing: Where the time went.
+        goal_reached: Whether every goal is reached. None where the policy cannot tell: one whose goal is a text has no
+            termination head.
     """
 
     actions: npt.NDArray[Any]
-    goal_reached: bool
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
     state: bytes
     model: ModelRef
     timing: Timing
+    goal_reached: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +160,6 @@ class Chunk:
 
     Attributes:
         actions: As in `ActResponse`.
-        goal_reached: As in `ActResponse`.
         goal_confidence: As in `ActResponse`.
         goal_index: As in `ActResponse`.
         goal_abandoned: As in `ActResponse`.
@@ -166,10 +168,10 @@ class Chunk:
         valid_until_ns: On the robot's clock: after it the chunk must not be executed, and the robot holds.
         dropped: Observations of this stream so far that a newer one overtook.
         timing: Where the time went.
+        goal_reached: As in `ActResponse`.
     """
 
     actions: npt.NDArray[Any]
-    goal_reached: bool
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
@@ -178,6 +180,7 @@ class Chunk:
     valid_until_ns: int
     dropped: int
     timing: Timing
+    goal_reached: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)

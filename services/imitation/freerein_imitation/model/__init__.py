@@ -1,8 +1,10 @@
-"""The networks of chapter 3 and of section 2.4, and trained ones as policies: numpy in, numpy out."""
+"""The networks of chapter 3 and of sections 2.4 and 4.3, and trained ones as policies: numpy in, numpy out."""
 
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.goal_conditioned_policy import GoalConditionedPolicy
 from freerein_imitation.model.handshake import Handshake
+from freerein_imitation.model.language import LanguageNetwork, LanguageSpec
+from freerein_imitation.model.language_policy import LanguagePolicy
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
 from freerein_imitation.model.skills_policy import SkillsPolicy
 from freerein_imitation.model.step import Step
@@ -13,6 +15,9 @@ __all__ = [
     "GoalConditionedPolicy",
     "GoalConditionedSpec",
     "Handshake",
+    "LanguageNetwork",
+    "LanguagePolicy",
+    "LanguageSpec",
     "SkillsNetwork",
     "SkillsPolicy",
     "SkillsSpec",

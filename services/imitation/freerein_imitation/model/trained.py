@@ -7,14 +7,19 @@ from typing import TypeAlias
 
 from freerein.errors import InvalidInput
 from freerein.learning import exports
-from freerein_imitation.model import goal_conditioned_policy, skills_policy
+from freerein_imitation.model import goal_conditioned_policy, language_policy, skills_policy
 from freerein_imitation.model.goal_conditioned_policy import GoalConditionedPolicy
+from freerein_imitation.model.language_policy import LanguagePolicy
 from freerein_imitation.model.skills_policy import SkillsPolicy
 
-TrainedPolicy: TypeAlias = GoalConditionedPolicy | SkillsPolicy
+TrainedPolicy: TypeAlias = GoalConditionedPolicy | SkillsPolicy | LanguagePolicy
 
 _LOADERS: Mapping[str, Callable[[Path, str], TrainedPolicy]] = MappingProxyType(
-    {GoalConditionedPolicy.kind: goal_conditioned_policy.load, SkillsPolicy.kind: skills_policy.load}
+    {
+        GoalConditionedPolicy.kind: goal_conditioned_policy.load,
+        SkillsPolicy.kind: skills_policy.load,
+        LanguagePolicy.kind: language_policy.load,
+    }
 )
 
 

@@ -1,1 +1,1 @@
-"""How policies learn: goal-conditioned ones from exploration, without any label."""
+"""How policies learn: to reach goal images, to execute skills, and to do what a sentence says."""

@@ -1,6 +1,6 @@
 """What a kind of run is."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +17,12 @@ class Kind:
         steps: Returns how many steps a run of a whole configuration takes.
         run: Does the work, or goes on with it, and returns True; saves and returns False once `stop` says so. A
             `ServiceError` that it raises ends the run; what trying again may mend it waits for itself.
+        check: Before a run of a whole configuration is queued, raises InvalidInput where it builds on what is not there
+            or does not fit. Given the work, whose folder is not made yet, and the names of what will be there by
+            then: the earlier steps of the same pipeline. It asks no service.
     """
 
     resolve: Callable[[Mapping[str, Any]], dict[str, Any]]
     steps: Callable[[Mapping[str, Any]], int]
     run: Callable[[Work], bool]
+    check: Callable[[Work, Collection[str]], None] = lambda _work, _earlier: None

@@ -2,8 +2,8 @@
 
 The child is `python -m <module> <folder> <argument>...`. It reads `config.json` in the run's folder, writes
 `metrics.jsonl`, checkpoints and `artifacts/` there, goes on from its checkpoints, and ends with exit code 0, or with 2
-and one line on stderr when trying again cannot help. On SIGTERM it saves and ends; it ends at once when its standard
-input closes: then its parent is gone.
+and one line on stderr when trying again cannot help. On SIGTERM it saves and ends; there is a file `cancelled` in the
+folder by then where the run was cancelled. It ends at once when its standard input closes: then its parent is gone.
 """
 
 import fcntl
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.serving.fits import HOPELESS
-from freerein_orchestrator.outcomes import Attempt, Interrupted
+from freerein_orchestrator.outcomes import CANCELLED, Attempt, Interrupted, Reason
 from freerein_orchestrator.runs.records import RunRecords
 
 _POLL_S = 0.2
@@ -40,12 +40,12 @@ class Attempts:
         self._module = module
         self._arguments = arguments
 
-    def make(self, run_id: str, stop: Callable[[], bool]) -> Attempt:
+    def make(self, run_id: str, stop: Callable[[], Reason]) -> Attempt:
         """Starts a run's child and returns how it ended.
 
         Args:
             run_id: The run.
-            stop: Whether to stop; asked several times a second.
+            stop: Whether to stop, and why; asked several times a second.
 
         Raises:
             Interrupted: It was told to stop; the child has saved and ended, or was killed.
@@ -53,6 +53,7 @@ class Attempts:
         folder = self._records.folder(run_id)
         before = self._records.last(run_id).step
         with _alone(folder, stop) as lock, (folder / "log.txt").open("ab") as log:
+            (folder / CANCELLED).unlink(missing_ok=True)
             self._records.note(run_id, "running")
             child = subprocess.Popen(
                 [sys.executable, "-m", self._module, str(folder), *self._arguments],
@@ -70,9 +71,11 @@ class Attempts:
         progressed = self._records.last(run_id).step > before
         return _judge(child.returncode, _last_line(folder / "log.txt"), progressed=progressed)
 
-    def _watch(self, run_id: str, child: "subprocess.Popen[bytes]", stop: Callable[[], bool]) -> None:
+    def _watch(self, run_id: str, child: "subprocess.Popen[bytes]", stop: Callable[[], Reason]) -> None:
         while child.poll() is None:
-            if stop():
+            if reason := stop():
+                if reason == "cancel":
+                    (self._records.folder(run_id) / CANCELLED).touch()
                 raise Interrupted
             self._note_progress(run_id)
             try:
@@ -89,7 +92,7 @@ class Attempts:
 
 
 @contextmanager
-def _alone(folder: Path, stop: Callable[[], bool]) -> Iterator[int]:
+def _alone(folder: Path, stop: Callable[[], Reason]) -> Iterator[int]:
     """Yields the lock of a run's folder, once the child of an earlier attempt, which holds it too, is gone."""
     lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:

@@ -21,7 +21,7 @@ from freerein.types.reward import (
 from freerein_reward.core.frames import Footage, footage_of
 from freerein_reward.core.goal_cache import GoalCache
 from freerein_reward.core.inference import Item, Output, ScoreItem, Scores
-from freerein_reward.core.models import Loaded, Preprocess, RewardModel, wrong_kind
+from freerein_reward.core.models import GroundingModel, Loaded, Preprocess, RewardModel, wrong_kind
 from freerein_reward.core.stopwatch import Stopwatch
 from freerein_reward.core.texts import check_goal_text, check_rivals
 from freerein_reward.relations import rivals
@@ -61,7 +61,7 @@ class Rewarder:
 
         Raises:
             InvalidInput: A text or a frame is not as it must be, a camera is missing, the goal text has no rivals, or
-                the model is a grounding model.
+                the model is a grounding model and the mode is not raw.
             TooLarge: There are too many frames.
             OutputNotFinite: The model overflowed.
             NotFound: There is no such model.
@@ -71,7 +71,7 @@ class Rewarder:
         check_goal_text(request.goal_text)
         check_rivals(request.rivals, request.goal_text)
         texts = _texts(request)
-        ready = await self._reward_model(request.model)
+        ready = await self._reward_model(request.model, is_base_welcome=request.mode == "raw")
         footage = await watch.decoding(_footage(request, ready.model.cameras))
         parts = [
             await self._score(ready, texts, footage, start, watch) for start in range(0, footage.count, _FRAMES_AT_ONCE)
@@ -112,9 +112,11 @@ class Rewarder:
             timing=watch.timing(),
         )
 
-    async def _reward_model(self, asked: ModelRef) -> _Ready:
+    async def _reward_model(self, asked: ModelRef, *, is_base_welcome: bool = False) -> _Ready:
+        """Returns a reward model, or a grounding model, whose raw similarities are the base reward (section 4.2)."""
         ref, loaded = await self._models.resolve(asked)
-        if not isinstance(loaded.model, RewardModel):
+        is_base = isinstance(loaded.model, GroundingModel)
+        if not isinstance(loaded.model, RewardModel) or (is_base and not is_base_welcome):
             raise wrong_kind(ref, is_a="grounding", wanted="reward")
         return _Ready(ref, loaded.model, loaded.preprocess)
 

@@ -3,7 +3,8 @@
 from freerein_reward.model.dual_encoder import DualEncoder, DualEncoderSpec, channels_last
 from freerein_reward.model.grounding import GroundingModel, Grounds, contrast
 from freerein_reward.model.preprocess import Preprocess
-from freerein_reward.model.trained import GROUNDING, REWARD, RewardModel, load, load_grounding
+from freerein_reward.model.similarity import RewardModel
+from freerein_reward.model.trained import GROUNDING, REWARD, load, load_grounding
 
 __all__ = [
     "GROUNDING",

@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein_reward.model.dual_encoder import DualEncoder, channels_last
+from freerein_reward.model.dual_encoder import DualEncoder
+from freerein_reward.model.similarity import RewardModel
 
 _IMAGES_AT_ONCE = 64
 _STEEPNESS = 5.0
@@ -45,16 +46,18 @@ class Grounds:
     presence: npt.NDArray[np.float64]
 
 
-class GroundingModel:
+class GroundingModel(RewardModel):
     """Finds things that are named. The network's device is where it computes; arrays are on the CPU.
+
+    As a reward model it is the base one: it has learnt of things, not of how they lie to one another (section 4.2).
 
     Args:
         network: Trained on single objects, its `presence_at` calibrated.
     """
 
     def __init__(self, network: DualEncoder) -> None:
-        self.network = channels_last(network.eval())
-        self._device = network.temperature.log_scale.device
+        super().__init__(network)
+        self.network = network
 
     @torch.inference_mode()
     def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Grounds:

@@ -12,6 +12,9 @@ from freerein.cli.output import AsJson, verb
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for summary, pictures and data; emptied first.")] = Path("var/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of every draw.")] = 0,
+    running: Annotated[
+        bool, typer.Option("--running", help="Use the services that run already, and their data directory.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run the whole pipeline on this machine, measure it, and draw what came out."""
@@ -20,4 +23,4 @@ def demo(
     from freerein.cli.demo.pipeline import run
     from freerein.cli.demo.screen import Screen
 
-    asyncio.run(run(out, seed=seed, screen=Screen(as_json=as_json)))
+    asyncio.run(run(out, seed=seed, screen=Screen(as_json=as_json), running=running))

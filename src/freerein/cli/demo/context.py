@@ -7,8 +7,8 @@ from pathlib import Path
 from freerein.cli.demo.door import Door
 from freerein.cli.demo.screen import Screen
 from freerein.cli.recording import record
-from freerein.cli.supervisor import Stack
-from freerein.clients import Channel, SimClient
+from freerein.cli.services import Doors
+from freerein.clients import Channel, OrchestratorClient, SimClient
 from freerein.data import dataset_path
 from freerein.types.sim import DemonstrateRequest
 
@@ -21,28 +21,41 @@ class Context:
     """Where the demo runs.
 
     Attributes:
-        stack: The services.
+        doors: Of the services.
+        token: Bearer token that they ask for; empty for none.
+        data_dir: Where the services find datasets.
         out: The folder for all that comes out.
         seed: Seed of every draw.
         screen: What a person sees.
     """
 
-    stack: Stack
+    doors: Doors
+    token: str
+    data_dir: Path
     out: Path
     seed: int
     screen: Screen
 
     def dataset(self, name: str) -> Path:
         """Returns where a dataset lies."""
-        return dataset_path(self.out / "data", name)
+        return dataset_path(self.data_dir, name)
 
     def door(self, service: str) -> AbstractAsyncContextManager[Door]:
         """Returns the REST door of a service."""
-        return Door(self.stack.urls[service], requests=self.out / "requests", screen=self.screen)
+        url = self.doors.urls[service]
+        return Door(url, token=self.token, requests=self.out / "requests", screen=self.screen)
+
+    def channel(self, service: str) -> Channel:
+        """Returns a connection to the gRPC door of a service."""
+        return Channel(self.doors.addresses[service], token=self.token)
 
     def sim(self) -> SimClient:
         """Returns a client of the sim service."""
-        return SimClient(Channel(self.stack.addresses["sim"]))
+        return SimClient(self.channel("sim"))
+
+    def orchestrator(self) -> OrchestratorClient:
+        """Returns a client of the orchestrator."""
+        return OrchestratorClient(self.channel("orchestrator"))
 
     async def record(self, name: str, request: DemonstrateRequest) -> None:
         """Records what a behaviour does into a dataset."""

@@ -2,7 +2,7 @@
 
 import base64
 import json
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,16 +23,18 @@ class Door:
 
     Args:
         url: The service's address.
+        token: Bearer token, sent with every call; empty for none.
         requests: Folder where the first body of each path is kept, for the reader to send again.
         screen: Where the calls are shown.
     """
 
-    def __init__(self, url: str, *, requests: Path, screen: Screen) -> None:
+    def __init__(self, url: str, *, token: str, requests: Path, screen: Screen) -> None:
         self._url = url
         self._requests = requests
         self._screen = screen
         self._shown: set[str] = set()
-        self._client = httpx.AsyncClient(base_url=url, timeout=_TIMEOUT_S, trust_env=False)
+        headers = {"authorization": f"Bearer {token}"} if token else {}
+        self._client = httpx.AsyncClient(base_url=url, headers=headers, timeout=_TIMEOUT_S, trust_env=False)
 
     async def __aenter__(self) -> Self:
         """Opens the connection."""
@@ -53,6 +55,15 @@ class Door:
         self._show(path, json.dumps(body))
         return _answer(await self._client.post(path, json=body))
 
+    async def get(self, path: str, **query: str) -> dict[str, Any]:
+        """Returns the answer to a question, or what a file of JSON holds.
+
+        Raises:
+            ServiceError: The service refused.
+        """
+        self._screen.call(f'curl "{self._address(path, query)}"')
+        return _answer(await self._client.get(path, params=query))
+
     async def segment(self, model: str, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> dict[str, Any]:
         """Returns the labels of a trajectory, frames uint8 (T, H, W, C), as the service's JSON."""
         body = {"model": {"name": model}, "frames": _tensor(frames), "actions": _tensor(actions), "smoothing": 1.0}
@@ -71,8 +82,7 @@ class Door:
         Raises:
             ServiceError: The service refused.
         """
-        words = "&".join(f"{name}={value}" for name, value in query.items())
-        self._screen.call(f'curl -N "{self._url}{path}?{words}"')
+        self._screen.call(f'curl -N "{self._address(path, query)}"')
         async with self._client.stream("GET", path, params=query) as response:
             if response.is_error:
                 await response.aread()
@@ -80,6 +90,9 @@ class Door:
             async for line in response.aiter_lines():
                 if line.startswith("data: "):
                     yield json.loads(line.removeprefix("data: "))
+
+    def _address(self, path: str, query: Mapping[str, str]) -> str:
+        return f"{self._url}{path}?" + "&".join(f"{name}={value}" for name, value in query.items())
 
     def _show(self, path: str, body: str) -> None:
         if path not in self._shown:

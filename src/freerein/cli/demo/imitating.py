@@ -12,7 +12,7 @@ from freerein.cli.demo.context import HELD_OUT, Context
 from freerein.cli.demo.driving import Drive, Driver, Robots, Wanderer
 from freerein.cli.demo.filmstrip import Pursued
 from freerein.cli.demo.fits import RunningFit, start_fit
-from freerein.clients import Channel, ImitationClient
+from freerein.clients import ImitationClient
 from freerein.metrics import auroc
 from freerein.types.common import Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, GetSpecRequest
@@ -61,7 +61,7 @@ async def start_following(context: Context) -> RunningFit:
 async def follow(context: Context) -> Following:
     """Lets robots explore from unseen starts, takes landmarks from that, goes back, and has the policy follow them."""
     rng = np.random.default_rng(context.seed + HELD_OUT)
-    async with context.sim() as sim, ImitationClient(Channel(context.stack.addresses["imitation"])) as client:
+    async with context.sim() as sim, ImitationClient(context.channel("imitation")) as client:
         spec = await client.get_spec(GetSpecRequest(_MODEL))
         steps = _LANDMARKS * spec.max_steps_per_goal
         robots = Robots(sim, _TASK, camera=_CAMERA, count=_ROBOTS, seed=context.seed + HELD_OUT)

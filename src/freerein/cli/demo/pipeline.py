@@ -3,26 +3,44 @@
 import os
 import shutil
 import time
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from freerein.cli.demo import figures, filmstrip, heatmaps, imitating, rewarding, skilling, timeline
+from freerein.cli import services
+from freerein.cli.demo import (
+    distilling,
+    figures,
+    filmstrip,
+    heatmaps,
+    imitating,
+    learning_curve,
+    reinforcing,
+    rewarding,
+    skilling,
+    timeline,
+)
 from freerein.cli.demo.context import Context
+from freerein.cli.demo.distilling import Distilled
 from freerein.cli.demo.figures import Figure
 from freerein.cli.demo.fits import follow_fit
 from freerein.cli.demo.heatmaps import Judged
 from freerein.cli.demo.imitating import Following
+from freerein.cli.demo.reinforcing import Reinforced
 from freerein.cli.demo.rewarding import Judgements
 from freerein.cli.demo.screen import Screen
 from freerein.cli.demo.segmenting import BLOCKS, GRID, Labels, label_held_out, record_lesson, start_lesson
 from freerein.cli.demo.skilling import Executed
-from freerein.cli.services import choose, free_ports, is_free
+from freerein.cli.services import Doors, choose, free_ports, is_free
+from freerein.cli.settings import CliSettings
 from freerein.cli.supervisor import Stack
+from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports
 
-_SERVICES = ("sim", "segmentation", "imitation", "reward")
+_SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_S = 60.0
-_LONGEST_S = 480.0
+_LONGEST_S = 600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,30 +52,33 @@ class _Results:
     judged: tuple[Judged, ...]
     following: Following
     executed: Executed
+    reinforced: Reinforced
+    distilled: Distilled
     training_s: float
 
 
-async def run(out: Path, *, seed: int, screen: Screen) -> None:
+async def run(out: Path, *, seed: int, screen: Screen, running: bool) -> None:
     """Runs every stage, and writes `summary.json` and the pictures.
 
     Args:
         out: The folder for all of it; emptied first.
         seed: Seed of every draw.
         screen: What a person sees.
+        running: Whether services run already, where the environment says; else it starts its own.
 
     Raises:
         ServiceError: A stage did not finish.
     """
     begun = time.perf_counter()
-    _empty(out)
-    stack = Stack(choose(_SERVICES), data_dir=out / "data", environ=os.environ, ports=_ports())
-    async with stack:
-        with screen.stage("Start the services"):
-            screen.call("freerein up")
-            await stack.ready(timeout_s=_READY_S)
-            for name, url in stack.urls.items():
-                screen.say(f"{name:<13} {url}/docs   gRPC {stack.addresses[name]}")
-        results = await _learn_and_measure(Context(stack, out, seed, screen))
+    settings = CliSettings()
+    data_dir = settings.data_dir if running else out / "data"
+    token = settings.token.get_secret_value() if settings.token else ""
+    _empty(out, keep=data_dir if running else None)
+    started = nullcontext(services.running(_SERVICES, os.environ)) if running else _start(data_dir, screen)
+    async with started as doors:
+        for name, url in doors.urls.items():
+            screen.say(f"{name:<13} {url}/docs   gRPC {doors.addresses[name]}")
+        results = await _learn_and_measure(Context(doors, token, data_dir, out, seed, screen))
     with screen.stage("Draw"):
         for path, caption in _draw(results, out):
             screen.say(f"{path}: {caption}")
@@ -66,7 +87,18 @@ async def run(out: Path, *, seed: int, screen: Screen) -> None:
     figures.save(out / "summary.json", summary)
     screen.summary(measured, summary)
     screen.say(f"{out / 'summary.json'} holds these figures.")
-    screen.say(f"To go on with these models: FREEREIN_DATA_DIR={out / 'data'} freerein up")
+    if not running:
+        screen.say(f"To go on with these models: FREEREIN_DATA_DIR={data_dir} freerein up")
+
+
+@asynccontextmanager
+async def _start(data_dir: Path, screen: Screen) -> AsyncGenerator[Doors, None]:
+    """Runs services of our own for as long as the block does."""
+    async with Stack(choose(_SERVICES), data_dir=data_dir, environ=os.environ, ports=_ports()) as stack:
+        with screen.stage("Start the services"):
+            screen.call("freerein up")
+            await stack.ready(timeout_s=_READY_S)
+        yield Doors(stack.urls, stack.addresses)
 
 
 async def _learn_and_measure(context: Context) -> _Results:
@@ -94,7 +126,11 @@ async def _learn_and_measure(context: Context) -> _Results:
         judgements, judged = await rewarding.judge_held_out(context)
         followed = await imitating.follow(context)
         executed = await skilling.execute(context)
-    return _Results(labels, judgements, judged, followed, executed, training_s)
+    with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
+        reinforced = await reinforcing.reinforce(context)
+    with screen.stage("Distill that into a policy which is told in words what to do"):
+        distilled = await distilling.distill(context, reinforced.run)
+    return _Results(labels, judgements, judged, followed, executed, reinforced, distilled, training_s)
 
 
 def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
@@ -120,6 +156,20 @@ def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
         "there; learned from random exploration",
     )
     drawn.append((out / "filmstrip.png", "the robot of median success"))
+    learning_curve.draw(
+        out / "ppo.png",
+        results.reinforced.curve,
+        {
+            "random": results.reinforced.random,
+            "before": results.reinforced.first,
+            "after": results.reinforced.last,
+            "distilled": results.distilled.earned,
+        },
+        title=f"Learned from a sentence and pixels: {reinforcing.TASK.partition('.')[2].replace('-', ' ')}",
+        subtitle="PPO on the learned reward; measured in 50 episodes each, against true states that it never sees; "
+        "lines are 95 % intervals",
+    )
+    drawn.append((out / "ppo.png", "what PPO learned from words and pixels"))
     return drawn
 
 
@@ -143,12 +193,34 @@ def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
         Figure("imitation.goal_auroc", following.goal_auroc, at_least=0.9),
         Figure("recipe.skills_completed", results.executed.skills_completed, above=results.executed.random_completed),
         Figure("recipe.random_skills_completed", results.executed.random_completed),
+        *_figures_of_words(results.reinforced, results.distilled),
         Figure("training_s", results.training_s),
         Figure("total_s", total_s, at_most=_LONGEST_S),
     )
 
 
-def _empty(folder: Path) -> None:
+def _figures_of_words(reinforced: Reinforced, distilled: Distilled) -> tuple[Figure, ...]:
+    first, last, chance = reinforced.first, reinforced.last, reinforced.random.mean
+    return (
+        Figure("ppo.return_first", first.mean),
+        Figure("ppo.return_first_high", first.high),
+        Figure("ppo.return_last", last.mean),
+        Figure("ppo.return_last_low", last.low, above=first.high),
+        Figure("ppo.random_return", chance),
+        Figure("ppo.training_s", reinforced.training_s),
+        Figure("distill.return", distilled.earned.mean, above=chance),
+        Figure("distill.random_return", chance),
+        Figure("distill.training_s", distilled.training_s),
+    )
+
+
+def _empty(folder: Path, *, keep: Path | None) -> None:
+    if keep and keep.absolute().is_relative_to(folder.absolute()):
+        raise InvalidInput(
+            "The folder for what comes out is emptied first, and must not hold the services' data directory; it does.",
+            field="out",
+            hint="Choose another folder with --out.",
+        )
     if folder.exists():
         shutil.rmtree(folder)
     folder.mkdir(parents=True)

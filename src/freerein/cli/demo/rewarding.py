@@ -12,7 +12,7 @@ from freerein.cli.demo.context import HELD_OUT, Context
 from freerein.cli.demo.fits import RunningFit, start_fit
 from freerein.cli.demo.heatmaps import Judged
 from freerein.cli.demo.relations import Pair
-from freerein.clients import Channel, RewardClient, SimClient
+from freerein.clients import RewardClient, SimClient
 from freerein.types.common import ModelRef
 from freerein.types.reward import GroundRequest, RewardRequest
 from freerein.types.sim import (
@@ -24,7 +24,10 @@ from freerein.types.sim import (
     Truth,
 )
 
-_TASK, _DATASET, _MODEL, _CAMERA = "blocks.scatter", "scatter", "blocks", "front"
+MODEL = "blocks"
+"""The name of the model that is learned."""
+
+_TASK, _DATASET, _CAMERA = "blocks.scatter", "scatter", "front"
 _TRAJECTORIES = 1000
 _SCENES, _ROUNDS, _RANDOM_STEPS = 50, 6, 4
 _DRAWN = (0, 1, 2, 4)  # of the relations, those that a picture is drawn of
@@ -69,14 +72,14 @@ async def record_scatter(context: Context) -> None:
 
 async def start_reward(context: Context) -> RunningFit:
     """Starts to learn the reward model."""
-    return await start_fit(context, "reward", _DATASET, model_name=_MODEL, config={})
+    return await start_fit(context, "reward", _DATASET, model_name=MODEL, config={})
 
 
 async def judge_held_out(context: Context) -> tuple[Judgements, tuple[Judged, ...]]:
     """Asks the reward model of images of unseen scenes; returns its answers, and some of them as they are drawn."""
     async with context.sim() as sim:
         scenes = await _look(sim, seed=context.seed + HELD_OUT)
-    async with RewardClient(Channel(context.stack.addresses["reward"])) as client:
+    async with RewardClient(context.channel("reward")) as client:
         said, truth = [], []
         questions = relations.questions(scenes.states)
         with context.screen.progress("ask for rewards", len(questions)) as advance:
@@ -94,7 +97,7 @@ async def judge_held_out(context: Context) -> tuple[Judgements, tuple[Judged, ..
 
 def _request(pair: Pair, frames: npt.NDArray[np.uint8]) -> RewardRequest:
     goal, *rivals = pair.texts
-    return RewardRequest(goal, {_CAMERA: frames}, rivals=tuple(rivals), model=ModelRef(_MODEL))
+    return RewardRequest(goal, {_CAMERA: frames}, rivals=tuple(rivals), model=ModelRef(MODEL))
 
 
 async def _look(sim: SimClient, *, seed: int) -> _Scenes:
@@ -129,7 +132,7 @@ def _picks(scenes: _Scenes) -> list[tuple[Pair, int]]:
 
 async def _judged(client: RewardClient, pair: Pair, frame: npt.NDArray[np.uint8], truth: int) -> Judged:
     """Returns one image, its groundings, and how well each relation's sentence fits it."""
-    raw = RewardRequest(pair.texts[0], {_CAMERA: frame[None]}, mode="raw", model=ModelRef(_MODEL))
+    raw = RewardRequest(pair.texts[0], {_CAMERA: frame[None]}, mode="raw", model=ModelRef(MODEL))
     fits = [(await client.reward(replace(raw, goal_text=text))).similarities[0] for text in pair.texts]
     grounded = await client.ground(GroundRequest(images.encode(frame, encoding="raw_rgb8"), pair.phrases))
     return Judged(

@@ -5,11 +5,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
+from rich.live import Live
+from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from freerein.cli.course import Course
+from freerein.cli.course_picture import draw
 from freerein.cli.demo.figures import Figure
 from freerein.cli.output import print_json
+from freerein.cli.underway import Underway
 
 Advance = Callable[[int], None]
 
@@ -54,6 +59,26 @@ class Screen:
                 bars.update(bar, completed=done, note=note)
 
             yield advance
+
+    @contextmanager
+    def course(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Underway], Course]]:
+        """Yields what shows how a run goes on, with curves of some metrics, and returns the course so far."""
+        course = Course()
+        with Live(
+            console=self._console,
+            auto_refresh=False,
+            get_renderable=lambda: Padding(draw(name, course, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
+        ) as live:
+
+            def show(now: Underway) -> Course:
+                course.add(now, at_s=time.monotonic())
+                if self._console.is_terminal:
+                    live.refresh()
+                return course
+
+            yield show
+        if not self._console.is_terminal:
+            self._console.line()  # which a live display ends only terminals' lines with
 
     def summary(self, figures: Sequence[Figure], document: dict[str, object]) -> None:
         """Prints the figures, each met or missed."""

@@ -11,7 +11,7 @@ from freerein.cli.demo.driving import Drive, Driver, Robots, Wanderer
 from freerein.cli.demo.fits import RunningFit, start_fit
 from freerein.cli.demo.segmenting import BLOCKS
 from freerein.cli.labelling import label_all
-from freerein.clients import Channel, ImitationClient, SegmentationClient
+from freerein.clients import ImitationClient, SegmentationClient
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.segmentation import SegmentRequest
@@ -41,7 +41,7 @@ async def label_demonstrations(context: Context) -> None:
     context.screen.call(f"freerein segment {BLOCKS.train_name} --model {BLOCKS.task} --smoothing 1 --save")
     request = SegmentRequest(ModelRef(BLOCKS.task), smoothing=1.0)
     with context.screen.progress(f"label {BLOCKS.train_name}", BLOCKS.train) as advance:
-        async with SegmentationClient(Channel(context.stack.addresses["segmentation"])) as client:
+        async with SegmentationClient(context.channel("segmentation")) as client:
             await label_all(client, context.dataset(BLOCKS.train_name), request, camera=_CAMERA, on_count=advance)
 
 
@@ -55,7 +55,7 @@ async def execute(context: Context) -> Executed:
     """Has robots execute recipes of all skills, each in an order of its own, from unseen starts."""
     seed = context.seed + HELD_OUT
     rng = np.random.default_rng(seed)
-    async with context.sim() as sim, ImitationClient(Channel(context.stack.addresses["imitation"])) as client:
+    async with context.sim() as sim, ImitationClient(context.channel("imitation")) as client:
         spec = await client.get_spec(GetSpecRequest(_MODEL))
         plans = [tuple(str(skill) for skill in rng.permutation(spec.skills)) for _ in range(_ROBOTS)]
         share = _STEPS // len(spec.skills)  # of the episode, for each skill

@@ -41,7 +41,7 @@ def _examine() -> "list[Finding]":
     examinations: list[Callable[[], Finding | list[Finding]]] = [machine.python]
     if "sim" in services:
         examinations += [machine.rendering, machine.meshes]
-    if {"segmentation", "imitation", "reward"} & set(services):
+    if set(services) - {"sim"}:
         examinations += [machine.torch]
     examinations += [lambda: storage.storage(data_dir), *(partial(doors.service, name) for name in services)]
     with ThreadPoolExecutor(len(examinations)) as pool:

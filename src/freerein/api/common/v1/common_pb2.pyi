@@ -154,6 +154,9 @@ class Trajectory(_message.Message):
     FRAMES_FIELD_NUMBER: _builtins.int
     ACTIONS_FIELD_NUMBER: _builtins.int
     SKILLS_FIELD_NUMBER: _builtins.int
+    GOAL_TEXT_FIELD_NUMBER: _builtins.int
+    goal_text: _builtins.str
+    """What was to be done, in words; empty when unknown, or where the dataset says it for all."""
     @_builtins.property
     def frames(self) -> _containers.MessageMap[_builtins.str, Global___Tensor]:
         """By camera: UINT8 (T, H, W, C), C = 1 or 3, RGB. Frame t was seen before action t."""
@@ -172,10 +175,11 @@ class Trajectory(_message.Message):
         frames: _abc.Mapping[_builtins.str, Global___Tensor] | None = ...,
         actions: Global___Tensor | None = ...,
         skills: _abc.Iterable[_builtins.str] | None = ...,
+        goal_text: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "skills", b"skills"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "goal_text", b"goal_text", "skills", b"skills"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -283,12 +287,15 @@ Global___Observation: _TypeAlias = Observation  # noqa: Y015
 
 @_typing.final
 class Goal(_message.Message):
-    """What a robot is to achieve: exactly one of the two."""
+    """What a robot is to achieve: exactly one of the three."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
     IMAGES_FIELD_NUMBER: _builtins.int
     RECIPE_FIELD_NUMBER: _builtins.int
+    TEXT_FIELD_NUMBER: _builtins.int
+    text: _builtins.str
+    """What is to be done, in words, 1 to 2000 characters."""
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[Global___Image]:
         """A goal image, or a sequence of landmarks to reach one after the other."""
@@ -302,10 +309,11 @@ class Goal(_message.Message):
         *,
         images: _abc.Iterable[Global___Image] | None = ...,
         recipe: _abc.Iterable[_builtins.str] | None = ...,
+        text: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["images", b"images", "recipe", b"recipe"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["images", b"images", "recipe", b"recipe", "text", b"text"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

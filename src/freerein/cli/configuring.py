@@ -1,0 +1,54 @@
+"""The configuration of a fit or a run, as one types it: `--set KEY=VALUE`, and `--config FILE.json` below that."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from freerein.errors import InvalidInput
+
+Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Not as by default.")]
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """Returns a setting's key and value: a JSON value, else a string.
+
+    Raises:
+        InvalidInput: It has no key or no value.
+    """
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise InvalidInput(
+            "A setting must be KEY=VALUE; got one without a key or a value.",
+            field="set",
+            hint="Write --set updates=200 or --set objective=mil.",
+        )
+    try:
+        return key, json.loads(value)
+    except json.JSONDecodeError:
+        return key, value
+
+
+def configuration(settings: Sequence[str] | None, file: Path | None = None) -> dict[str, Any]:
+    """Returns the configuration of a file, changed by settings.
+
+    Raises:
+        InvalidInput: The file does not hold a JSON object, or a setting is none.
+    """
+    return {**(_read(file) if file else {}), **dict(setting(text) for text in settings or ())}
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(file.read_bytes())
+    except ValueError:
+        values = None
+    if not isinstance(values, dict):
+        raise InvalidInput(
+            "A configuration must be a file with a JSON object; this one holds something else.",
+            field="config",
+            hint='Such as {"task": "grid", "count": 20}.',
+        )
+    return values

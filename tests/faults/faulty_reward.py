@@ -1,0 +1,69 @@
+"""The reward service as it is, around the contract suite's models, but what it rewards may be told to be nonsense.
+
+The file `lies` in its data directory says which nonsense to answer, and how often: `nan 3`.
+"""
+
+import asyncio
+import sys
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from freerein.durable import write_durably
+from freerein.serving.health import Health
+from freerein.serving.lifecycle import Service, run
+from freerein.serving.limits import Limits
+from freerein.serving.metrics import Metrics
+from freerein.types.reward import RewardRequest, RewardResponse
+from freerein_reward.__main__ import NAME
+from freerein_reward.settings import RewardSettings
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "reward"))
+
+SLOW_S = 0.3
+
+
+def lie(answer: RewardResponse, kind: str) -> RewardResponse:
+    """Returns nonsense in place of an answer."""
+    if kind == "short":
+        return replace(answer, rewards=answer.rewards[:-1])
+    return replace(answer, rewards=np.full_like(answer.rewards, {"nan": np.nan, "infinite": np.inf}[kind]))
+
+
+def next_lie(told: Path) -> str:
+    """Returns which lie is next, and counts it."""
+    kind, _, left = told.read_text().partition(" ") if told.exists() else ("", "", "0")
+    if not int(left or 0):
+        return ""
+    write_durably(told, f"{kind} {int(left) - 1}".encode())
+    return kind
+
+
+def lying(reward: Callable[[RewardRequest], Awaitable[RewardResponse]], told: Path) -> Callable[..., object]:
+    """Returns what rewards, and lies as often as it is told to."""
+
+    async def answer(request: RewardRequest) -> RewardResponse:
+        kind, truth = next_lie(told), await reward(request)
+        if kind == "slow":
+            await asyncio.sleep(SLOW_S)
+        return lie(truth, kind) if kind in ("nan", "infinite", "short") else truth
+
+    return answer
+
+
+def build_lying(settings: RewardSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+    """Returns the service."""
+    from toy_service import build_toy
+
+    honest = build_toy(settings, limits, metrics, health)
+    methods = (
+        replace(method, call=lying(method.call, settings.data_dir / "lies")) if method.name == "Reward" else method
+        for method in honest.methods
+    )
+    return replace(honest, methods=tuple(methods))
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(NAME, RewardSettings, build_lying))

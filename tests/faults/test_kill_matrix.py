@@ -1,0 +1,201 @@
+"""Who is killed, and when: the policy that a run ends with is bit for bit that of a run that nobody disturbed.
+
+FREEREIN_FUZZ=1 pytest tests/faults/test_kill_matrix.py -v --durations=0    every victim at every moment
+"""
+
+import asyncio
+import hashlib
+import itertools
+import os
+import signal
+import time
+from collections.abc import AsyncIterator
+from contextlib import aclosing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import pytest_asyncio
+
+from freerein.cli.child import RestartPolicy
+from freerein.cli.services import free_ports
+from freerein.cli.supervisor import Stack
+from freerein.clients import Channel, OrchestratorClient
+from freerein.errors import Unavailable
+from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
+
+pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
+HERE, FUZZ = Path(__file__).parent, os.environ.get("FREEREIN_FUZZ") == "1"
+MODULES = {"sim": "freerein_sim", "reward": "faulty_reward", "orchestrator": "freerein_orchestrator"}
+TINY = {
+    "task": "grid",
+    "goal_text": "more",
+    "camera": "top",
+    "reward": "base",
+    "reward_model": "default",
+    "iterations": 3,
+    "num_envs": 2,
+    "steps": 16,
+    "epochs": 2,
+    "batch_size": 16,
+    "features": 8,
+    "hidden": 8,
+}
+ROLLOUTS, PATIENCE_S = 8, 200.0
+POLICY = "policy.safetensors"
+PPO = list(itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing")))
+DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "all"), ("collecting", "fitting")))
+if not FUZZ:
+    PPO, DISTILL = [("sim", "collecting"), ("child", "committing"), ("all", "collecting")], []
+
+
+@dataclass(frozen=True)
+class Running:
+    """Services that train, and who may be killed among them."""
+
+    stack: Stack
+    client: OrchestratorClient
+    data_dir: Path
+
+    async def start(self, kind: RunKind, config: dict[str, Any], key: str) -> str:
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                try:
+                    return (await self.client.start_run(StartRunRequest(kind, config, key))).run.id
+                except Unavailable:
+                    await asyncio.sleep(0.1)
+
+    async def end(self, run_id: str) -> Run:
+        """Returns a run as it ended."""
+        seen: list[Run] = []
+        async with asyncio.timeout(PATIENCE_S):
+            while not seen or seen[-1].state in ("queued", "running"):
+                try:
+                    async with aclosing(self.client.watch_run(WatchRunRequest(run_id, len(seen)))) as watching:
+                        seen += [event.run async for event in watching]
+                except Unavailable:
+                    await asyncio.sleep(0.1)
+        return seen[-1]
+
+    async def reached(self, run_id: str, step: int) -> None:
+        """Returns when a run has reached a step."""
+        async with asyncio.timeout(PATIENCE_S), aclosing(self.client.watch_run(WatchRunRequest(run_id))) as watching:
+            async for event in watching:
+                if event.run.step >= step:
+                    return
+
+    async def policy(self, run_id: str) -> str:
+        """Returns the sha256 of the policy that a run has left behind."""
+        parts = [part.data async for part in self.client.get_artifact(GetArtifactRequest(run_id, POLICY))]
+        return hashlib.sha256(b"".join(parts)).hexdigest()
+
+    def pids(self, victim: str) -> list[int]:
+        pids = {status.service: status.pid for status in self.stack.statuses}
+        if victim == "child":
+            children = psutil.Process(pids["orchestrator"]).children()
+            return [child.pid for child in children if "freerein_orchestrator.child" in child.cmdline()]
+        return list(pids.values()) if victim == "all" else [pids[victim]]
+
+    def kill(self, victim: str) -> None:
+        killed = self.pids(victim)
+        assert killed
+        for pid in killed:
+            os.kill(pid, signal.SIGKILL)
+
+
+async def until(folder: Path, pattern: str, count: int) -> None:
+    """Returns when there are so many files of a pattern below a folder."""
+    begun = time.monotonic()
+
+    def wait() -> None:
+        while len(list(folder.glob(pattern))) < count:
+            assert time.monotonic() - begun < PATIENCE_S
+            time.sleep(0.001)
+
+    await asyncio.to_thread(wait)
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Running]:
+    modules = {**MODULES, "imitation": "freerein_imitation"} if FUZZ else MODULES
+    data_dir, ports = tmp_path_factory.mktemp("matrix"), free_ports(modules)
+    mine = {"PYTHONPATH": str(HERE), "FREEREIN_SHIPPED_DIR": "none", "FREEREIN_SIM_WORKERS": "1"}
+    (data_dir / "lies").write_text("slow 1000000")  # so that there is time to kill somebody
+    environ = {**os.environ, **mine, "OMP_NUM_THREADS": "1"}
+    policy = RestartPolicy(crashes=1000)
+    async with (
+        Stack(modules, data_dir=data_dir, environ=environ, ports=ports, policy=policy) as stack,
+        OrchestratorClient(Channel(stack.addresses["orchestrator"])) as client,
+    ):
+        yield Running(stack, client, data_dir)
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def undisturbed(running: Running) -> str:
+    """A run of PPO that nobody disturbed."""
+    run_id = await running.start("ppo", TINY, "undisturbed")
+    ended = await running.end(run_id)
+    assert (ended.state, ended.step) == ("succeeded", TINY["iterations"]), ended.error
+    return run_id
+
+
+@pytest.mark.fault("O1")
+@pytest.mark.fault("O2")
+@pytest.mark.parametrize(("victim", "moment"), PPO)
+async def test_whoever_is_killed_whenever_the_policy_is_the_same(
+    running: Running, undisturbed: str, victim: str, moment: str
+) -> None:
+    run_id = await running.start("ppo", TINY, f"ppo-{victim}-{moment}")
+    checkpoints = running.data_dir / "runs" / run_id / "checkpoints"
+    await until(checkpoints, "step-*", 2 if moment == "collecting" else 3)  # the first is from before the first
+    running.kill(victim)
+    ended = await running.end(run_id)
+    assert (ended.state, ended.step) == ("succeeded", TINY["iterations"]), ended.error
+    assert await running.policy(run_id) == await running.policy(undisturbed)
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def student(running: Running, undisturbed: str) -> str:
+    """The version of a model that was distilled while nobody disturbed it."""
+    ended = await running.end(await running.start("distill", distilled(undisturbed, "undisturbed"), "distilled"))
+    assert ended.model is not None, ended.error
+    return ended.model.version
+
+
+def distilled(teacher: str, name: str) -> dict[str, Any]:
+    fit = {
+        "steps": 1_000,
+        "batch_size": 4,
+        "features": 8,
+        "words": 4,
+        "hidden": 8,
+        "log_every": 5,
+        "checkpoint_every": 50,
+    }
+    return {
+        "teachers": [teacher],
+        "rollouts": ROLLOUTS,
+        "num_envs": 2,
+        "dataset": name,
+        "model_name": name,
+        "config": fit,
+    }
+
+
+@pytest.mark.fault("O1")
+@pytest.mark.fault("O2")
+@pytest.mark.parametrize(("victim", "moment"), DISTILL)
+async def test_whoever_is_killed_whenever_the_student_is_the_same(
+    running: Running, undisturbed: str, student: str, victim: str, moment: str
+) -> None:
+    run_id = await running.start("distill", distilled(undisturbed, f"{victim}-{moment}"), f"distill-{victim}-{moment}")
+    if moment == "collecting":
+        await until(running.data_dir / "runs" / run_id / "rollouts" / "data", "**/*.parquet", 2)
+    else:
+        await running.reached(run_id, ROLLOUTS + 1)
+    running.kill(victim)
+    ended = await running.end(run_id)
+    assert ended.model is not None, ended.error
+    assert ended.model.version == student

@@ -1,0 +1,295 @@
+"""The process of a run whose files are damaged and whose services lie: it ends as it would have, or says why not."""
+
+import asyncio
+import hashlib
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from freerein.serving.fits import HOPELESS
+from freerein_orchestrator.kinds import KINDS
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240)]
+PATIENCE_S = 100.0
+TINY = {
+    "task": "grid",
+    "goal_text": "more",
+    "camera": "top",
+    "reward": "base",
+    "reward_model": "default",
+    "iterations": 4,
+    "num_envs": 2,
+    "steps": 16,
+    "epochs": 1,
+    "batch_size": 16,
+    "features": 8,
+    "hidden": 8,
+}
+
+
+class Run:
+    """A run's folder, and the process that works in it.
+
+    Args:
+        folder: Of the run.
+        environ: Says where services are.
+        config: What differs from `TINY`.
+    """
+
+    def __init__(self, folder: Path, environ: dict[str, str], **config: Any) -> None:
+        self.folder = folder
+        self._environ = environ
+        self.configure(**config)
+
+    def configure(self, **config: Any) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        asked = {"kind": "ppo", "config": KINDS["ppo"].resolve({**TINY, **config}), "steps": 4}
+        (self.folder / "config.json").write_text(json.dumps(asked))
+
+    def start(self) -> psutil.Popen:
+        module = [sys.executable, "-m", "freerein_orchestrator.child"]
+        with (self.folder / "log.txt").open("ab") as log:
+            return psutil.Popen(
+                [*module, str(self.folder), str(self.folder.parents[1]), "cpu"],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env=self._environ,
+            )
+
+    def finish(self) -> int:
+        """Returns the exit code of a process that works until it ends."""
+        with self.start() as process:
+            return int(process.wait(PATIENCE_S))
+
+    def until(self, checkpoints: int) -> None:
+        begun = time.monotonic()
+        while len(self.checkpoints) < checkpoints:
+            assert time.monotonic() - begun < PATIENCE_S, self.log
+            time.sleep(0.002)
+
+    def killed_after(self, checkpoints: int) -> None:
+        """Works until there are so many checkpoints, of which the last three are kept, and no further."""
+        with self.start() as process:
+            self.until(checkpoints)
+            process.kill()
+
+    @property
+    def checkpoints(self) -> list[Path]:
+        return sorted((self.folder / "checkpoints").glob("step-?????????"))
+
+    @property
+    def policy(self) -> str:
+        return hashlib.sha256((self.folder / "artifacts" / "policy.safetensors").read_bytes()).hexdigest()
+
+    @property
+    def log(self) -> str:
+        return (self.folder / "log.txt").read_text()
+
+    @property
+    def reason(self) -> str:
+        """What the process said last: why it cannot succeed."""
+        return self.log.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def reward(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service(str(Path(__file__).with_name("faulty_reward.py")), FREEREIN_SHIPPED_DIR="none")
+
+
+@pytest.fixture(scope="module")
+def environ(start_module_service: Callable[..., Any], reward: Any) -> dict[str, str]:
+    sim = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    where = {"FREEREIN_SIM_ADDRESS": sim.address, "FREEREIN_REWARD_ADDRESS": reward.address}
+    return {**os.environ, **where, "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture
+def lies(reward: Any) -> Iterator[Callable[[str], None]]:
+    """A function that tells the reward service what nonsense to answer, and how often: `lies("nan 3")`."""
+    told = reward.data_dir / "lies"
+    yield told.write_text
+    told.write_text("")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str]) -> Run:
+    """A run that nobody disturbed."""
+    run = Run(tmp_path_factory.mktemp("whole") / "runs" / "whole", environ)
+    assert run.finish() == 0, run.log
+    return run
+
+
+@pytest.fixture
+def run(tmp_path: Path, environ: dict[str, str]) -> Run:
+    return Run(tmp_path / "runs" / "run", environ)
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str], reward: Any) -> Run:
+    """A run that was killed when it had three checkpoints."""
+    run, told = Run(tmp_path_factory.mktemp("killed") / "runs" / "killed", environ), reward.data_dir / "lies"
+    told.write_text("slow 1000000")
+    run.killed_after(3)
+    told.write_text("")
+    assert len(run.checkpoints) == 3
+    return run
+
+
+@pytest.fixture
+def begun(run: Run, killed: Run) -> Run:
+    """The same, to be gone on with."""
+    shutil.copytree(killed.folder, run.folder, dirs_exist_ok=True)
+    return run
+
+
+@pytest.mark.fault("N1")
+async def test_a_training_over_a_bad_network_ends_with_the_same_policy(
+    run: Run, whole: Run, environ: dict[str, str], network: Any
+) -> None:
+    weather = network.Weather(delay_s=0.005, jitter_s=0.005, resets_after=100_000)
+    async with (
+        network.ChaosProxy(environ["FREEREIN_SIM_ADDRESS"], weather) as sim,
+        network.ChaosProxy(environ["FREEREIN_REWARD_ADDRESS"], weather) as reward,
+    ):
+        over = {"FREEREIN_SIM_ADDRESS": sim.address, "FREEREIN_REWARD_ADDRESS": reward.address}
+        with Run(run.folder, {**environ, **over}).start() as process:
+            await asyncio.to_thread(run.until, 2)
+            for proxy in (sim, reward):
+                proxy.partition()
+            await asyncio.sleep(1)
+            for proxy in (sim, reward):
+                proxy.heal()
+            assert await asyncio.to_thread(process.wait, PATIENCE_S) == 0, run.log
+        assert sim.connections > 1
+    assert run.policy == whole.policy
+
+
+@pytest.mark.fault("O3")
+def test_damaged_checkpoints_are_passed_over_with_a_word_and_the_one_before_serves(begun: Run, whole: Run) -> None:
+    _, second, newest = (path / "state.safetensors" for path in begun.checkpoints)
+    flipped = bytearray(newest.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    newest.write_bytes(flipped)
+    second.write_bytes(second.read_bytes()[:-7])
+    steps = [int(path.parent.name.removeprefix("step-")) for path in (newest, second)]
+    assert begun.finish() == 0
+    assert begun.policy == whole.policy
+    assert [f"Checkpoint {step} is passed over:" in begun.log for step in steps] == [True, True]
+
+
+@pytest.mark.fault("O5")
+def test_a_disk_that_is_full_for_a_while_costs_nothing(
+    run: Run, whole: Run, reward: Any, lies: Callable[[str], None]
+) -> None:
+    lies("slow 1000000")
+    with run.start() as process:
+        run.until(2)
+        process.rlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))  # not a byte more, in any file
+        judged = (reward.data_dir / "lies").read_text()
+        while int((reward.data_dir / "lies").read_text()[5:]) > int(judged[5:]) - 2:
+            time.sleep(0.002)
+        process.rlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        assert process.wait(PATIENCE_S) == 0, run.log
+    assert run.policy == whole.policy
+
+
+@pytest.mark.fault("O5")
+def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, lies: Callable[[str], None]) -> None:
+    lies("slow 1000000")
+    with run.start() as process:
+        run.until(1)
+        kept = run.checkpoints[0] / "state.safetensors"
+        before = kept.read_bytes()
+        process.rlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))  # no checkpoint is so small
+        assert process.wait(PATIENCE_S) == HOPELESS
+    assert "3 in a row could not be" in run.reason
+    assert kept.read_bytes() == before
+
+
+@pytest.mark.fault("O7")
+def test_a_run_is_not_gone_on_with_as_another_and_says_what_differs(begun: Run) -> None:
+    begun.configure(threads=2, learning_rate=0.5)
+    pretend_another_torch(begun.checkpoints)
+    assert begun.finish() == HOPELESS
+    assert [name in begun.reason for name in ("threads", "learning_rate", "torch")] == [True, True, True]
+
+
+def pretend_another_torch(checkpoints: list[Path]) -> None:
+    for path in checkpoints:
+        document = json.loads((path / "state.json").read_text())
+        document["identity"]["torch"] = "1.0.0"
+        rewrite(path, "state.json", json.dumps(document).encode())
+
+
+def rewrite(checkpoint: Path, name: str, data: bytes) -> None:
+    """Replaces a file of a checkpoint, and its sha256 in the manifest."""
+    (checkpoint / name).write_bytes(data)
+    manifest = json.loads((checkpoint / "manifest.json").read_text())
+    manifest["files"][name] = hashlib.sha256(data).hexdigest()
+    (checkpoint / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.fault("O8")
+@pytest.mark.parametrize("lie", ["nan", "infinite", "short"])
+def test_nonsense_is_rolled_back(run: Run, whole: Run, lies: Callable[[str], None], fuzz: bool, lie: str) -> None:
+    if not fuzz and lie != "nan":
+        pytest.skip("a case of `make fuzz`")
+    lies("slow 1000000")
+    with run.start() as process:
+        run.until(2)
+        lies(f"{lie} 2")
+        assert process.wait(PATIENCE_S) == 0
+    assert run.policy == whole.policy
+    assert "Rolled back, 1 in a row" in run.log
+
+
+@pytest.mark.fault("O8")
+def test_nonsense_without_end_stops_the_run_with_a_diagnosis(begun: Run, lies: Callable[[str], None]) -> None:
+    lies("short 1000000")
+    assert begun.finish() == HOPELESS
+    assert "Iteration 3 was worthless 3 times in a row" in begun.reason
+
+
+@pytest.mark.fault("O12")
+def test_a_tracker_that_cannot_be_written_stops_no_training(run: Run, whole: Run) -> None:
+    (run.folder / "tensorboard").write_text("in the way")
+    assert run.finish() == 0, run.log
+    assert run.policy == whole.policy
+    rows = [json.loads(line)["step"] for line in (run.folder / "metrics.jsonl").read_text().splitlines()]
+    assert rows == [1, 2, 3, 4]
+
+
+@pytest.mark.fault("O13")
+def test_a_checkpoint_that_is_a_program_is_never_run(begun: Run, whole: Run, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    gadget = b"cposix\nsystem\n(S'touch %s'\ntR." % str(ran).encode()
+    _, second, newest = begun.checkpoints
+    rewrite(newest, "state.safetensors", gadget)
+    rewrite(second, "state.safetensors", (1 << 40).to_bytes(8, "little") + b"{" * 64)  # a header of a terabyte
+    assert begun.finish() == 0
+    assert begun.policy == whole.policy
+    assert begun.log.count("is passed over") == 2
+    assert not ran.exists()
+
+
+@pytest.mark.fault("O13")
+def test_a_policy_that_is_a_program_or_of_other_weights_is_refused(run: Run, whole: Run, tmp_path: Path) -> None:
+    ran, planted = tmp_path / "ran", tmp_path / "runs" / ("0" * 32)
+    shutil.copytree(whole.folder / "artifacts", planted / "artifacts")
+    run.configure(start_from="0" * 32)
+    policy = planted / "artifacts" / "policy.safetensors"
+    policy.write_bytes(b"cposix\nsystem\n(S'touch %s'\ntR." % str(ran).encode())
+    assert run.finish() == HOPELESS
+    assert not ran.exists()
+    assert "Traceback" not in run.log

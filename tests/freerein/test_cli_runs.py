@@ -1,0 +1,167 @@
+"""`freerein runs` as a user types it, with a real orchestrator, which collects from a real sim service."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from freerein.cli.__main__ import app
+from freerein.cli.services import free_ports
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
+
+FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
+MANY = ("start", "collect", "--set", "task=grid", "--set", "count=600", "--watch")
+
+
+class Orchestrator:
+    """The orchestrator's process, which tests may kill and start again at the same place."""
+
+    def __init__(self, start_service: Callable[..., Any], data_dir: Path, sim: str) -> None:
+        ports = free_ports(["orchestrator"])["orchestrator"]
+        doors = {"FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
+        self._start = lambda: start_service("freerein_orchestrator", data_dir, FREEREIN_SIM_ADDRESS=sim, **doors)
+        self.service = self._start()
+
+    def crash(self) -> None:
+        self.service.process.kill()
+        self.service.process.wait()
+        self.service = self._start()
+
+
+@pytest.fixture(scope="module")
+def services(start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Orchestrator:
+    sim = start_module_service("freerein_sim")
+    return Orchestrator(start_module_service, tmp_path_factory.mktemp("runs"), sim.address)
+
+
+@pytest.fixture(autouse=True)
+def orchestrator(services: Orchestrator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Orchestrator:
+    monkeypatch.setenv("FREEREIN_ORCHESTRATOR_ADDRESS", services.service.address)
+    monkeypatch.chdir(tmp_path)
+    return services
+
+
+def _run(*words: str) -> Result:
+    return CliRunner().invoke(app, ["runs", *words])
+
+
+def _json(*words: str) -> list[dict[str, Any]]:
+    result = _run(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+@contextmanager
+def _watching(*words: str) -> "Iterator[subprocess.Popen[str]]":
+    """A program that watches, once the run has made a step."""
+    command = [sys.executable, "-m", "freerein.cli", "runs", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ) as child:
+        while " running 0/" in (line := _line(child)) or "queued" in line or '"step": 0' in line:
+            pass
+        yield child
+
+
+def test_a_run_is_watched_line_by_line_to_its_end() -> None:
+    lines = _run(*FEW, "--watch").stdout.splitlines()
+    run_id = lines[-1].split()[0]
+
+    assert lines[0] == f"run {run_id[:8]} queued 0/3"
+    assert lines[-3].startswith(f"run {run_id[:8]} succeeded 3/3 timesteps=")
+    assert lines[-1].split()[1:4] == ["collect", "succeeded", "3/3"]
+
+
+def test_watching_it_again_tells_the_same_story() -> None:
+    first = _json(*FEW, "--watch")
+
+    assert _json("watch", first[0]["id"]) == first
+    assert (first[0]["state"], first[-1]["state"]) == ("queued", "succeeded")
+
+
+def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "grid.json"
+    file.write_text(json.dumps({"task": "grid", "dataset": "keyed", "count": 3}))
+    words = ("start", "collect", "--config", str(file), "--set", "count=2", "--key", "twice")
+
+    (first,), (second,) = _json(*words), _json(*words)
+
+    assert first["id"] == second["id"]
+    assert (first["config"]["dataset"], first["config"]["count"]) == ("keyed", 2)
+    assert first["id"] in [run["id"] for run in _json("list")]
+
+
+def test_a_run_that_is_cancelled_is_resumed_to_its_end() -> None:
+    with _watching(*MANY, "--set", "dataset=resumed", "--json") as child:
+        run_id = json.loads(_line(child))["id"]
+        (cancelled,) = _json("cancel", run_id)
+        assert child.wait(10) == 1
+    *_, resumed = _json("resume", run_id, "--watch")
+
+    assert (cancelled["state"], resumed["state"], resumed["step"]) == ("cancelled", "succeeded", resumed["steps"])
+    assert _run("watch", run_id).exit_code == 0  # the end of the first attempt is not the end
+
+
+def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None:
+    with _watching(*MANY, "--set", "dataset=outlived", "--json") as child:
+        orchestrator.crash()
+        assert child.stdout is not None
+        steps = [json.loads(line)["step"] for line in child.stdout]
+        assert child.wait(30) == 0
+
+    assert steps == sorted(steps)
+    assert steps[-1] == 600
+
+
+def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
+    with _watching(*MANY, "--set", "dataset=left") as child:
+        child.send_signal(signal.SIGINT)
+        assert child.wait(10) == 130
+        assert child.stderr is not None
+        way_back = child.stderr.read().split("`")[1]
+
+    *_, last = _json(*way_back.split()[2:])
+    assert (last["state"], last["step"]) == ("succeeded", 600)
+
+
+def test_artifacts_are_listed_and_fetched_whole_or_not_at_all(tmp_path: Path) -> None:
+    run_id = _json(*FEW, "--watch")[0]["id"]
+    (artifact,) = _json("artifacts", run_id)
+
+    fetched = _run("artifacts", run_id, artifact["name"], "--out", str(tmp_path / "card.json"))
+    printed = _run("artifacts", run_id, artifact["name"], "--out", "-")
+    missing = _run("artifacts", run_id, "nothing")
+
+    assert fetched.stdout.startswith(f"{artifact['size']} bytes in ")
+    assert (tmp_path / "card.json").read_text() == printed.stdout
+    assert (missing.exit_code, [path.name for path in tmp_path.iterdir()]) == (1, ["card.json"])
+
+
+@pytest.mark.parametrize(
+    ("words", "field"),
+    [
+        (("start", "collect", "--set", "task"), "set"),
+        (("start", "collect", "--config", "list.json"), "config"),
+        (("start", "collect", "--set", "colour=red"), "config"),
+        (("watch", "0" * 32), "id"),
+        (("resume", "12"), "id"),
+    ],
+)
+def test_what_cannot_be_asked_is_an_error_that_names_the_field(words: tuple[str, ...], field: str) -> None:
+    Path("list.json").write_text("[]")
+    result = _run(*words, "--json")
+
+    assert result.exit_code == 1
+    assert field in json.loads(result.stderr)["error"]["field"]
+
+
+def _line(child: "subprocess.Popen[str]") -> str:
+    assert child.stdout is not None
+    return child.stdout.readline()

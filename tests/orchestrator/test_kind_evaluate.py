@@ -1,0 +1,125 @@
+"""Runs of kind `evaluate`, with the real sim and imitation services."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein_orchestrator import policy_artifact
+from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+RANDOM = {"task": "grid", "policy": "random", "episodes": 6, "num_envs": 2, "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def sim(start_module_service: Callable[..., Any]) -> str:
+    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+
+
+@pytest.fixture
+def evaluation(new_run: Callable[..., Any], tmp_path: Path, sim: str) -> Callable[..., Any]:
+    """A function that makes a run of a configuration."""
+    return lambda config, **environ: new_run(tmp_path, "evaluate", config, FREEREIN_SIM_ADDRESS=sim, **environ)
+
+
+def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileged(
+    evaluation: Callable[..., Any],
+) -> None:
+    run = evaluation(RANDOM)
+    assert run.do()
+    result = run.artifact("result.json")
+    assert (result["privileged"], result["policy"], result["episodes"]) == (True, "random", 6)
+    assert [len(result[name]) for name in ("returns", "lengths", "successes")] == [6, 6, 6]
+    assert result["return_mean"] == pytest.approx(np.mean(result["returns"]))
+    assert result["return_low"] <= result["return_mean"] <= result["return_high"]
+    assert [row["step"] for row in run.rows] == [1, 2, 3, 4, 5, 6]
+    assert run.rows[-1]["success_rate"] == result["success_rate"]
+
+
+@pytest.mark.fault("O2")
+def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same_result(
+    evaluation: Callable[..., Any], start_service: Callable[..., Any]
+) -> None:
+    undisturbed = evaluation(RANDOM)
+    assert undisturbed.do()
+
+    mortal, asked = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), list[None]()
+    run = evaluation(RANDOM)
+    run.environ["FREEREIN_SIM_ADDRESS"] = mortal.address
+
+    def disturb() -> bool:
+        asked.append(None)
+        if len(asked) == 70:  # in the second round
+            mortal.process.kill()
+            mortal.process.wait()
+            port = mortal.address.rpartition(":")[2]
+            start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
+        return len(asked) == 150
+
+    assert not run.do(stop=disturb)
+    assert 0 < len(run.rows) < 6
+    assert run.do(stop=disturb)
+    assert run.artifact("result.json") == undisturbed.artifact("result.json")
+    assert run.rows == undisturbed.rows
+
+
+def test_a_model_of_the_imitation_service_acts_in_several_environments_at_once(
+    evaluation: Callable[..., Any], start_service: Callable[..., Any]
+) -> None:
+    imitation = start_service("freerein_imitation")
+    policy = {"model": "skills", "recipe": ["move-red"]}
+    config = {"task": "blocks.red-left-of-green", "policy": policy, "episodes": 2, "num_envs": 2}
+    run = evaluation(config, FREEREIN_IMITATION_ADDRESS=imitation.address)
+    assert run.do()
+    result = run.artifact("result.json")
+    assert result["model"]["version"]
+    assert result["recipe"] == ["move-red"]
+
+
+@pytest.mark.parametrize("is_stochastic", [False, True])
+def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
+    evaluation: Callable[..., Any], tmp_path: Path, is_stochastic: bool
+) -> None:
+    spec = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, features=8, hidden=8, is_recurrent=True)
+    network, generator = ActorCritic(spec), torch.Generator().manual_seed(0)
+    weights.draw(network, generator=generator)
+    network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
+    policy_artifact.save(network, tmp_path / "runs" / "taught" / "artifacts", card={"task": "grid", "camera": "top"})
+    runs = [evaluation(RANDOM | {"policy": {"run": "taught", "is_stochastic": is_stochastic}}) for _ in range(2)]
+    for run in runs:
+        run.check()
+        assert run.do()
+    results = [run.artifact("result.json") for run in runs]
+    assert results[0] == results[1]
+    assert (results[0]["policy"], results[0]["sha256"]) == ("ppo", weights.sha256(network))
+
+    elsewhere = evaluation(RANDOM | {"task": "blocks.red-left-of-green", "policy": {"run": "taught"}})
+    with pytest.raises(InvalidInput, match="this task has camera front with 3 channels"):
+        elsewhere.do()
+
+
+@pytest.mark.parametrize(
+    "policy", ["expert", {}, {"run": "a", "model": "b"}, {"run": 3}, {"model": "skills", "goal": "a"}]
+)
+def test_a_policy_that_is_none_is_refused(policy: Any) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["evaluate"].resolve(RANDOM | {"policy": policy})
+    assert error.value.field.startswith("config")
+
+
+def test_a_run_that_there_is_not_and_one_without_a_policy_are_refused(evaluation: Callable[..., Any]) -> None:
+    for name in ("nothing", ".."):
+        with pytest.raises(InvalidInput):
+            evaluation(RANDOM | {"policy": {"run": name}}).do()
+    bare = evaluation(RANDOM)
+    with pytest.raises(InvalidInput, match="this one has not"):
+        evaluation(RANDOM | {"policy": {"run": bare.folder.name}}).do()
+    with pytest.raises(InvalidInput, match="none of that name"):
+        evaluation(RANDOM | {"task": "nothing"}).do()

@@ -1,0 +1,137 @@
+"""Runs of kind `fit`, with the real imitation service."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from freerein.clients import Channel, FitClient, Synchronous
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.types.common import ActionSpec, Trajectory
+from freerein.types.learning import ListFitsRequest
+from freerein_orchestrator.kinds import KINDS
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+STEPS = 60
+TINY = {"steps": STEPS, "batch_size": 2, "features": 8, "hidden": 8, "embedding": 4, "log_every": 5}
+FIT = {"service": "imitation", "dataset": "play", "config": TINY}
+
+
+@pytest.fixture(scope="module")
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data directory with a dataset of exploration."""
+    data_dir, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
+    spec = DatasetSpec(25, {"front": (12, 12, 3)}, ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05)), "test")
+    with create(dataset_path(data_dir, "play"), spec) as writer:
+        for _ in range(4):
+            frames = rng.integers(0, 256, (24, 12, 12, 3), np.uint8)
+            writer.append(Trajectory({"front": frames}, rng.uniform(-1, 1, (24, 2)).astype(np.float32)))
+    return data_dir
+
+
+@pytest.fixture(scope="module")
+def imitation(start_module_service: Callable[..., Any], data_dir: Path) -> Any:
+    return start_module_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none")
+
+
+@pytest.fixture
+def fits(imitation: Any) -> Iterator[Callable[[], list[Any]]]:
+    """A function that returns the service's fits of this test, newest first."""
+    with Synchronous(FitClient(Channel(imitation.address))) as client:
+        before = len(client.list_fits(ListFitsRequest()).fits)
+        yield lambda: list(client.list_fits(ListFitsRequest()).fits[: -before or None])
+
+
+@pytest.fixture
+def run(new_run: Callable[..., Any], data_dir: Path, imitation: Any) -> Any:
+    return new_run(data_dir, "fit", FIT, FREEREIN_IMITATION_ADDRESS=imitation.address)
+
+
+def test_a_run_whose_child_is_killed_makes_one_fit_and_shows_its_whole_curve(
+    run: Any, fits: Callable[[], list[Any]]
+) -> None:
+    run.kill_when(fits)
+    assert run.do()
+    (fit,) = fits()
+    assert (fit.state, run.model) == ("succeeded", fit.model)
+    steps = [row["step"] for row in run.rows]
+    assert steps == sorted(set(steps))
+    assert (steps[-1], "validation_loss" in run.rows[-1]) == (STEPS, True)
+
+
+def test_a_run_told_to_stop_leaves_its_fit_and_a_cancelled_one_cancels_it_and_begins_another_when_resumed(
+    run: Any, fits: Callable[[], list[Any]]
+) -> None:
+    assert not run.do(stop=lambda: bool(fits()))
+    assert not fits()[0].ended
+    assert not run.do(stop=lambda: True)
+    assert len(fits()) == 1
+    assert not run.do(stop=Nth(2), cancelled=True)
+    assert fits()[0].state == "cancelled"
+    assert run.do()
+    assert [fit.state for fit in fits()] == ["succeeded", "cancelled"]
+
+
+@pytest.mark.fault("O2")
+def test_a_run_waits_for_a_service_that_is_killed_and_goes_on_with_its_fit(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "datasets").symlink_to(data_dir / "datasets")
+    first = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
+    run, asked = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=first.address), Nth(3)
+
+    def replace_the_service() -> bool:
+        if asked():
+            first.process.kill()
+            first.process.wait()
+            port = first.address.rpartition(":")[2]
+            start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none", FREEREIN_GRPC_PORT=port)
+        return False
+
+    assert run.do(stop=replace_the_service)
+    assert run.rows[-1]["step"] == STEPS
+    assert len(list((tmp_path / "fits").rglob("request.json"))) == 1
+
+
+def test_a_run_fails_for_the_reason_of_its_fit(new_run: Callable[..., Any], data_dir: Path, imitation: Any) -> None:
+    def doing(**wrong: Any) -> bool:
+        return bool(new_run(data_dir, "fit", FIT | wrong, FREEREIN_IMITATION_ADDRESS=imitation.address).do())
+
+    with pytest.raises(NotFound):
+        doing(dataset="none")
+    with pytest.raises(InvalidInput, match="steps"):
+        doing(config={"step": 3})
+    broken = dataset_path(data_dir, "broken")
+    shutil.copytree(dataset_path(data_dir, "play"), broken, ignore=shutil.ignore_patterns("cache"))
+    for path in (broken / "data").rglob("*.parquet"):
+        path.write_bytes(path.read_bytes()[:4] + bytes(path.stat().st_size - 4))
+    with pytest.raises(FailedPrecondition, match="Trajectory"):
+        doing(dataset="broken")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"service": "sim"}, {"dataset": "../play"}, {"model_name": "A"}, {"config": []}, {"steps": 3}]
+)
+def test_a_fit_of_no_service_or_no_name_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["fit"].resolve(FIT | wrong)
+    assert error.value.field.startswith("config")
+
+
+def test_the_steps_of_a_fit_are_those_asked_for() -> None:
+    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT)) == STEPS
+
+
+class Nth:
+    """Answers True the n-th time that it is asked."""
+
+    def __init__(self, n: int) -> None:
+        self._left = n
+
+    def __call__(self) -> bool:
+        self._left -= 1
+        return self._left == 0

@@ -1,0 +1,127 @@
+"""Runs of kind `pipeline`, with the real sim and imitation services."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from freerein.data import Dataset, dataset_path
+from freerein.errors import InvalidInput
+from freerein_orchestrator.kinds import KINDS
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+TINY = {"steps": 20, "batch_size": 2, "features": 8, "hidden": 8, "embedding": 4, "log_every": 5}
+COLLECT = {
+    "name": "play",
+    "kind": "collect",
+    "config": {"task": "grid", "dataset": "play", "behaviour": "random", "count": 4},
+}
+FIT = {"name": "fit", "kind": "fit", "config": {"service": "imitation", "dataset": "play", "config": TINY}}
+CHANCE = {"name": "chance", "kind": "evaluate", "config": {"task": "grid", "policy": "random", "episodes": 2}}
+FITTED = {"name": "fitted", "kind": "evaluate", "config": {"task": "grid", "policy": {"run": "fit"}}}
+
+
+@pytest.fixture(scope="module")
+def sim(start_module_service: Callable[..., Any]) -> str:
+    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+
+
+@pytest.fixture
+def pipeline(new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path) -> Any:
+    """A run that collects, fits what was collected, and evaluates chance."""
+    return new_run(
+        tmp_path,
+        "pipeline",
+        {"steps": [COLLECT, FIT, CHANCE]},
+        FREEREIN_SIM_ADDRESS=sim,
+        FREEREIN_IMITATION_ADDRESS=start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address,
+    )
+
+
+@pytest.mark.fault("O1")
+def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one_curve(
+    pipeline: Any, tmp_path: Path
+) -> None:
+    done = pipeline.folder / "parts" / "play" / "done.json"
+    pipeline.kill_when(done.exists)
+    recorded, fingerprint = done.stat().st_mtime_ns, Dataset(dataset_path(tmp_path, "play")).fingerprint
+
+    assert pipeline.do()
+
+    assert (done.stat().st_mtime_ns, Dataset(dataset_path(tmp_path, "play")).fingerprint) == (recorded, fingerprint)
+    assert len(list((tmp_path / "fits").rglob("request.json"))) == 1
+    steps = [row["step"] for row in pipeline.rows]
+    assert (steps == sorted(set(steps)), steps[-1], pipeline.kind.steps(pipeline.config)) == (True, 26, 26)
+    assert {name.partition("/")[0] for row in pipeline.rows for name in row} == {"step", "play", "fit", "chance"}
+    assert pipeline.artifact("play.dataset.json")["fingerprint"] == fingerprint
+    assert pipeline.artifact("chance.result.json")["return_mean"] == pipeline.rows[-1]["chance/return_mean"]
+    assert pipeline.model.name == "default"
+
+
+def test_a_policy_is_taught_then_distilled_then_told_in_words_what_to_do(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
+) -> None:
+    learn = {"iterations": 2, "num_envs": 2, "steps": 8, "batch_size": 8, "epochs": 1, "hidden": 8, "features": 8}
+    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", **learn}
+    words = {"steps": 10, "batch_size": 4, "features": 8, "words": 4, "hidden": 8, "log_every": 5}
+    told = {"run": "student", "goal_text": "pick up all"}
+    steps = [
+        {"name": "teacher", "kind": "ppo", "config": teach},
+        {"name": "student", "kind": "distill", "config": {"teachers": ["teacher"], "rollouts": 4, "config": words}},
+        {"name": "exam", "kind": "evaluate", "config": {"task": "grid", "policy": told, "episodes": 2}},
+    ]
+    run = new_run(
+        tmp_path,
+        "pipeline",
+        {"steps": steps},
+        FREEREIN_SIM_ADDRESS=sim,
+        FREEREIN_REWARD_ADDRESS="127.0.0.1:9",
+        FREEREIN_IMITATION_ADDRESS=start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address,
+    )
+    run.check()
+    assert run.do()
+    assert run.rows[-1]["step"] == 2 + 4 + 10 + 2
+    result = run.artifact("exam.result.json")
+    assert (result["goal_text"], result["model"]["version"]) == ("pick up all", run.model.version)
+    taught = run.artifact("student.dataset.json")["teachers"]
+    assert [each["sha256"] for each in taught] == [run.artifact("teacher.policy.json")["sha256"]]
+
+
+def test_a_step_that_builds_on_an_earlier_one_is_taken_and_one_that_builds_on_a_later_one_is_refused(
+    new_run: Callable[..., Any], tmp_path: Path
+) -> None:
+    new_run(tmp_path, "pipeline", {"steps": [COLLECT, FIT, FITTED]}).check()
+    pupil = {"name": "pupil", "kind": "ppo", "config": {"task": "grid", "start_from": "teacher"}}
+    for steps in ([COLLECT, FITTED, FIT], [FITTED], [pupil, pupil | {"name": "teacher"}]):
+        run = new_run(tmp_path, "pipeline", {"steps": steps})
+        with pytest.raises(InvalidInput, match=r"In step (fitted|pupil): .* earlier step") as error:
+            run.check()
+        assert error.value.field.startswith("config.steps")
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [],
+        [FIT, FIT],
+        [FIT | {"kind": "dream"}],
+        [FIT | {"kind": "pipeline", "config": {"steps": []}}],
+        [FIT | {"name": "x" * 25}],
+        [FIT | {"config": {"service": "sim", "dataset": "play"}}],
+        [FIT | {"needs": "play"}],
+        ["fit"],
+    ],
+)
+def test_what_is_no_pipeline_is_refused(steps: Any) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["pipeline"].resolve({"steps": steps})
+    assert error.value.field.startswith("config")
+
+
+def test_a_step_that_fails_says_which_one_it_is(new_run: Callable[..., Any], sim: str, tmp_path: Path) -> None:
+    steps = [CHANCE, CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}]
+    run = new_run(tmp_path, "pipeline", {"steps": steps}, FREEREIN_SIM_ADDRESS=sim)
+    with pytest.raises(InvalidInput, match="In step lost: "):
+        run.do()
+    assert (run.folder / "parts" / "chance" / "done.json").exists()
