@@ -150,9 +150,24 @@ async def test_a_partition_heals_without_anybody_and_peers_never_notice(
     await peer.close()
 
 
+async def test_a_reply_that_takes_seconds_on_a_thin_line_arrives(sim: Any, direct: SimClient, network: Any) -> None:
+    request = CreateSessionRequest("blocks", num_envs=16, seed=7)
+    shown = []
+    async with (
+        network.ChaosProxy(sim.address, network.Weather(**WEATHERS["thin"])) as proxy,
+        SimClient(Channel(proxy.address)) as client,
+    ):
+        for each in (client, direct):
+            session = (await each.create_session(request)).session
+            shown.append((await each.reset(ResetRequest(session, cameras=("front",)))).frames["front"].tobytes())
+            await each.close_session(CloseSessionRequest(session))
+        assert proxy.connections == 1
+    assert shown[0] == shown[1]
+
+
 async def test_rewards_are_those_of_an_undisturbed_call(start_service: Callable[..., Any], network: Any) -> None:
     service = start_service(TOY_REWARD, FREEREIN_SHIPPED_DIR="none")
-    frames = np.random.default_rng(0).integers(0, 255, (24, 32, 32, 3), np.uint8)
+    frames = np.random.default_rng(0).integers(0, 255, (64, 32, 32, 3), np.uint8)
     request = RewardRequest("more", {"top": frames}, mode="raw")
     async with RewardClient(Channel(service.address)) as client:
         expected = (await insist(lambda: client.reward(request))).rewards

@@ -71,9 +71,8 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     assert [teacher["goal_text"] for teacher in told["teachers"]] == ["pick up all", "pick up nothing"]
 
     killed = distillation(imitation=address)
-    killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) == 4)
-    assert not (killed.folder / "artifacts" / "dataset.json").exists()
-    killed.kill_when(lambda: len(list((data_dir / "fits").rglob("request.json"))) == 2)
+    killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) >= 4)
+    killed.kill_when(lambda: len(list((data_dir / "fits").rglob("request.json"))) >= 2)
     assert killed.do()
 
     assert len(list((data_dir / "fits").rglob("request.json"))) == 2

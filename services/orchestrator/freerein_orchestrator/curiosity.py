@@ -3,9 +3,11 @@
     phi(s), phi(s')  -- inverse model -->  a         so phi keeps what actions influence, and what tells their effects
     phi(s), a        -- forward model -->  phi(s')   its error is the reward
 
-It sees frames and the actions that were executed, and nothing else. One departure from the paper: phi learns from the
-inverse model alone (as in Burda et al. 2019). Where the forward error reached it too, phi became the same for all
-frames, and nothing surprised.
+It sees frames and the actions that were executed, and nothing else. Two departures from the paper:
+
+- phi learns from the inverse model alone, as in Burda et al. 2019. Where the forward error reached it too, phi became
+  the same for all frames, and nothing surprised.
+- The forward model tells by how much phi changes. What stays as it is, most of a scene, need not be learnt by heart.
 """
 
 from collections.abc import Mapping
@@ -93,7 +95,7 @@ class Curiosity(nn.Module):
             height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
         )
         self.inverse = _two_layers(2 * spec.features, hidden, outputs)
-        self.ahead = _two_layers(spec.features + outputs, hidden, spec.features)
+        self.change = _two_layers(spec.features + outputs, hidden, spec.features)
 
     @torch.no_grad()
     def calibrate(self, image: SpatialEncoder) -> None:
@@ -109,8 +111,9 @@ class Curiosity(nn.Module):
         """
         before, after = self.image(torch.cat([transitions.before, transitions.after])).chunk(2)  # (M, features) each
         told = self.inverse(torch.cat([before, after], dim=-1))
-        foreseen = self.ahead(torch.cat([before.detach(), self._encoded(transitions.actions)], dim=-1))
-        return self._inverse_errors(told, transitions.actions), 0.5 * (foreseen - after.detach()).square().sum(dim=-1)
+        change = self.change(torch.cat([before.detach(), self._encoded(transitions.actions)], dim=-1))
+        unforeseen = (after - before).detach() - change
+        return self._inverse_errors(told, transitions.actions), 0.5 * unforeseen.square().sum(dim=-1)
 
     def _inverse_errors(self, told: Tensor, actions: Tensor) -> Tensor:
         if self._choices:

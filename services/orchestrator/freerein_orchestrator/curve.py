@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
@@ -19,6 +20,8 @@ def last_step(folder: Path) -> int:
 class Curve:
     """Writes `metrics.jsonl` and `tensorboard/` in a run's folder. Everything is on disk after each row.
 
+    What the disk refuses is left out, and TensorBoard's file from then on: no training ends for want of a curve.
+
     Args:
         folder: The run's.
         last_step: Where the run, or the present part of it, goes on; later rows, which will be made again, are dropped.
@@ -30,16 +33,25 @@ class Curve:
         self._first_step = first_step
         self._prefix = prefix
         self._rows = MetricRows(folder / "metrics.jsonl", last_step=first_step + last_step)
-        self._events = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step + last_step + 1)
+        self._events: SummaryWriter | None = None
+        with suppress(OSError):
+            self._events = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step + last_step + 1)
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
         """Adds a row, of a step of the part."""
         step, metrics = self._first_step + step, {f"{self._prefix}{name}": value for name, value in metrics.items()}
-        for name, value in metrics.items():
-            self._events.add_scalar(name, value, step)
-        self._events.flush()
-        self._rows.append(step, metrics)
+        with suppress(OSError):
+            self._rows.append(step, metrics)
+        if self._events is not None:
+            try:
+                for name, value in metrics.items():
+                    self._events.add_scalar(name, value, step)
+                self._events.flush()
+            except OSError:
+                self._events = None
 
     def close(self) -> None:
         """Ends the event file."""
-        self._events.close()
+        if self._events is not None:
+            with suppress(OSError):
+                self._events.close()

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -105,9 +105,10 @@ class Work:
             write_durably(folder / "model.json", json.dumps(asdict(model)).encode())
 
     def say(self, text: str) -> None:
-        """Writes a line to the run's log."""
-        sys.stderr.write(f"{text}\n")
-        sys.stderr.flush()
+        """Writes a line to the run's log, where the disk is not full."""
+        with suppress(OSError):
+            sys.stderr.write(f"{text}\n")
+            sys.stderr.flush()
 
     def part(self, name: str, config: Mapping[str, Any], *, first_step: int) -> "Work":
         """Returns a part of this work, in a folder of its own within the run's, with metrics `<name>/<metric>`.

@@ -37,6 +37,10 @@ _OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_timeout_ms", 1_000),
     ("grpc.http2.ping_timeout_ms", 1_000),
     ("grpc.http2.max_pings_without_data", 0),
+    # Probes of the bandwidth are pings, too, whose answers queue behind the data that they measure: on a thin line they
+    # would time out. Without them the window is as large as they might have made it.
+    ("grpc.http2.bdp_probe", 0),
+    ("grpc.http2.lookahead_bytes", 4 * 2**20),
     # A service that comes back, here or at another address of the same name, is found within seconds.
     ("grpc.initial_reconnect_backoff_ms", 100),
     ("grpc.max_reconnect_backoff_ms", 1_000),

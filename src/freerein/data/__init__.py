@@ -1,6 +1,6 @@
 """Trajectory datasets on disk: LeRobotDataset v3, one parquet file per trajectory, safe against crashes.
 
-    <root>/data/      what learners see: frames, actions, and per trajectory the set of skills that occur
+    <root>/data/      what learners see: frames, actions, and per trajectory a goal text and the skills that occur
     <root>/meta/      LeRobot's index, rebuilt from data/ whenever the two differ
     <root>/cache/     decoded frames to train from, rebuilt when data/ changed
     <root>/labels/    a skill per timestep as a segmentation model predicted it, for skill policies to learn from

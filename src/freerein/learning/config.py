@@ -77,7 +77,9 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     needed = [each.name for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING]
     missing = [name for name in needed if name not in values]
     if missing:
-        raise InvalidInput(f"The configuration must hold {', '.join(missing)}; got none.", field="config")
+        raise InvalidInput(
+            f"The configuration must hold {', '.join(missing)}; got none.", field="config", hint="Add what is missing."
+        )
     parsed: dict[str, Any] = {key: _convert(key, types[key], value) for key, value in values.items()}
     for key, value in parsed.items():
         bounds = getattr_static(kind, key, None)
@@ -96,7 +98,11 @@ def _convert(key: str, kind: object, value: object) -> Any:
         converted = _converted(each, value)
         if converted is not MISSING:
             return converted
-    raise InvalidInput(f"`{key}` must be {_describe(kind)}; got something else.", field=f"config.{key}")
+    raise InvalidInput(
+        f"`{key}` must be {_describe(kind)}; got something else.",
+        field=f"config.{key}",
+        hint="Give it so, or leave it out for the default.",
+    )
 
 
 def _converted(kind: object, value: object) -> Any:

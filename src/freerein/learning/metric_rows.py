@@ -1,6 +1,8 @@
 """The curve of a training as a file of JSON lines, without gaps or repeats however often the training was killed."""
 
+import errno
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,9 +23,17 @@ class MetricRows:
         write_durably(path, b"".join(line for line in lines if _is_kept(line, last_step)))
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Adds a row."""
-        with self._path.open("ab") as file:
-            file.write(json.dumps({"step": step, **metrics}).encode() + b"\n")
+        """Adds a row, whole or not at all.
+
+        Raises:
+            OSError: The disk is full or broken.
+        """
+        row = json.dumps({"step": step, **metrics}).encode() + b"\n"
+        with self._path.open("ab", buffering=0) as file:
+            end = file.seek(0, os.SEEK_END)
+            if file.write(row) != len(row):
+                file.truncate(end)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _is_kept(line: bytes, last_step: int) -> bool:

@@ -25,6 +25,7 @@ from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
 _HEALTH = "/grpc.health.v1.Health/"
+_WINDOW_BYTES = 4 * 2**20
 _Context = grpc.aio.ServicerContext[Any, Any]
 T = TypeVar("T")
 
@@ -60,6 +61,10 @@ class GrpcDoor:
                 ("grpc.keepalive_permit_without_calls", 1),
                 ("grpc.keepalive_time_ms", 10_000),
                 ("grpc.http2.ping_timeout_ms", 1_000),
+                # Probes of the bandwidth are pings, too, whose answers queue behind the data that they measure: on a
+                # thin line they would time out. Without them the window is as large as they might have made it.
+                ("grpc.http2.bdp_probe", 0),
+                ("grpc.http2.lookahead_bytes", _WINDOW_BYTES),
             ],
         )
         for name in self._names:

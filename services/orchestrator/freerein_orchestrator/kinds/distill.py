@@ -68,7 +68,11 @@ class DistillConfig:
 
     def __post_init__(self) -> None:
         if not self.teachers:
-            raise InvalidInput("There must be a teacher at least; got none.", field="config.teachers")
+            raise InvalidInput(
+                "There must be a teacher at least; got none.",
+                field="config.teachers",
+                hint="Name a ppo run that succeeded.",
+            )
         for name in self.teachers:
             check_name(name, field="config.teachers")
         if self.dataset:

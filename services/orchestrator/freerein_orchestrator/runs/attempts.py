@@ -7,6 +7,7 @@ folder by then where the run was cancelled. It ends at once when its standard in
 """
 
 import fcntl
+import logging
 import math
 import os
 import signal
@@ -22,6 +23,7 @@ from freerein.serving.fits import HOPELESS
 from freerein_orchestrator.outcomes import CANCELLED, Attempt, Interrupted, Reason
 from freerein_orchestrator.runs.records import RunRecords
 
+_log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SAVE_S = 5.0
 
@@ -88,7 +90,10 @@ class Attempts:
         step = metrics.pop("step", 0)
         if step > self._records.last(run_id).step:
             finite = {name: value for name, value in metrics.items() if _is_finite(value)}
-            self._records.note(run_id, "running", step=step, metrics=finite)
+            try:
+                self._records.note(run_id, "running", step=step, metrics=finite)
+            except OSError:  # a full disk ends no run; what can be noted later will be
+                _log.warning("progress cannot be noted", extra={"run": run_id})
 
 
 @contextmanager

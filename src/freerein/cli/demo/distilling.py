@@ -1,12 +1,16 @@
 """Distillation in the demo: rollouts of policies that know one task each, in; a policy that is told in words, out."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from freerein.cli.demo.context import Context
 from freerein.cli.demo.evaluating import Earned, evaluate
-from freerein.cli.demo.reinforcing import TASK
+from freerein.cli.demo.reinforcing import TASK, Reinforced
 from freerein.cli.demo.runs import finish_run, start_run
+
+SHIPPED_TEACHERS: Mapping[str, str] = {"blocks.yellow-right-of-green": "yellow-right-of-green"}
+"""By task, the policies that came with freerein and teach beside the one that the demo has learned."""
 
 _ROLLOUTS, _UPDATES = 50, 600
 
@@ -16,23 +20,30 @@ class Distilled:
     """What came of distillation.
 
     Attributes:
-        earned: What the student, told by a sentence, earns by the oracle's reward.
+        earned: By task, what the student earns by the oracle's reward, told by the task's goal text what to do.
+        random: By task, what random actions earn.
         training_s: How long the rollouts and the fit took, in seconds.
     """
 
-    earned: Earned
+    earned: Mapping[str, Earned]
+    random: Mapping[str, Earned]
     training_s: float
 
+    @property
+    def mean(self) -> float:
+        """What the student earns per episode, over all tasks."""
+        return _mean(self.earned)
 
-async def distill(context: Context, teacher: str) -> Distilled:
-    """Teaches a language policy what the policy of a ppo run does, and measures it.
+    @property
+    def random_mean(self) -> float:
+        """What random actions earn."""
+        return _mean(self.random)
 
-    Args:
-        context: Where the demo runs.
-        teacher: The ppo run's id.
-    """
+
+async def distill(context: Context, reinforced: Reinforced) -> Distilled:
+    """Teaches a language policy what policies of single tasks do, and measures it in each of these."""
     config = {
-        "teachers": [teacher],
+        "teachers": [reinforced.run, *SHIPPED_TEACHERS.values()],
         "rollouts": _ROLLOUTS,
         "num_envs": _ROLLOUTS,
         "is_stochastic": True,
@@ -43,4 +54,12 @@ async def distill(context: Context, teacher: str) -> Distilled:
     run = await start_run(context, "distill", config)
     await finish_run(context, "distill", run, metrics=("fit/train_loss",))
     training_s = time.perf_counter() - begun
-    return Distilled(await evaluate(context, "the student, told in words", TASK, {"run": run}), training_s)
+    random = {TASK: reinforced.random}
+    for task in SHIPPED_TEACHERS:
+        random[task] = await evaluate(context, "random actions", task, "random")
+    earned = {task: await evaluate(context, "the student, told in words", task, {"run": run}) for task in random}
+    return Distilled(earned, random, training_s)
+
+
+def _mean(earned: Mapping[str, Earned]) -> float:
+    return sum(each.mean for each in earned.values()) / len(earned)

@@ -83,7 +83,8 @@ class Door:
             ServiceError: The service refused.
         """
         self._screen.call(f'curl -N "{self._address(path, query)}"')
-        async with self._client.stream("GET", path, params=query) as response:
+        patient = httpx.Timeout(_TIMEOUT_S, read=None)  # nothing may happen for a while
+        async with self._client.stream("GET", path, params=query, timeout=patient) as response:
             if response.is_error:
                 await response.aread()
                 _answer(response)

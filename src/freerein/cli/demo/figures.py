@@ -1,7 +1,7 @@
 """The demo's figures: what was measured, and whether it meets its bar."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,14 +43,25 @@ class Figure:
         return "" if self.at_most is None else f"<= {self.at_most:.3f}"
 
 
-def document(figures: Sequence[Figure], *, seed: int) -> dict[str, object]:
-    """Returns `summary.json`: each figure's value by name, and under `figures` its bar and whether it is met."""
+def document(figures: Sequence[Figure], *, seed: int, begun_with: Mapping[str, object]) -> dict[str, object]:
+    """Returns `summary.json`: each figure's value by name, and under `figures` its bar and whether it is met.
+
+    Args:
+        figures: What was measured.
+        seed: Of every draw.
+        begun_with: By stage, the models that came with freerein and that the stage did not learn itself.
+    """
     bars = {
         figure.name: {"value": figure.value, "bar": figure.bar_text, "met": figure.met}
         for figure in figures
         if figure.met is not None
     }
-    return {**{figure.name: figure.value for figure in figures}, "seed": seed, "figures": bars}
+    return {
+        **{figure.name: figure.value for figure in figures},
+        "seed": seed,
+        "begun_with": begun_with,
+        "figures": bars,
+    }
 
 
 def save(path: Path, summary: dict[str, object]) -> None:

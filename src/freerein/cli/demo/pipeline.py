@@ -83,7 +83,7 @@ async def run(out: Path, *, seed: int, screen: Screen, running: bool) -> None:
         for path, caption in _draw(results, out):
             screen.say(f"{path}: {caption}")
     measured = _figures(results, total_s=time.perf_counter() - begun)
-    summary = figures.document(measured, seed=seed)
+    summary = figures.document(measured, seed=seed, begun_with=_begun_with())
     figures.save(out / "summary.json", summary)
     screen.summary(measured, summary)
     screen.say(f"{out / 'summary.json'} holds these figures.")
@@ -129,7 +129,7 @@ async def _learn_and_measure(context: Context) -> _Results:
     with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
         reinforced = await reinforcing.reinforce(context)
     with screen.stage("Distill that into a policy which is told in words what to do"):
-        distilled = await distilling.distill(context, reinforced.run)
+        distilled = await distilling.distill(context, reinforced)
     return _Results(labels, judgements, judged, followed, executed, reinforced, distilled, training_s)
 
 
@@ -163,7 +163,7 @@ def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
             "random": results.reinforced.random,
             "before": results.reinforced.first,
             "after": results.reinforced.last,
-            "distilled": results.distilled.earned,
+            "distilled": results.distilled.earned[reinforcing.TASK],
         },
         title=f"Learned from a sentence and pixels: {reinforcing.TASK.partition('.')[2].replace('-', ' ')}",
         subtitle="PPO on the learned reward; measured in 50 episodes each, against true states that it never sees; "
@@ -200,18 +200,23 @@ def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
 
 
 def _figures_of_words(reinforced: Reinforced, distilled: Distilled) -> tuple[Figure, ...]:
-    first, last, chance = reinforced.first, reinforced.last, reinforced.random.mean
+    first, last = reinforced.first, reinforced.last
     return (
         Figure("ppo.return_first", first.mean),
         Figure("ppo.return_first_high", first.high),
         Figure("ppo.return_last", last.mean),
         Figure("ppo.return_last_low", last.low, above=first.high),
-        Figure("ppo.random_return", chance),
+        Figure("ppo.random_return", reinforced.random.mean),
         Figure("ppo.training_s", reinforced.training_s),
-        Figure("distill.return", distilled.earned.mean, above=chance),
-        Figure("distill.random_return", chance),
+        Figure("distill.return", distilled.mean, above=distilled.random_mean),
+        Figure("distill.random_return", distilled.random_mean),
         Figure("distill.training_s", distilled.training_s),
     )
+
+
+def _begun_with() -> dict[str, object]:
+    """Returns what came with freerein and was begun with, by stage."""
+    return {"ppo": reinforcing.STARTS_FROM, "distill": list(distilling.SHIPPED_TEACHERS.values())}
 
 
 def _empty(folder: Path, *, keep: Path | None) -> None:
