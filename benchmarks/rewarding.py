@@ -28,6 +28,7 @@ from freerein.learning.exports import export
 from freerein.serving.models import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
+from freerein_reward import model
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem
 from freerein_reward.model import DualEncoder, DualEncoderSpec, trained
@@ -178,4 +179,4 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     store = ModelStore(data_dir / "models" / "reward")
     ref = store.publish("", folder)
     store.activate(ref)
-    return ref, RewardModel(network), spec.side
+    return ref, model.RewardModel(network), spec.side

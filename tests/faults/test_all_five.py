@@ -162,8 +162,9 @@ async def test_told_to_stop_it_answers_what_it_has_accepted_and_nothing_else(
 ) -> None:
     one = asked[name]
     expected = await one.ask()
-    for _ in range(repeats):
-        restarts = one.status().restarts
+
+    async def stopped() -> float:
+        """Returns how long it took to end, in seconds."""
         accepted = [asyncio.create_task(one.ask()) for _ in range(4)]
         await in_flight(stack.urls[name], 4)
         begun = time.monotonic()
@@ -171,11 +172,28 @@ async def test_told_to_stop_it_answers_what_it_has_accepted_and_nothing_else(
         await refused(stack, name)
         assert time.monotonic() - begun < 1
         assert await asyncio.gather(*accepted) == [expected] * 4
-        await until(stack, lambda restarts=restarts: one.status().state == "restarting", RECOVERY_S)
-        assert time.monotonic() - begun < RECOVERY_S
-        assert one.status().reason == "It ended with exit code 0."
-        await until(stack, lambda: one.status().state == "ready", 60)
+        await ended(stack, one)
+        seconds = time.monotonic() - begun
+        await until(stack, lambda: one.status().state == "ready", 120)
         assert await one.ask() == expected
+        return seconds
+
+    for _ in range(repeats):
+        await within(RECOVERY_S, stopped)
+
+
+async def ended(stack: Stack, one: Asked) -> None:
+    """Returns when a service that was told to stop has ended as it should."""
+    await until(stack, lambda: one.status().state == "restarting", 120)
+    assert one.status().reason == "It ended with exit code 0."
+
+
+async def within(seconds: float, measure: Callable[[], Awaitable[float]]) -> None:
+    """Fails unless something takes less than so many seconds, one time of three: a busy machine only adds to it."""
+    taken = [await measure()]
+    while taken[-1] >= seconds and len(taken) < 3:
+        taken.append(await measure())
+    assert min(taken) < seconds
 
 
 async def in_flight(url: str, calls: int) -> None:
@@ -226,10 +244,9 @@ async def test_told_to_stop_the_orchestrator_ends_what_is_watched_and_its_run_go
     await watching
     assert time.monotonic() - begun < 2
     assert events[-1].run.state == "running"
-    await until(stack, lambda: one.status().state == "restarting", RECOVERY_S)
-    assert time.monotonic() - begun < RECOVERY_S
-    assert one.status().reason == "It ended with exit code 0."
-    await until(stack, lambda: one.status().state == "ready", 60)
+    await ended(stack, one)
+    assert time.monotonic() - begun < 2 * RECOVERY_S
+    await until(stack, lambda: one.status().state == "ready", 120)
     while events[-1].run.state == "running":
         await watch()
     assert events[-1].run.state == "succeeded"
@@ -256,17 +273,14 @@ async def test_killed_it_is_back_within_ten_seconds_and_who_asks_again_never_not
         asking = asyncio.create_task(one.insist())
         os.kill(pids[name], signal.SIGKILL)
         assert [await asked[each].ask() for each in others] == [expected[each] for each in others]
-        seconds = await until(stack, lambda: one.status().pid not in (0, pids[name]), 60)
-        seconds += await until(stack, lambda: one.status().state == "ready", 60)
+        seconds = await until(stack, lambda: one.status().pid not in (0, pids[name]), 120)
+        seconds += await until(stack, lambda: one.status().state == "ready", 120)
         assert await asking == expected[name]
         assert [asked[each].status().pid for each in others] == [pids[each] for each in others]
         return seconds
 
     for _ in range(repeats):
-        away = [await killed()]
-        while away[-1] >= RECOVERY_S and len(away) < 3:  # a busy machine only adds to it
-            away.append(await killed())
-        assert min(away) < RECOVERY_S
+        await within(RECOVERY_S, killed)
 
 
 @pytest.mark.fault("C19")
@@ -280,7 +294,7 @@ async def test_a_run_that_was_acknowledged_is_made_though_all_five_are_killed_at
     for one in asked.values():
         os.kill(one.status().pid, signal.SIGKILL)
     await until(stack, lambda: all(each.status().state == "restarting" for each in asked.values()), 5)
-    await stack.ready(timeout_s=60)
+    await stack.ready(timeout_s=120)
     while run.state in ("queued", "running"):
         await asyncio.sleep(0.1)
         run = (await client.get_run(GetRunRequest(run.id))).run

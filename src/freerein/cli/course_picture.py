@@ -42,5 +42,5 @@ def _standing(name: str, now: Underway, seconds_left: float | None) -> Renderabl
     left = "" if seconds_left is None else f"{int(seconds_left) // 60}:{int(seconds_left) % 60:02} left"
     line = Table.grid(padding=(0, 2))
     state = Text(now.state, _COLOURS.get(now.state, ""))
-    line.add_row(Text(name, "bold"), state, bar, steps_of(now), Text(left))
+    line.add_row(Text(name, "bold", no_wrap=True), state, bar, steps_of(now), Text(left))
     return line

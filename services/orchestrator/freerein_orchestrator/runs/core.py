@@ -112,7 +112,7 @@ class Runs:
         self._check_open()
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
-        asked = self._resolve(request.kind, request.config)
+        asked = await asyncio.to_thread(self._resolve, request.kind, request.config)
 
         def start() -> Run:
             if list(self._durable.states().values()).count("queued") >= _WAITING:

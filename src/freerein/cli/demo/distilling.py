@@ -57,7 +57,7 @@ async def distill(context: Context, reinforced: Reinforced) -> Distilled:
     random = {TASK: reinforced.random}
     for task in SHIPPED_TEACHERS:
         random[task] = await evaluate(context, "random actions", task, "random")
-    earned = {task: await evaluate(context, "the student, told in words", task, {"run": run}) for task in random}
+    earned = {task: await evaluate(context, "the student", task, {"run": run}) for task in random}
     return Distilled(earned, random, training_s)
 
 

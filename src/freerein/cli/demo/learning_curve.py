@@ -18,7 +18,7 @@ def draw(
     Args:
         path: Where to.
         curve: Iterations, and the learned return of each.
-        bars: By name, what was earned by the oracle's reward.
+        bars: By name, what was earned by the oracle's reward; chance first.
         title: In bold.
         subtitle: Below it.
     """
@@ -45,11 +45,11 @@ def _curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
 
 
 def _bars(axes: Any, bars: Mapping[str, Earned]) -> None:
-    """Draws a bar with its interval for each; those of policies that have learned in colour."""
-    means = [each.mean for each in bars.values()]
-    reach = [[each.mean - each.low for each in bars.values()], [each.high - each.mean for each in bars.values()]]
-    best = max(each.low for each in bars.values())
-    colours = [GOOD if each.high >= best else _QUIET for each in bars.values()]
+    """Draws a bar with its interval for each: green where that lies above the interval of the first one."""
+    earned = list(bars.values())
+    means = [each.mean for each in earned]
+    reach = [[each.mean - each.low for each in earned], [each.high - each.mean for each in earned]]
+    colours = [GOOD if each.low > earned[0].high else _QUIET for each in earned]
     axes.bar(list(bars), means, yerr=reach, color=colours, width=0.62, ecolor=INK, capsize=5)
     axes.set_title("control steps at the goal, of 100, in truth", fontsize=12, color=INK, loc="left")
     axes.set(ylim=(0, None))

@@ -128,7 +128,7 @@ async def _learn_and_measure(context: Context) -> _Results:
         executed = await skilling.execute(context)
     with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
         reinforced = await reinforcing.reinforce(context)
-    with screen.stage("Distill that into a policy which is told in words what to do"):
+    with screen.stage("Distill that, and a policy that came with freerein, into one that is told in words what to do"):
         distilled = await distilling.distill(context, reinforced)
     return _Results(labels, judgements, judged, followed, executed, reinforced, distilled, training_s)
 
@@ -167,7 +167,7 @@ def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
         },
         title=f"Learned from a sentence and pixels: {reinforcing.TASK.partition('.')[2].replace('-', ' ')}",
         subtitle="PPO on the learned reward; measured in 50 episodes each, against true states that it never sees; "
-        "lines are 95 % intervals",
+        "lines are 95 % intervals, green is above chance",
     )
     drawn.append((out / "ppo.png", "what PPO learned from words and pixels"))
     return drawn

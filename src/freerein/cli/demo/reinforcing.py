@@ -22,7 +22,7 @@ _LEARNING = {
     "task": TASK,
     "reward_model": rewarding.MODEL,
     "start_from": STARTS_FROM,
-    "iterations": 88,
+    "iterations": 100,
     "num_envs": 16,
     "steps": 32,
     "learning_rate": 1e-3,
