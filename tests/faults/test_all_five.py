@@ -46,7 +46,7 @@ MODULES = {
 }
 RECOVERY_S = 10.0
 IN_FLIGHT = re.compile(r'^freerein_calls_in_flight\{door="grpc"\} (\S+)$', re.MULTILINE)
-_PATIENT = RestartPolicy(crashes=1000)
+_PATIENT = RestartPolicy(longest_delay_s=0.5, crashes=1000)  # every kill is the first
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")

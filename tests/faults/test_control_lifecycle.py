@@ -29,7 +29,9 @@ def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
 
 async def until(condition: Callable[[], bool]) -> None:
     def wait() -> None:
+        until = time.monotonic() + 30
         while not condition():
+            assert time.monotonic() < until, "it did not come to it in 30 s"
             time.sleep(0.005)
 
     await asyncio.to_thread(wait)
@@ -88,13 +90,13 @@ async def test_told_to_stop_it_answers_tells_every_robot_and_ends(
         oracles = [await robots.Oracle.of(policy, 100 + i) for i in range(ROBOTS)]
         await asyncio.gather(*(stream.ask(robots.hello(100 + i)) for i, stream in enumerate(streams)))
         for i, stream in enumerate(streams):
-            stream.say(robots.seen(1, i, hundredths=20))
+            stream.say(robots.seen(1, i, hundredths=80))
         await until(lambda: first.metric("freerein_queued_items") > 0)
         begun = time.monotonic()
         first.service.process.terminate()
         for i, (stream, oracle) in enumerate(zip(streams, oracles, strict=True)):
             reply = await stream.hear()
-            await oracle.check(robots.seen(1, i, hundredths=20), reply)
+            await oracle.check(robots.seen(1, i, hundredths=80), reply)
             assert (await stream.hear()).draining.deadline_s > 0
             assert await stream.rest() == []
             elsewhere = robots.Stream(other.control)
