@@ -5,12 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from freerein.cli.demo.context import Context
-from freerein.cli.demo.evaluating import Earned, evaluate
-from freerein.cli.demo.reinforcing import TASK, Reinforced
+from freerein.cli.demo.evaluating import Earned, Entrant, finish_evaluations, name_of, start_evaluations
+from freerein.cli.demo.reinforcing import TASK
 from freerein.cli.demo.runs import finish_run, start_run
 
 SHIPPED_TEACHERS: Mapping[str, str] = {"blocks.yellow-right-of-green": "yellow-right-of-green"}
 """By task, the policies that came with freerein and teach beside the one that the demo has learned."""
+
+TASKS = (TASK, *SHIPPED_TEACHERS)
+"""What the student learns."""
 
 _ROLLOUTS, _UPDATES = 50, 600
 
@@ -21,32 +24,25 @@ class Distilled:
 
     Attributes:
         earned: By task, what the student earns by the oracle's reward, told by the task's goal text what to do.
-        random: By task, what random actions earn.
         training_s: How long the rollouts and the fit took, in seconds.
     """
 
     earned: Mapping[str, Earned]
-    random: Mapping[str, Earned]
     training_s: float
 
-    @property
-    def mean(self) -> float:
-        """What the student earns per episode, over all tasks."""
-        return _mean(self.earned)
 
-    @property
-    def random_mean(self) -> float:
-        """What random actions earn."""
-        return _mean(self.random)
+async def distill(context: Context, teacher: str) -> Distilled:
+    """Teaches a language policy what policies of single tasks do, and measures it in each of these.
 
-
-async def distill(context: Context, reinforced: Reinforced) -> Distilled:
-    """Teaches a language policy what policies of single tasks do, and measures it in each of these."""
+    Args:
+        context: Where the demo runs.
+        teacher: The run that has learned `reinforcing.TASK`.
+    """
     config = {
-        "teachers": [reinforced.run, *SHIPPED_TEACHERS.values()],
+        "teachers": [teacher, *SHIPPED_TEACHERS.values()],
         "rollouts": _ROLLOUTS,
         "num_envs": _ROLLOUTS,
-        "is_stochastic": True,
+        "is_stochastic": False,  # what the teachers are sure of: the student would have to average noise away
         "seed": context.seed,
         "config": {"steps": _UPDATES},
     }
@@ -54,12 +50,7 @@ async def distill(context: Context, reinforced: Reinforced) -> Distilled:
     run = await start_run(context, "distill", config)
     await finish_run(context, "distill", run, metrics=("fit/train_loss",))
     training_s = time.perf_counter() - begun
-    random = {TASK: reinforced.random}
-    for task in SHIPPED_TEACHERS:
-        random[task] = await evaluate(context, "random actions", task, "random")
-    earned = {task: await evaluate(context, "the student", task, {"run": run}) for task in random}
-    return Distilled(earned, random, training_s)
-
-
-def _mean(earned: Mapping[str, Earned]) -> float:
-    return sum(each.mean for each in earned.values()) / len(earned)
+    entrants = {name_of(task): Entrant(task, {"run": run}) for task in TASKS}
+    evaluation = await start_evaluations(context, entrants)
+    earned = await finish_evaluations(context, "evaluate the student", evaluation, entrants)
+    return Distilled({task: earned[name_of(task)] for task in TASKS}, training_s)

@@ -1,12 +1,29 @@
-"""What a policy earns in a task, by the oracle's reward: for evaluation, no learner comes near it."""
+"""What policies earn in tasks, by the oracle's reward: for evaluation, no learner comes near it."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from freerein.cli.demo.context import HELD_OUT, Context
 from freerein.cli.demo.runs import artifact, finish_run, start_run
 
+Step = Mapping[str, object]
+"""A step of a run of kind `pipeline`."""
+
 _EPISODES = 50
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """Who is evaluated, where.
+
+    Attributes:
+        task: The task's name.
+        policy: "random", or whose, as the orchestrator's kind `evaluate` takes it.
+    """
+
+    task: str
+    policy: str | dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -26,23 +43,39 @@ class Earned:
     success_rate: float
 
 
-async def evaluate(context: Context, name: str, task: str, policy: str | dict[str, Any]) -> Earned:
-    """Returns what a policy earns from 50 starts that nobody has learned from, the same for every policy.
+async def start_evaluations(context: Context, entrants: Mapping[str, Entrant], *, before: Sequence[Step] = ()) -> str:
+    """Starts a run that has each entrant begin 50 times where nobody has learned, the same for all; returns its id.
 
     Args:
         context: Where the demo runs.
-        name: What is evaluated, as it is called on screen.
-        task: Where.
-        policy: "random", or whose, as the orchestrator's kind `evaluate` takes it.
+        entrants: By name.
+        before: What the run does first.
     """
-    config = {
-        "task": task,
-        "policy": policy,
+    steps = [{"name": name, "kind": "evaluate", "config": _config(context, each)} for name, each in entrants.items()]
+    return await start_run(context, "pipeline", {"steps": [*before, *steps]})
+
+
+async def finish_evaluations(context: Context, title: str, run: str, names: Iterable[str]) -> dict[str, Earned]:
+    """Returns what entrants have earned, by name, once the run is done."""
+    await finish_run(context, title, run)
+    return {name: await _earned(context, run, name) for name in names}
+
+
+def name_of(task: str) -> str:
+    """Returns the name of those steps that are about a task."""
+    return task.rpartition(".")[2]
+
+
+def _config(context: Context, entrant: Entrant) -> dict[str, object]:
+    return {
+        "task": entrant.task,
+        "policy": entrant.policy,
         "episodes": _EPISODES,
         "num_envs": _EPISODES,
         "seed": context.seed + HELD_OUT,
     }
-    run = await start_run(context, "evaluate", config)
-    await finish_run(context, f"evaluate {name}", run)
-    result = await artifact(context, run, "result.json")
+
+
+async def _earned(context: Context, run: str, name: str) -> Earned:
+    result = await artifact(context, run, f"{name}.result.json")
     return Earned(result["return_mean"], result["return_low"], result["return_high"], result["success_rate"])

@@ -4,10 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from freerein.cli.demo.evaluating import Earned
 from freerein.cli.demo.ink import FAINT, GOOD, INK, PAPER
 
 _QUIET = "#cfd6e4"
+_REACH = 7  # iterations to either side: those in which every environment has ended some episodes
 
 
 def draw(
@@ -35,9 +38,11 @@ def draw(
 
 
 def _curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
-    iterations, returns = zip(*curve, strict=True)
+    """Draws the returns, faint, and their mean over the iterations about each."""
+    iterations, returns = np.array(curve).T
+    about = np.abs(iterations[:, None] - iterations) <= _REACH
     axes.fill_between(iterations, returns, color=_QUIET, alpha=0.6, linewidth=0)
-    axes.plot(iterations, returns, color=INK, linewidth=1.8)
+    axes.plot(iterations, about @ returns / about.sum(axis=1), color=INK, linewidth=2.2)
     axes.set(xlim=(iterations[0], iterations[-1]), ylim=(0, None))
     axes.set_xlabel("iteration", fontsize=11, color=FAINT)
     axes.set_title("return by the learned reward", fontsize=12, color=INK, loc="left")

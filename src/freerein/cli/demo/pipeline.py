@@ -3,7 +3,7 @@
 import os
 import shutil
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +23,12 @@ from freerein.cli.demo import (
 )
 from freerein.cli.demo.context import Context
 from freerein.cli.demo.distilling import Distilled
+from freerein.cli.demo.evaluating import Earned
 from freerein.cli.demo.figures import Figure
 from freerein.cli.demo.fits import follow_fit
 from freerein.cli.demo.heatmaps import Judged
 from freerein.cli.demo.imitating import Following
-from freerein.cli.demo.reinforcing import Reinforced
+from freerein.cli.demo.reinforcing import Baselines, Reinforced
 from freerein.cli.demo.rewarding import Judgements
 from freerein.cli.demo.screen import Screen
 from freerein.cli.demo.segmenting import BLOCKS, GRID, Labels, label_held_out, record_lesson, start_lesson
@@ -52,6 +53,7 @@ class _Results:
     judged: tuple[Judged, ...]
     following: Following
     executed: Executed
+    before: Baselines
     reinforced: Reinforced
     distilled: Distilled
     training_s: float
@@ -122,15 +124,17 @@ async def _learn_and_measure(context: Context) -> _Results:
         for fit in others:
             await follow_fit(context, fit)
     training_s = time.perf_counter() - begun
+    baselines = await reinforcing.start_baselines(context, distilling.TASKS)
     with screen.stage("Ask for rewards, follow goal images, execute recipes"):
         judgements, judged = await rewarding.judge_held_out(context)
         followed = await imitating.follow(context)
         executed = await skilling.execute(context)
     with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
+        before = await reinforcing.finish_baselines(context, baselines, distilling.TASKS)
         reinforced = await reinforcing.reinforce(context)
     with screen.stage("Distill that, and a policy that came with freerein, into one that is told in words what to do"):
-        distilled = await distilling.distill(context, reinforced)
-    return _Results(labels, judgements, judged, followed, executed, reinforced, distilled, training_s)
+        distilled = await distilling.distill(context, reinforced.run)
+    return _Results(labels, judgements, judged, followed, executed, before, reinforced, distilled, training_s)
 
 
 def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
@@ -160,8 +164,8 @@ def _draw(results: _Results, out: Path) -> list[tuple[Path, str]]:
         out / "ppo.png",
         results.reinforced.curve,
         {
-            "random": results.reinforced.random,
-            "before": results.reinforced.first,
+            "random": results.before.random[reinforcing.TASK],
+            "before": results.before.first,
             "after": results.reinforced.last,
             "distilled": results.distilled.earned[reinforcing.TASK],
         },
@@ -193,25 +197,31 @@ def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
         Figure("imitation.goal_auroc", following.goal_auroc, at_least=0.9),
         Figure("recipe.skills_completed", results.executed.skills_completed, above=results.executed.random_completed),
         Figure("recipe.random_skills_completed", results.executed.random_completed),
-        *_figures_of_words(results.reinforced, results.distilled),
+        *_figures_of_words(results.before, results.reinforced, results.distilled),
         Figure("training_s", results.training_s),
         Figure("total_s", total_s, at_most=_LONGEST_S),
     )
 
 
-def _figures_of_words(reinforced: Reinforced, distilled: Distilled) -> tuple[Figure, ...]:
-    first, last = reinforced.first, reinforced.last
+def _figures_of_words(before: Baselines, reinforced: Reinforced, distilled: Distilled) -> tuple[Figure, ...]:
+    first, last = before.first, reinforced.last
+    chance = _mean(before.random)
     return (
         Figure("ppo.return_first", first.mean),
         Figure("ppo.return_first_high", first.high),
         Figure("ppo.return_last", last.mean),
         Figure("ppo.return_last_low", last.low, above=first.high),
-        Figure("ppo.random_return", reinforced.random.mean),
+        Figure("ppo.random_return", before.random[reinforcing.TASK].mean),
         Figure("ppo.training_s", reinforced.training_s),
-        Figure("distill.return", distilled.mean, above=distilled.random_mean),
-        Figure("distill.random_return", distilled.random_mean),
+        Figure("distill.return", _mean(distilled.earned), above=chance),
+        Figure("distill.random_return", chance),
         Figure("distill.training_s", distilled.training_s),
     )
+
+
+def _mean(earned: Mapping[str, Earned]) -> float:
+    """Returns what is earned per episode, over all tasks."""
+    return sum(each.mean for each in earned.values()) / len(earned)
 
 
 def _begun_with() -> dict[str, object]:

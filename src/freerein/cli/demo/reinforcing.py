@@ -4,11 +4,12 @@ The reward is the reward model's that the demo has learned from noun phrases.
 """
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from freerein.cli.demo import rewarding
 from freerein.cli.demo.context import Context
-from freerein.cli.demo.evaluating import Earned, evaluate
+from freerein.cli.demo.evaluating import Earned, Entrant, finish_evaluations, name_of, start_evaluations
 from freerein.cli.demo.runs import finish_run, start_run
 
 TASK = "blocks.yellow-left-of-green"
@@ -18,6 +19,7 @@ STARTS_FROM = ""
 """The policy that came with freerein and is learned on from; empty for weights that know nothing."""
 
 _RETURN = "episode_return"
+_FIRST, _LAST, _UNCHANGED = "first", "last", "unchanged"
 _LEARNING = {
     "task": TASK,
     "reward_model": rewarding.MODEL,
@@ -29,7 +31,19 @@ _LEARNING = {
     "entropy_weight": 0.0,
     "scale_rewards": True,
 }
-_UNCHANGED = {**_LEARNING, "iterations": 1, "learning_rate": 1e-7}
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """What to compare with.
+
+    Attributes:
+        random: By task, what random actions earn by the oracle's reward.
+        first: What the policy earns before it learns.
+    """
+
+    random: Mapping[str, Earned]
+    first: Earned
 
 
 @dataclass(frozen=True)
@@ -39,32 +53,43 @@ class Reinforced:
     Attributes:
         run: The run's id.
         curve: By iteration, the mean learned return of the episodes that ended in it.
-        random: What random actions earn by the oracle's reward.
-        first: What the policy earns before this demo's iterations.
-        last: What it earns after.
+        last: What the policy earns by the oracle's reward.
         training_s: How long it learned, in seconds.
     """
 
     run: str
     curve: tuple[tuple[int, float], ...]
-    random: Earned
-    first: Earned
     last: Earned
     training_s: float
 
 
+async def start_baselines(context: Context, tasks: Sequence[str]) -> str:
+    """Starts to measure random actions in tasks, and the policy that is to learn as it is before; returns the run."""
+    config = {**_LEARNING, "iterations": 1, "learning_rate": 1e-7, "seed": context.seed}
+    unchanged = {"name": _UNCHANGED, "kind": "ppo", "config": config}
+    entrants = {name_of(task): Entrant(task, "random") for task in tasks}
+    return await start_evaluations(context, entrants | {_FIRST: _policy_of(_UNCHANGED)}, before=[unchanged])
+
+
+async def finish_baselines(context: Context, run: str, tasks: Sequence[str]) -> Baselines:
+    """Returns what is to be compared with."""
+    names = [name_of(task) for task in tasks]
+    earned = await finish_evaluations(context, "evaluate what there was before", run, [*names, _FIRST])
+    return Baselines({task: earned[name_of(task)] for task in tasks}, earned[_FIRST])
+
+
 async def reinforce(context: Context) -> Reinforced:
-    """Learns the policy, and measures it before and after."""
-    seed = {"seed": context.seed}
-    random = await evaluate(context, "random actions", TASK, "random")
-    unchanged = await start_run(context, "ppo", _UNCHANGED | seed)
-    await finish_run(context, "ppo, before it learns", unchanged)
-    first = await evaluate(context, "the policy before", TASK, {"run": unchanged, "is_stochastic": True})
+    """Learns the policy, and measures it."""
     if STARTS_FROM:
         context.screen.say(f"PPO goes on from {STARTS_FROM}, which came with freerein.")
     begun = time.perf_counter()
-    run = await start_run(context, "ppo", _LEARNING | seed)
+    run = await start_run(context, "ppo", {**_LEARNING, "seed": context.seed})
     course = await finish_run(context, "ppo", run, metrics=(_RETURN,))
     training_s = time.perf_counter() - begun
-    last = await evaluate(context, "the policy after", TASK, {"run": run, "is_stochastic": True})
-    return Reinforced(run, course.points(_RETURN), random, first, last, training_s)
+    evaluation = await start_evaluations(context, {_LAST: _policy_of(run)})
+    earned = await finish_evaluations(context, "evaluate the policy", evaluation, [_LAST])
+    return Reinforced(run, course.points(_RETURN), earned[_LAST], training_s)
+
+
+def _policy_of(run: str) -> Entrant:
+    return Entrant(TASK, {"run": run, "is_stochastic": True})
