@@ -19,7 +19,7 @@ from freerein.cli.services import free_ports
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
 
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
-MANY = ("start", "collect", "--set", "task=grid", "--set", "count=600", "--watch")
+MANY = ("start", "collect", "--set", "task=grid", "--set", "count=900", "--watch")
 
 
 class Orchestrator:
@@ -117,7 +117,7 @@ def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None
         assert child.wait(30) == 0
 
     assert steps == sorted(steps)
-    assert steps[-1] == 600
+    assert steps[-1] == 900
 
 
 def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
@@ -128,7 +128,7 @@ def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
         way_back = child.stderr.read().split("`")[1]
 
     *_, last = _json(*way_back.split()[2:])
-    assert (last["state"], last["step"]) == ("succeeded", 600)
+    assert (last["state"], last["step"]) == ("succeeded", 900)
 
 
 def test_artifacts_are_listed_and_fetched_whole_or_not_at_all(tmp_path: Path) -> None:

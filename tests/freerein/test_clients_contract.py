@@ -5,6 +5,7 @@ import re
 
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.api.learning.v1 import learning_pb2
+from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
@@ -12,16 +13,25 @@ from freerein.clients import (
     FitClient,
     ImitationClient,
     ModelClient,
+    OrchestratorClient,
     RewardClient,
     SegmentationClient,
     SimClient,
     retries,
 )
 
-CLIENTS = (SegmentationClient, ImitationClient, RewardClient, SimClient, FitClient, ModelClient)
+CLIENTS = (
+    SegmentationClient,
+    ImitationClient,
+    RewardClient,
+    SimClient,
+    OrchestratorClient,
+    FitClient,
+    ModelClient,
+)
 SERVICES = [
     service
-    for module in (imitation_pb2, learning_pb2, reward_pb2, segmentation_pb2, sim_pb2)
+    for module in (imitation_pb2, learning_pb2, orchestrator_pb2, reward_pb2, segmentation_pb2, sim_pb2)
     for service in module.DESCRIPTOR.services_by_name.values()
 ]
 
@@ -37,5 +47,5 @@ def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
 def test_every_call_is_idempotent_or_known_not_to_be() -> None:
     calls = {(service.full_name, method) for service in SERVICES for method in service.methods_by_name}
     idempotent = {(service, method) for service, methods in retries.IDEMPOTENT.items() for method in methods}
-    assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "Control", "ActivateModel"}
+    assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "Control", "ActivateModel", "ResumeRun"}
     assert idempotent < calls
