@@ -1,6 +1,7 @@
 """A bad network: what comes through it is right and happened once; what does not is an error of the protocol."""
 
 import asyncio
+import itertools
 import random
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
@@ -220,13 +221,16 @@ async def test_a_run_that_is_watched_over_it_loses_no_event_and_repeats_none(
     config = {"task": "grid", "dataset": "watched", "behaviour": "random", "count": 30}
     async with (
         OrchestratorClient(Channel(service.address)) as direct,
-        network.ChaosProxy(service.address, network.Weather(segment=50, resets_after=1_500)) as proxy,
+        network.ChaosProxy(service.address) as proxy,
         OrchestratorClient(Channel(proxy.address)) as client,
     ):
         request = StartRunRequest("collect", config, "watched")
         run = (await insist(lambda: client.start_run(request))).run
         events: list[WatchRunResponse] = []
+        breaks = itertools.count(300, 100)  # later each time: in every part of an event, and in the end there is none
         while not events or events[-1].run.state != "succeeded":
+            proxy.reset()
+            proxy.weather = network.Weather(segment=50, resets_after=next(breaks))
             try:
                 async with aclosing(client.watch_run(WatchRunRequest(run.id, len(events)))) as watching:
                     async for event in watching:
