@@ -14,7 +14,7 @@ setup: ## Install what freerein needs to run; TORCH_INDEX= for a machine with a 
 dev: ## Install what the tests and checks need, too
 	@tools/setup dev
 
-demo: setup ## Show all of it: demonstrations in, skill labels out, in a few minutes
+demo: setup ## Show all of it, in a few minutes: skills, rewards and policies, learned and measured
 	@$(BIN)/freerein demo
 
 check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract and its stubs
@@ -24,8 +24,8 @@ check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract
 	$(BIN)/lint-imports
 	$(BIN)/buf lint proto
 
-test: dev ## Run the tests
-	$(BIN)/pytest
+test: dev ## Run the tests, a file at a time on each core
+	$(BIN)/pytest --numprocesses logical --dist loadfile
 
 bench: dev ## Measure freerein beside its peers
 	$(BIN)/python -m benchmarks

@@ -35,6 +35,7 @@ print("worker", worker.pid, flush=True)
 http.server.HTTPServer(("127.0.0.1", int(os.environ["FREEREIN_HTTP_PORT"])), Answer).serve_forever()
 """
 _MISCONFIGURED = 'import sys; sys.exit(sys.stderr.write("cannot start: FREEREIN_QUEUE: too small\\n") and 3)'
+_TOLD = 'import os, sys; print(os.environ["FREEREIN_SIM_ADDRESS"]); sys.exit(3)'
 _CRASHING = "raise SystemExit(1)"
 _MUTE = "import time; time.sleep(600)"
 _HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3)
@@ -118,6 +119,17 @@ async def test_a_configuration_error_is_shown_and_never_tried_again(tiny: Callab
 
         assert stack.statuses[0].state == "misconfigured"
         assert stack.statuses[0].restarts == 0
+
+
+@pytest.mark.parametrize("replicas", ["", "here:9104,there:9104"])
+async def test_an_address_that_the_environment_sets_is_what_services_are_told(
+    tiny: Callable[[str], Stack], environ: dict[str, str], tmp_path: Path, replicas: str
+) -> None:
+    environ["FREEREIN_SIM_ADDRESS"] = replicas
+    async with tiny(_TOLD) as stack:
+        await _until(stack, lambda status: status.is_hopeless)
+
+    assert _log(tmp_path) == [replicas or stack.addresses["sim"]]
 
 
 async def test_a_service_that_keeps_crashing_is_given_up(tiny: Callable[[str], Stack]) -> None:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
 from freerein.cli.configuring import setting
-from freerein.cli.doctor import doors, storage
+from freerein.cli.doctor import doors, machine, storage
 from freerein.cli.segment_picture import bar
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
@@ -158,6 +158,13 @@ def test_the_doctor_recognises_a_port_that_another_program_holds(
 
     assert finding.state == "problem"
     assert str(listener) in finding.detail
+
+
+def test_the_doctor_finds_the_wheels_that_are_data() -> None:
+    assert [(each().name, each().state) for each in (machine.meshes, machine.text_tower)] == [
+        ("robot meshes", "ok"),
+        ("text tower", "ok"),
+    ]
 
 
 def test_the_doctor_makes_and_measures_the_data_directory(tmp_path: Path) -> None:

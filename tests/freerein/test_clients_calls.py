@@ -3,7 +3,6 @@
 
 import asyncio
 import re
-import subprocess
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
@@ -347,6 +346,13 @@ async def test_a_stream_ends_at_the_deadline_of_its_caller(channel: Channel) -> 
         await anext(demonstrations)
 
 
+async def test_an_iterator_that_nobody_iterates_makes_no_call(channel: Channel, peer: Peer) -> None:
+    client = SimClient(channel)
+    await client.demonstrate(sim.DemonstrateRequest("push", "random")).aclose()
+    await SegmentationClient(channel).list_skills(SKILLS)
+    assert peer.calls == ["ListSkills"]
+
+
 async def test_a_stepping_stream_answers_message_by_message(channel: Channel) -> None:
     answered = asyncio.Event()
 
@@ -366,17 +372,8 @@ async def test_a_stepping_stream_answers_message_by_message(channel: Channel) ->
 # --- the connection
 
 
-@pytest.fixture(scope="module")
-def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
-    folder: Path = tmp_path_factory.mktemp("tls")
-    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
-    files = ["-addext", "subjectAltName=DNS:localhost", "-keyout", "key.pem", "-out", "cert.pem"]
-    subprocess.run([*command.split(), *files], cwd=folder, check=True, capture_output=True)
-    return (folder / "key.pem").read_bytes(), (folder / "cert.pem").read_bytes()
-
-
-async def test_with_root_certificates_the_call_is_over_tls(peer: Peer, certificate: tuple[bytes, bytes]) -> None:
-    key, chain = certificate
+async def test_with_root_certificates_the_call_is_over_tls(peer: Peer, certificate: tuple[Path, Path]) -> None:
+    key, chain = (path.read_bytes() for path in certificate)
     async with serving(peer, credentials=grpc.ssl_server_credentials([(key, chain)])) as address:
         async with SegmentationClient(Channel(address, root_certificates=chain)) as client:
             assert (await client.list_skills(SKILLS)).height == 2

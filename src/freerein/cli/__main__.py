@@ -9,7 +9,7 @@ from freerein.cli.up import up
 
 app = typer.Typer(
     help="Serves learned robot skills. `freerein demo` shows all of it; `freerein doctor` says what is missing.",
-    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command, 130 Ctrl-C.",
+    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command, 130 Ctrl-C, or 0 of `up`.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

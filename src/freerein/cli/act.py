@@ -75,11 +75,10 @@ def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> N
 
 
 async def _call(ask: "Callable[[ImitationClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import ImitationClient
 
-    async with ImitationClient(open_channel("imitation", CliSettings())) as client:
+    async with connect(ImitationClient, "imitation") as client:
         return await ask(client)
 
 

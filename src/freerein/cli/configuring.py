@@ -23,7 +23,7 @@ def setting(text: str) -> tuple[str, Any]:
         raise InvalidInput(
             "A setting must be KEY=VALUE; got one without a key or a value.",
             field="set",
-            hint="Write --set updates=200 or --set objective=mil.",
+            hint="Write --set steps=200 or --set task=grid.",
         )
     try:
         return key, json.loads(value)

@@ -27,7 +27,8 @@ _Id = Annotated[str, typer.Argument(metavar="ID", help="What `freerein fit list`
 
 _LEARN = {
     "segmentation": "Learn which skill is executed when, from demonstrations tagged with the skills that occur.",
-    "imitation": "Learn a policy from a dataset; `--set policy=skills` for one that follows recipes of skills.",
+    "imitation": "Learn a policy from a dataset; `--set policy=skills` for one that follows recipes of skills, "
+    "`--set policy=language` for one that is told in words what to do.",
     "reward": "Learn how well images match words, from unlabelled images and noun phrases.",
 }
 
@@ -149,22 +150,20 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
 
 
 async def _changes(service: str, fit_id: str) -> "AsyncGenerator[Fit, None]":
-    from freerein.cli.connection import open_channel
+    from freerein.cli.connection import connect
     from freerein.cli.following import follow_fit
-    from freerein.cli.settings import CliSettings
     from freerein.clients import FitClient
 
-    async with FitClient(open_channel(service, CliSettings())) as client, aclosing(follow_fit(client, fit_id)) as fits:
+    async with connect(FitClient, service) as client, aclosing(follow_fit(client, fit_id)) as fits:
         async for fit in fits:
             yield fit
 
 
 async def _call(service: str, ask: "Callable[[FitClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import FitClient
 
-    async with FitClient(open_channel(service, CliSettings())) as client:
+    async with connect(FitClient, service) as client:
         return await ask(client)
 
 

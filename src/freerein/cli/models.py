@@ -51,11 +51,10 @@ def activate(
 
 
 async def _call(service: str, ask: "Callable[[ModelClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import ModelClient
 
-    async with ModelClient(open_channel(service, CliSettings())) as client:
+    async with connect(ModelClient, service) as client:
         return await ask(client)
 
 

@@ -110,11 +110,10 @@ def _from_dataset(asked: "RewardRequest", name: str, index: int) -> "Iterator[Re
 
 
 async def _ask(parts: "Sequence[RewardRequest]") -> "list[RewardResponse]":
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import RewardClient
 
-    async with RewardClient(open_channel("reward", CliSettings())) as client:
+    async with connect(RewardClient, "reward") as client:
         return [await client.reward(part) for part in parts]
 
 
@@ -130,12 +129,11 @@ def _draw(first: "RewardRequest", phrases: tuple[str, ...], path: Path) -> "tupl
 
 
 async def _ground(image: "Image", phrases: tuple[str, ...]) -> "tuple[Grounding, ...]":
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import RewardClient
     from freerein.types.reward import GroundRequest
 
-    async with RewardClient(open_channel("reward", CliSettings())) as client:
+    async with connect(RewardClient, "reward") as client:
         return (await client.ground(GroundRequest(image, phrases))).groundings
 
 

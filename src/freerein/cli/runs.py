@@ -170,23 +170,21 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
 
 
 async def _changes(run_id: str) -> "AsyncGenerator[Run, None]":
-    from freerein.cli.connection import open_channel
+    from freerein.cli.connection import connect
     from freerein.cli.following import follow_run
-    from freerein.cli.settings import CliSettings
     from freerein.clients import OrchestratorClient
 
-    client = OrchestratorClient(open_channel("orchestrator", CliSettings()))
+    client = connect(OrchestratorClient, "orchestrator")
     async with client, aclosing(follow_run(client, run_id)) as runs:
         async for run in runs:
             yield run
 
 
 async def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import OrchestratorClient
 
-    async with OrchestratorClient(open_channel("orchestrator", CliSettings())) as client:
+    async with connect(OrchestratorClient, "orchestrator") as client:
         return await ask(client)
 
 

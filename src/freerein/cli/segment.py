@@ -59,21 +59,19 @@ def _segment_one(dataset: "Dataset", index: int, request: "SegmentRequest", came
 
 
 async def _ask(request: "SegmentRequest") -> "SegmentResponse":
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import SegmentationClient
 
-    async with SegmentationClient(open_channel("segmentation", CliSettings())) as client:
+    async with connect(SegmentationClient, "segmentation") as client:
         return await client.segment(request)
 
 
 async def _save(root: "Path", request: "SegmentRequest", camera: str, on_count: Callable[[int], None]) -> "LabelsInfo":
-    from freerein.cli.connection import open_channel
+    from freerein.cli.connection import connect
     from freerein.cli.labelling import label_all
-    from freerein.cli.settings import CliSettings
     from freerein.clients import SegmentationClient
 
-    async with SegmentationClient(open_channel("segmentation", CliSettings())) as client:
+    async with connect(SegmentationClient, "segmentation") as client:
         return await label_all(client, root, request, camera=camera, on_count=on_count)
 
 

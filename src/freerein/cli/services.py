@@ -34,7 +34,8 @@ def running(names: Iterable[str], environ: Mapping[str, str]) -> Doors:
         InvalidInput: One of these names is no service's, or an address is none.
     """
     addresses = {name: address(name, environ) for name in names}
-    urls = {name: f"http://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
+    scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
+    urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
     return Doors(urls, addresses)
 
 

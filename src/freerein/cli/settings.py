@@ -20,3 +20,8 @@ class CliSettings(BaseSettings):
     data_dir: Path = Path("var")
     token: SecretStr | None = None
     tls_cert: Path | None = None
+
+    @property
+    def token_text(self) -> str:
+        """The token, empty for none."""
+        return self.token.get_secret_value() if self.token else ""

@@ -71,25 +71,23 @@ def demonstrate(
 
 
 async def _list_tasks() -> "ListTasksResponse":
-    from freerein.cli.connection import open_channel
-    from freerein.cli.settings import CliSettings
+    from freerein.cli.connection import connect
     from freerein.clients import SimClient
     from freerein.types.sim import ListTasksRequest
 
-    async with SimClient(open_channel("sim", CliSettings())) as client:
+    async with connect(SimClient, "sim") as client:
         return await client.list_tasks(ListTasksRequest())
 
 
 async def _record(request: "DemonstrateRequest", dataset: str, on_count: Callable[[int], None]) -> int:
-    from freerein.cli.connection import open_channel
+    from freerein.cli.connection import connect
     from freerein.cli.recording import record
     from freerein.cli.settings import CliSettings
     from freerein.clients import SimClient
     from freerein.data import dataset_path
 
-    settings = CliSettings()
-    root = dataset_path(settings.data_dir, dataset)
-    async with SimClient(open_channel("sim", settings)) as client:
+    root = dataset_path(CliSettings().data_dir, dataset)
+    async with connect(SimClient, "sim") as client:
         return await record(client, request, root, on_count=on_count)
 
 

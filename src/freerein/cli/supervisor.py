@@ -35,7 +35,8 @@ class Stack:
     Args:
         services: The module that `python -m` runs, by service; see `services.choose`.
         data_dir: Where datasets, models, fits and logs lie.
-        environ: The services' environment, such as `os.environ`; ports, addresses and the data directory are added.
+        environ: The services' environment, such as `os.environ`; ports, the data directory, and those addresses that
+            it does not set are added.
         ports: Where each listens; None for the port table. `services.free_ports` makes others.
         policy: When a service that crashed is started again.
 
@@ -64,7 +65,8 @@ class Stack:
         self._changed = asyncio.Event()
         self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=trust(certificate))
         self._tasks: list[asyncio.Task[None]] = []
-        shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir), **_addresses(self.addresses)}
+        unset = {name: value for name, value in _addresses(self.addresses).items() if not environ.get(name)}
+        shared = {**environ, **unset, "FREEREIN_DATA_DIR": str(data_dir)}
         self._children = [
             Child(
                 Command(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),

@@ -7,7 +7,7 @@ It is the one place where a call gets its deadline, its token and its request id
 """
 
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar, cast
@@ -118,7 +118,7 @@ class Channel:
         """Returns an iterator over the answers to one request; as `unary`. Closing it ends the call."""
         call = _Call(f"{_verb(request)} at {self.address}", uuid.uuid4().hex)
         message = cast(Sent, _packed(request))
-        return _replies(method(message, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
+        return _replies(lambda: method(message, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
 
     def stream(
         self,
@@ -131,7 +131,7 @@ class Channel:
         """Returns an iterator over the answers to a stream of requests; as `server_stream`."""
         call = _Call(f"The stream to {self.address}", uuid.uuid4().hex)
         messages = (cast(Sent, _packed(request)) async for request in requests)
-        return _replies(method(messages, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
+        return _replies(lambda: method(messages, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
 
     def _metadata(self, call: "_Call") -> tuple[tuple[str, str], ...]:
         return (("x-request-id", call.request_id), *self._authorization)
@@ -156,8 +156,11 @@ class _Call:
 
 
 async def _replies(
-    stream: "aio.UnaryStreamCall[Sent, Received] | aio.StreamStreamCall[Sent, Received]", reply: type[T], call: _Call
+    begin: "Callable[[], aio.UnaryStreamCall[Sent, Received] | aio.StreamStreamCall[Sent, Received]]",
+    reply: type[T],
+    call: _Call,
 ) -> AsyncGenerator[T, None]:
+    stream = begin()  # not before somebody iterates: who does not has no call to end
     try:
         with call.errors():
             async for received in stream:

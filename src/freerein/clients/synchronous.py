@@ -107,7 +107,7 @@ def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading
 
 
 async def _called(method: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> Any:
-    reply = method(*args, **kwargs)  # here, not in the caller's thread: a stream is opened on the running loop
+    reply = method(*args, **kwargs)  # here, not in the caller's thread: a channel is opened on the running loop
     return reply if isinstance(reply, AsyncGenerator) else await reply
 
 

@@ -1,4 +1,4 @@
-"""`freerein demo`: demonstrations in, skill labels out, with everything that happens on screen."""
+"""`freerein demo`: labels, rewards and policies learned, and measured, with everything that happens on screen."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,9 @@ from freerein.cli.output import AsJson, verb
 
 @verb
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for summary, pictures and data; emptied first.")] = Path("var/demo"),
+    out: Annotated[
+        Path, typer.Option(help="Folder for summary, pictures and data; an earlier demo's is emptied.")
+    ] = Path("var/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of every draw.")] = 0,
     running: Annotated[
         bool, typer.Option("--running", help="Use the services that run already, and their data directory.")

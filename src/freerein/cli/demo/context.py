@@ -4,10 +4,12 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+from freerein.cli.connection import channel_to
 from freerein.cli.demo.door import Door
 from freerein.cli.demo.screen import Screen
 from freerein.cli.recording import record
 from freerein.cli.services import Doors
+from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, OrchestratorClient, SimClient
 from freerein.data import dataset_path
 from freerein.types.sim import DemonstrateRequest
@@ -22,7 +24,7 @@ class Context:
 
     Attributes:
         doors: Of the services.
-        token: Bearer token that they ask for; empty for none.
+        settings: The token that they ask for, and the certificate that they are to have.
         data_dir: Where the services find datasets.
         out: The folder for all that comes out.
         seed: Seed of every draw.
@@ -30,7 +32,7 @@ class Context:
     """
 
     doors: Doors
-    token: str
+    settings: CliSettings
     data_dir: Path
     out: Path
     seed: int
@@ -43,11 +45,11 @@ class Context:
     def door(self, service: str) -> AbstractAsyncContextManager[Door]:
         """Returns the REST door of a service."""
         url = self.doors.urls[service]
-        return Door(url, token=self.token, requests=self.out / "requests", screen=self.screen)
+        return Door(url, self.settings, requests=self.out / "requests", screen=self.screen)
 
     def channel(self, service: str) -> Channel:
         """Returns a connection to the gRPC door of a service."""
-        return Channel(self.doors.addresses[service], token=self.token)
+        return channel_to(self.doors.addresses[service], self.settings)
 
     def sim(self) -> SimClient:
         """Returns a client of the sim service."""

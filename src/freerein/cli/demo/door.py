@@ -2,7 +2,8 @@
 
 import base64
 import json
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -13,7 +14,9 @@ import numpy.typing as npt
 
 from freerein import tensors
 from freerein.cli.demo.screen import Screen
-from freerein.errors import Internal, by_code
+from freerein.cli.services import trust
+from freerein.cli.settings import CliSettings
+from freerein.errors import Internal, Unavailable, by_code
 
 _TIMEOUT_S = 60.0
 
@@ -23,18 +26,21 @@ class Door:
 
     Args:
         url: The service's address.
-        token: Bearer token, sent with every call; empty for none.
+        settings: The token that is sent with every call, and the certificate that the service is to have.
         requests: Folder where the first body of each path is kept, for the reader to send again.
         screen: Where the calls are shown.
     """
 
-    def __init__(self, url: str, *, token: str, requests: Path, screen: Screen) -> None:
+    def __init__(self, url: str, settings: CliSettings, *, requests: Path, screen: Screen) -> None:
         self._url = url
         self._requests = requests
         self._screen = screen
         self._shown: set[str] = set()
-        headers = {"authorization": f"Bearer {token}"} if token else {}
-        self._client = httpx.AsyncClient(base_url=url, headers=headers, timeout=_TIMEOUT_S, trust_env=False)
+        headers = {"authorization": f"Bearer {settings.token_text}"} if settings.token else {}
+        verify = trust(str(settings.tls_cert) if settings.tls_cert else None)
+        self._client = httpx.AsyncClient(
+            base_url=url, headers=headers, timeout=_TIMEOUT_S, trust_env=False, verify=verify
+        )
 
     async def __aenter__(self) -> Self:
         """Opens the connection."""
@@ -50,22 +56,24 @@ class Door:
         """Returns the answer to a call.
 
         Raises:
-            ServiceError: The service refused.
+            ServiceError: The service refused, or the connection was lost.
         """
         self._show(path, json.dumps(body))
-        return _answer(await self._client.post(path, json=body))
+        with self._lost():
+            return _answer(await self._client.post(path, json=body))
 
     async def get(self, path: str, **query: str) -> dict[str, Any]:
         """Returns the answer to a question, or what a file of JSON holds.
 
         Raises:
-            ServiceError: The service refused.
+            ServiceError: The service refused, or the connection was lost.
         """
         self._screen.call(f'curl "{self._address(path, query)}"')
-        return _answer(await self._client.get(path, params=query))
+        with self._lost():
+            return _answer(await self._client.get(path, params=query))
 
     async def segment(self, model: str, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> dict[str, Any]:
-        """Returns the labels of a trajectory, frames uint8 (T, H, W, C), as the service's JSON."""
+        """Returns the labels of a trajectory, frames uint8 (T, H, W, C), as the service's JSON; raises as `post`."""
         body = {"model": {"name": model}, "frames": _tensor(frames), "actions": _tensor(actions), "smoothing": 1.0}
         text = json.dumps(body)
         if "/v1/segment" not in self._shown:
@@ -74,23 +82,19 @@ class Door:
             path.write_text(text)
             self._show("/v1/segment", f"@{path}")
         headers = {"content-type": "application/json"}
-        return _answer(await self._client.post("/v1/segment", content=text, headers=headers))
+        with self._lost():
+            return _answer(await self._client.post("/v1/segment", content=text, headers=headers))
 
-    async def events(self, path: str, **query: str) -> AsyncGenerator[dict[str, Any], None]:
-        """Yields the server-sent events of a stream.
-
-        Raises:
-            ServiceError: The service refused.
-        """
-        self._screen.call(f'curl -N "{self._address(path, query)}"')
-        patient = httpx.Timeout(_TIMEOUT_S, read=None)  # nothing may happen for a while
-        async with self._client.stream("GET", path, params=query, timeout=patient) as response:
-            if response.is_error:
-                await response.aread()
-                _answer(response)
-            async for line in response.aiter_lines():
-                if line.startswith("data: "):
-                    yield json.loads(line.removeprefix("data: "))
+    @contextmanager
+    def _lost(self) -> Iterator[None]:
+        """Raises the errors of a connection as ours."""
+        try:
+            yield
+        except httpx.HTTPError as error:
+            raise Unavailable(
+                f"{self._url} must answer; the connection failed: {error or type(error).__name__}.",
+                hint="Run the demo again; logs/<service>.log in the data directory may say what happened.",
+            ) from error
 
     def _address(self, path: str, query: Mapping[str, str]) -> str:
         return f"{self._url}{path}?" + "&".join(f"{name}={value}" for name, value in query.items())

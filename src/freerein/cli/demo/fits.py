@@ -1,11 +1,13 @@
-"""Fits of the demo: started over REST, followed by their events. Fits of different services run side by side."""
+"""Fits of the demo: started over REST, followed to their end. Fits of different services run side by side."""
 
 import time
 from collections.abc import Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
 
+from freerein.cli import following
 from freerein.cli.demo.context import Context
+from freerein.clients import FitClient
 from freerein.errors import FailedPrecondition
 
 
@@ -44,17 +46,19 @@ async def follow_fit(context: Context, running: RunningFit) -> float:
 
     Raises:
         FailedPrecondition: It ended without a model.
+        ServiceError: The service went away for good.
     """
-    fit = {"state": "lost", "error": ""}
-    async with context.door(running.service) as door:
-        with context.screen.progress(f"{running.service} {running.name}", running.steps) as advance:
-            async with aclosing(door.events("/v1/watch-fit", id=running.id)) as events:
-                async for event in events:
-                    fit = event["fit"]
-                    advance(fit["step"], " ".join(f"{name} {value:.3g}" for name, value in fit["metrics"].items()))
-    if fit["state"] != "succeeded":
+    context.screen.call(f"freerein fit watch {running.id} --service {running.service}")
+    with context.screen.progress(f"{running.service} {running.name}", running.steps) as advance:
+        async with (
+            FitClient(context.channel(running.service)) as client,
+            aclosing(following.follow_fit(client, running.id)) as changes,
+        ):
+            async for fit in changes:
+                advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
+    if fit.state != "succeeded":
         raise FailedPrecondition(
-            f"The fit of {running.name} must succeed; it {fit['state']}. {fit['error']}",
+            f"The fit of {running.name} must succeed; its state is {fit.state}. {fit.error}".rstrip(),
             hint="Read log.txt in the fit's folder below the data directory.",
         )
     return time.perf_counter() - running.begun

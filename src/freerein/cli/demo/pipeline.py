@@ -1,7 +1,6 @@
 """The demo's stages: start the services, record, fit side by side, measure what came of it, draw."""
 
 import os
-import shutil
 import time
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager, nullcontext
@@ -13,6 +12,7 @@ from freerein.cli.demo import (
     distilling,
     figures,
     filmstrip,
+    folder,
     heatmaps,
     imitating,
     learning_curve,
@@ -36,7 +36,6 @@ from freerein.cli.demo.skilling import Executed
 from freerein.cli.services import Doors, choose, free_ports, is_free
 from freerein.cli.settings import CliSettings
 from freerein.cli.supervisor import Stack
-from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
@@ -63,24 +62,24 @@ async def run(out: Path, *, seed: int, screen: Screen, running: bool) -> None:
     """Runs every stage, and writes `summary.json` and the pictures.
 
     Args:
-        out: The folder for all of it; emptied first.
+        out: The folder for all of it: new, empty, or an earlier demo's, which is emptied.
         seed: Seed of every draw.
         screen: What a person sees.
         running: Whether services run already, where the environment says; else it starts its own.
 
     Raises:
-        ServiceError: A stage did not finish.
+        ServiceError: The folder is none of these, or a stage did not finish.
     """
     begun = time.perf_counter()
     settings = CliSettings()
     data_dir = settings.data_dir if running else out / "data"
-    token = settings.token.get_secret_value() if settings.token else ""
-    _empty(out, keep=data_dir if running else None)
+    is_own = not running and data_dir.resolve() == settings.data_dir.resolve()
+    folder.begin(out, keep=None if is_own else settings.data_dir)
     started = nullcontext(services.running(_SERVICES, os.environ)) if running else _start(data_dir, screen)
     async with started as doors:
         for name, url in doors.urls.items():
             screen.say(f"{name:<13} {url}/docs   gRPC {doors.addresses[name]}")
-        results = await _learn_and_measure(Context(doors, token, data_dir, out, seed, screen))
+        results = await _learn_and_measure(Context(doors, settings, data_dir, out, seed, screen))
     with screen.stage("Draw"):
         for path, caption in _draw(results, out):
             screen.say(f"{path}: {caption}")
@@ -90,13 +89,22 @@ async def run(out: Path, *, seed: int, screen: Screen, running: bool) -> None:
     screen.summary(measured, summary)
     screen.say(f"{out / 'summary.json'} holds these figures.")
     if not running:
-        screen.say(f"To go on with these models: FREEREIN_DATA_DIR={data_dir} freerein up")
+        screen.say(
+            f"To go on with these models: FREEREIN_DATA_DIR={data_dir} freerein up. The next demo empties that folder."
+        )
+
+
+def environ_of_its_own(environ: Mapping[str, str]) -> dict[str, str]:
+    """Returns an environment for services of the demo's own: without what would have them work with somebody else's."""
+    shared = {"FREEREIN_DATABASE_URL", "FREEREIN_EXECUTOR_ID", *(f"FREEREIN_{name.upper()}_ADDRESS" for name in PORTS)}
+    return {name: value for name, value in environ.items() if name not in shared}
 
 
 @asynccontextmanager
 async def _start(data_dir: Path, screen: Screen) -> AsyncGenerator[Doors, None]:
     """Runs services of our own for as long as the block does."""
-    async with Stack(choose(_SERVICES), data_dir=data_dir, environ=os.environ, ports=_ports()) as stack:
+    environ = environ_of_its_own(os.environ)
+    async with Stack(choose(_SERVICES), data_dir=data_dir, environ=environ, ports=_ports()) as stack:
         with screen.stage("Start the services"):
             screen.call("freerein up")
             await stack.ready(timeout_s=_READY_S)
@@ -227,18 +235,6 @@ def _mean(earned: Mapping[str, Earned]) -> float:
 def _begun_with() -> dict[str, object]:
     """Returns what came with freerein and was begun with, by stage."""
     return {"ppo": reinforcing.STARTS_FROM, "distill": list(distilling.SHIPPED_TEACHERS.values())}
-
-
-def _empty(folder: Path, *, keep: Path | None) -> None:
-    if keep and keep.absolute().is_relative_to(folder.absolute()):
-        raise InvalidInput(
-            "The folder for what comes out is emptied first, and must not hold the services' data directory; it does.",
-            field="out",
-            hint="Choose another folder with --out.",
-        )
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
 
 
 def _ports() -> dict[str, Ports]:

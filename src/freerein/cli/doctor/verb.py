@@ -41,6 +41,8 @@ def _examine() -> "list[Finding]":
     examinations: list[Callable[[], Finding | list[Finding]]] = [machine.python]
     if "sim" in services:
         examinations += [machine.rendering, machine.meshes]
+    if "imitation" in services:
+        examinations.append(machine.text_tower)
     if set(services) - {"sim"}:
         examinations += [machine.torch]
     examinations += [lambda: storage.storage(data_dir), *(partial(doors.service, name) for name in services)]

@@ -1,0 +1,125 @@
+"""Tables of configuration in `docs/` say what the classes say that read it.
+
+A table stands below a comment that names its classes. `python tests/architecture/test_docs.py` writes all of them anew.
+"""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import MISSING, fields, is_dataclass
+from importlib import import_module
+from inspect import getattr_static
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import pytest
+from pydantic import SecretStr
+from pydantic_core import PydanticUndefined
+
+ROOT = Path(__file__).parents[2]
+TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)")
+TABLES = [
+    pytest.param(page, *match.group("classes", "table"), id=match["classes"])
+    for page in sorted((ROOT / "docs").glob("*.md"))
+    for match in TABLE.finditer(page.read_text())
+]
+WORDS: dict[object, str] = {
+    str: "text",
+    bool: "true or false",
+    Path: "a path",
+    SecretStr: "text",
+    dict[str, Any]: "an object",
+    tuple[str, ...]: "a list of texts",
+    tuple[dict[str, Any], ...]: "a list of objects",
+}
+
+_BOUNDS = ("gt", "ge", "le")
+
+
+class Row(NamedTuple):
+    """A key, its default, what it may be, and what it means."""
+
+    key: str
+    default: str
+    may_be: str
+    meaning: str
+
+
+@pytest.mark.parametrize(("page", "classes", "table"), TABLES)
+def test_a_table_says_what_its_classes_say(page: Path, classes: str, table: str) -> None:
+    assert table == written(classes), f"{page} is stale: run python tests/architecture/test_docs.py"
+
+
+def test_whatever_can_be_chosen_is_in_a_table() -> None:
+    code = "\n".join(path.read_text() for folder in ("src", "services") for path in (ROOT / folder).rglob("*.py"))
+    shown = {name.rpartition(".")[2] for each in TABLES for name in str(each.values[1]).split()}
+    choices = {*re.findall(r"^class (\w+(?:Config|Settings))\b", code, re.MULTILINE)}
+    assert choices - shown == {
+        "CuriosityConfig",  # which runs choose themselves
+        "GroundingConfig",  # which is chosen where models are made that come with freerein
+        "ImitationSettings",  # which add nothing but ports
+        "SegmentationSettings",
+    }
+
+
+def written(classes: str) -> str:
+    """Returns the table of classes, without what an earlier one has said."""
+    rows: dict[str, Row] = {}
+    for name in classes.split():
+        module, _, attribute = name.rpartition(".")
+        kind = getattr(import_module(module), attribute)
+        for row in dataclass_rows(kind) if is_dataclass(kind) else settings_rows(kind):
+            rows.setdefault(row.key, row)
+    header = "| key | default | may be | meaning |\n|---|---|---|---|\n"
+    return header + "".join(f"| {' | '.join(row)} |\n" for row in rows.values())
+
+
+def dataclass_rows(kind: Any) -> Iterator[Row]:
+    """Yields what a dataclass itself, not its bases, says of its fields."""
+    types, meanings, declared = get_type_hints(kind), meanings_of(kind), {each.name: each for each in fields(kind)}
+    for name in inspect.get_annotations(kind):
+        value = declared[name].default
+        if declared[name].default_factory is not MISSING:
+            value = declared[name].default_factory()
+        default = "needed" if value is MISSING else f"`{json.dumps(value)}`"
+        bounds = getattr_static(kind, name, None)
+        limits = (bounds._least, bounds._most) if hasattr(bounds, "_least") else ()
+        yield Row(f"`{name}`", default, may_be(types[name], *limits), meanings[name])
+
+
+def settings_rows(kind: Any) -> Iterator[Row]:
+    """Yields what a class of settings itself, not its bases, says of its fields."""
+    meanings = meanings_of(kind)
+    for name in inspect.get_annotations(kind):
+        field = kind.model_fields[name]
+        limits = [getattr(each, bound) for bound in _BOUNDS for each in field.metadata if hasattr(each, bound)]
+        default = "" if field.default in (None, PydanticUndefined) else f"`{field.default}`"
+        yield Row(f"`FREEREIN_{name.upper()}`", default, may_be(field.annotation, *limits), meanings[name])
+
+
+def may_be(kind: Any, *limits: float) -> str:
+    """Returns what a value of a type, and between limits, may be."""
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(may_be(each, *limits) for each in get_args(kind) if each is not NoneType)
+    if get_origin(kind) is Literal:
+        return ", ".join(f"`{each}`" for each in get_args(kind))
+    if kind in (int, float):
+        return " to ".join(f"{int(each):,}".replace(",", " ") if each == int(each) else str(each) for each in limits)
+    return WORDS[kind]
+
+
+def meanings_of(kind: type) -> dict[str, str]:
+    """Returns what the docstrings of a class and its bases say of attributes, by name."""
+    found: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        _, _, attributes = (inspect.getdoc(each) or "").partition("Attributes:\n")
+        for name, text in re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", attributes, re.MULTILINE):
+            found[name] = " ".join(text.split())
+    return found
+
+
+if __name__ == "__main__":
+    for page in (ROOT / "docs").glob("*.md"):
+        page.write_text(TABLE.sub(lambda match: match[1] + written(match["classes"]), page.read_text()))
