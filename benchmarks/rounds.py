@@ -16,7 +16,7 @@ class Effort:
 
     Attributes:
         rounds: Turns that each contestant gets.
-        turn_s: Least length of a turn, in seconds; what is short is repeated until it is reached.
+        turn_s: Least length of a turn, in seconds; what is short is repeated until it is reached. 0 for once.
         loads: Turns under a load that comes at its own pace.
         load_s: Length of each, in seconds.
     """
@@ -85,7 +85,7 @@ async def _repeats(contestant: Contestant, turn_s: float) -> int:
     """Returns how many repetitions fill a turn, having run that many."""
     count = 1
     await contestant.run(count)
-    while (taken_s := await _seconds(contestant, count)) < turn_s:
+    while turn_s and (taken_s := await _seconds(contestant, count)) < turn_s:
         count = math.ceil(count * min(_LONGEST_LEAP, _MARGIN * turn_s / taken_s))
     return count
 

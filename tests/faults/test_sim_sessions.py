@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import httpx
 import numpy as np
 import psutil
 import pytest
@@ -29,7 +30,10 @@ RIGHT = np.array([[3]], np.int64)
 
 @pytest.fixture(scope="module")
 def service(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
+    service = start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
+    while httpx.get(f"{service.url}/readyz", trust_env=False).status_code != 200:
+        pass
+    return service
 
 
 @pytest.fixture
