@@ -36,6 +36,7 @@ from freerein.errors import InvalidInput
 T = TypeVar("T")
 
 _MAX_DEPTH = 30  # of a `Struct`: protobuf itself reads 100 messages deep, which is 33 levels
+_EXACT = 2.0**53  # smaller whole doubles are all there is around them
 _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.imitation": imitation_pb2,
@@ -295,18 +296,26 @@ def _struct(value: Any, path: str) -> dict[str, Any]:
 
 
 def _whole(value: Any, path: str, depth: int) -> Any:
-    """Returns whole floats as ints, all through: a `Struct` knows only doubles."""
+    """Returns numbers as a `Struct`, which knows only doubles, holds them, whole ones as ints, all through."""
     if depth > _MAX_DEPTH:
         raise InvalidInput(
             f"`{path}` may be nested {_MAX_DEPTH} levels deep; it is deeper.", field=path, hint="Flatten it."
         )
-    if isinstance(value, float):
-        return int(value) if value.is_integer() else value
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _number(value, path)
     if isinstance(value, list):
         return [_whole(item, path, depth + 1) for item in value]
     if isinstance(value, dict):
         return {key: _whole(item, path, depth + 1) for key, item in value.items()}
     return value
+
+
+def _number(value: float, path: str) -> float:
+    try:
+        double = _finite(value, path)
+    except OverflowError:  # an int that no double comes near
+        raise _not_finite(path) from None
+    return int(double) if double.is_integer() and abs(double) < _EXACT else double
 
 
 # --- dataclass -> JSON

@@ -23,13 +23,14 @@ from freerein_reward.settings import RewardSettings
 sys.path.insert(0, str(Path(__file__).parents[1] / "reward"))
 
 SLOW_S = 0.3
+_LIES = {"nan": np.nan, "infinite": np.inf, "huge": 1e30}
 
 
 def lie(answer: RewardResponse, kind: str) -> RewardResponse:
     """Returns nonsense in place of an answer."""
     if kind == "short":
         return replace(answer, rewards=answer.rewards[:-1])
-    return replace(answer, rewards=np.full_like(answer.rewards, {"nan": np.nan, "infinite": np.inf}[kind]))
+    return replace(answer, rewards=np.full_like(answer.rewards, _LIES[kind]))
 
 
 def next_lie(told: Path) -> str:
@@ -48,7 +49,7 @@ def lying(reward: Callable[[RewardRequest], Awaitable[RewardResponse]], told: Pa
         kind, truth = next_lie(told), await reward(request)
         if kind == "slow":
             await asyncio.sleep(SLOW_S)
-        return lie(truth, kind) if kind in ("nan", "infinite", "short") else truth
+        return lie(truth, kind) if kind in (*_LIES, "short") else truth
 
     return answer
 

@@ -2,10 +2,13 @@
 
 import asyncio
 import json
+import logging
 import os
+import resource
 import textwrap
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +157,7 @@ async def test_a_child_that_dies_is_started_again(bench: Bench) -> None:
 async def test_a_child_that_always_dies_is_given_up(bench: Bench) -> None:
     async with bench.running() as fits:
         fit = await end(fits, await begin(fits, "crash"))
-    assert (fit.state, len(bench.runs(fit))) == ("failed", 3)
+    assert (fit.state, len(bench.runs(fit))) == ("failed", 4)  # the first made progress
     assert fit.error == "Its process ended with code -9, 3 times without progress."
 
 
@@ -254,6 +257,46 @@ async def test_a_line_torn_by_a_crash_is_cut_off_and_a_fit_without_one_was_never
     (torn / "events.jsonl").write_bytes(b'{"id"')
     assert FitRecords(bench.root / "fits").all() == (fit,)
     assert FitRecords(bench.root / "fits").all() == (fit,)
+
+
+async def test_a_full_disk_ends_no_runner_and_what_happened_is_recorded_when_there_is_room(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fits_module, "_DISK_S", 0.01)
+    log, is_refused = logging.getLogger(fits_module.__name__), asyncio.Event()
+
+    def notice(record: logging.LogRecord) -> bool:
+        if "cannot be recorded" in record.getMessage():
+            is_refused.set()
+        return True
+
+    monkeypatch.setattr(log, "filters", [notice])
+    async with bench.running() as fits:
+        first, second, third = await begin(fits, "wait"), await begin(fits, "hopeless"), await begin(fits)
+        events = bench.work(second).with_name("events.jsonl")
+        kept = events.rename(events.with_name("kept"))
+        events.symlink_to("/dev/full")
+        await fits.cancel_fit(CancelFitRequest(first.id))
+        await is_refused.wait()
+        events.unlink()
+        kept.rename(events)
+        assert [(await end(fits, each)).state for each in (second, third)] == ["failed", "succeeded"]
+
+
+async def test_a_full_disk_tears_no_line(tmp_path: Path) -> None:
+    fit, whole = Fit("0" * 32, "queued", "demos", "default", {}), resource.getrlimit(resource.RLIMIT_FSIZE)
+    records = FitRecords(tmp_path)
+    await records.add(fit, StartFitRequest("demos"))
+    size = (tmp_path / fit.id / "events.jsonl").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 7, whole[1]))
+    try:
+        with pytest.raises(OSError, match="large"):
+            await records.change(replace(fit, state="running"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, whole)
+    assert records.fit(fit.id) == fit
+    await records.change(replace(fit, state="failed"))
+    assert FitRecords(tmp_path).events(fit.id) == [fit, replace(fit, state="failed")]
 
 
 async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_restart(bench: Bench) -> None:

@@ -113,8 +113,9 @@ def test_a_damaged_model_is_refused(store: ModelStore, publish: Publish, damage:
     with pytest.raises(NotFound if damage == "no manifest" else FailedPrecondition) as error:
         store.folder(ref)
     assert str(folder) not in error.value.detail
-    with pytest.raises(type(error.value)):
-        store.activate(ref)
+    if damage == "no manifest":  # files are checked where they are loaded
+        with pytest.raises(NotFound):
+            store.activate(ref)
 
 
 @pytest.mark.parametrize("name", ["../x", "..", "", "/etc", "a/b", "A", "a\0b", "é", "a" * 65, ".hidden"])
@@ -178,12 +179,17 @@ async def test_activating_swaps_what_answers_and_returns_it(publish: Publish, mo
 async def test_a_damaged_model_is_not_activated_and_the_old_one_stays(
     store: ModelStore, publish: Publish, models: LoadedModels[str]
 ) -> None:
-    first, second = publish("a"), publish("b")
+    first, second, third = publish("a"), publish("b"), publish("c")
     await models.activate_model(ActivateModelRequest("", first.version))
-    (store.folder(second) / "weights").write_text("c")
+    (store.folder(second) / "weights").write_text("e")
     with pytest.raises(FailedPrecondition):
         await models.activate_model(ActivateModelRequest("", second.version))
     assert (await models.resolve(ModelRef()))[1] == "a"
+    await models.resolve(third)
+    (store.folder(third) / "weights").write_text("d")
+    with pytest.raises(FailedPrecondition):  # although it is in memory as it was
+        await models.activate_model(ActivateModelRequest("", third.version))
+    assert store.active_version("default") == first.version
 
 
 async def test_a_damaged_active_model_stops_the_start(

@@ -1,7 +1,8 @@
 """Dataclasses, messages and JSON say the same thing."""
 
 import inspect
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,6 +54,25 @@ def test_arrays_maps_and_nested_messages_come_back_as_they_went() -> None:
 
 def test_structs_enums_and_number_maps_come_back_as_they_went() -> None:
     assert wire.unpack(wire.pack(FIT), learning.Fit) == FIT
+
+
+@pytest.mark.parametrize("is_json", [False, True])
+def test_numbers_of_a_struct_are_ints_where_they_are_whole_and_exact(is_json: bool) -> None:
+    numbers = {"whole": 3.0, "part": 0.5, "exact": 2.0**53 - 1, "huge": 1e30, "negative": -(2.0**53), "flag": True}
+    asked = replace(FIT, config={**numbers, "literal": 10**30, "nested": [4.0]})
+    source = SimpleNamespace(**vars(asked)) if is_json else wire.pack(asked)
+    config = wire.unpack(source, learning.Fit).config
+    assert config == {**numbers, "literal": 1e30, "nested": [4]}
+    kinds = {name: type(value) for name, value in config.items()}
+    assert [name for name, kind in kinds.items() if kind is int] == ["whole", "exact"]
+    assert (kinds["flag"], type(config["nested"][0])) == (bool, int)
+
+
+@pytest.mark.parametrize("value", [10**400, float("inf"), float("nan")])
+def test_a_number_of_a_struct_that_no_double_holds_is_refused(value: float) -> None:
+    with pytest.raises(InvalidInput) as error:
+        wire.unpack(SimpleNamespace(**vars(replace(FIT, config={"steps": [value]}))), learning.Fit)
+    assert error.value.field == "config"
 
 
 def test_json_holds_lower_case_enums_and_base64_tensors() -> None:

@@ -21,6 +21,7 @@ from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation import fit, model
 from freerein_imitation.acting import BatchActor
 from freerein_imitation.core import Actor
+from freerein_imitation.fit import language
 from freerein_imitation.training.language import minilm
 
 TEXTS = ("open the gripper", "close the gripper")
@@ -78,8 +79,21 @@ def test_a_card_names_the_tower_and_what_was_told(folder: Path) -> None:
     card = json.loads((folder / "model" / "card.json").read_text())
     assert card["goal_texts"] == {"count": 2, "first": sorted(TEXTS)}
     assert (card["text_tower"]["name"], len(card["text_tower"]["sha256"])) == (minilm.NAME, 64)
-    assert card["supervision"].startswith("images and executed actions of policies")
+    assert (card["supervision"], card["privileged"]) == ("images, executed actions and goal texts", False)
     assert card["figures"]["action_loss"] < 0.1
+
+
+def test_a_card_tells_what_taught_the_policies_that_acted_and_whether_that_was_privileged() -> None:
+    learned = {"supervision": "goal text", "privileged": False}
+    oracle = {"supervision": "the true reward", "privileged": True}
+    told = {
+        "goal text": language.supervision_of([learned, learned]),
+        "goal text; or: the true reward": language.supervision_of([oracle, learned]),
+        "unknown": language.supervision_of([{"supervision": None, "privileged": None}]),
+    }
+    start = "images, executed actions and goal texts of policies with this supervision: "
+    assert [card["supervision"] for card in told.values()] == [start + theirs for theirs in told]
+    assert [card["privileged"] for card in told.values()] == [False, True, False]
 
 
 async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(actor: Actor) -> None:

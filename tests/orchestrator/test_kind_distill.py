@@ -1,5 +1,7 @@
 """Runs of kind `distill`, with the real sim and imitation services, and teachers that know nothing."""
 
+import errno
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,7 +43,7 @@ def teach(data_dir: Path, run_id: str, *, spec: ActorCriticSpec = SPEC, **card: 
 def data_dir(tmp_path: Path) -> Path:
     """A data directory with the teachers' runs."""
     for run_id in TEACHERS:
-        teach(tmp_path, run_id)
+        teach(tmp_path, run_id, supervision="what is true", privileged=True)
     return tmp_path
 
 
@@ -69,6 +71,14 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3)
     assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
     assert [teacher["goal_text"] for teacher in told["teachers"]] == ["pick up all", "pick up nothing"]
+
+    card = json.loads(
+        (data_dir / "models/imitation/undisturbed" / undisturbed.model.version / "card.json").read_bytes()
+    )
+    assert (card["privileged"], card["supervision"].endswith("of policies with this supervision: what is true")) == (
+        True,
+        True,
+    )
 
     killed = distillation(imitation=address)
     killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) >= 4)
@@ -114,9 +124,30 @@ def test_a_name_that_a_dataset_has_already_is_refused(distillation: Callable[...
         distillation().do()
 
 
+def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_taken_name(
+    distillation: Callable[..., Any], data_dir: Path
+) -> None:
+    run = distillation()
+    (run.folder / "rollouts").mkdir()
+    (run.folder / "artifacts").mkdir()
+    (run.folder / "artifacts" / "dataset.json").write_text("{}")
+    (data_dir / "datasets").mkdir()
+    (data_dir / "datasets" / "rollouts").write_text("no folder")
+    with pytest.raises(OSError) as raised:  # noqa: PT011  # its number is what matters
+        run.do()
+    assert raised.value.errno == errno.ENOTDIR
+
+
 @pytest.mark.parametrize(
     "wrong",
-    [{"teachers": []}, {"teachers": ["../a"]}, {"rollouts": 0}, {"config": {"policy": "skills"}}, {"task": "a"}],
+    [
+        {"teachers": []},
+        {"teachers": ["../a"]},
+        {"rollouts": 0},
+        {"config": {"policy": "skills"}},
+        {"config": {"steps": -5}},
+        {"task": "a"},
+    ],
 )
 def test_what_is_no_distillation_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput) as error:

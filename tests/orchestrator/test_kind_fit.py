@@ -114,7 +114,15 @@ def test_a_run_fails_for_the_reason_of_its_fit(new_run: Callable[..., Any], data
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"service": "sim"}, {"dataset": "../play"}, {"model_name": "A"}, {"config": []}, {"steps": 3}]
+    "wrong",
+    [
+        {"service": "sim"},
+        {"dataset": "../play"},
+        {"model_name": "A"},
+        {"config": []},
+        {"steps": 3},
+        *({"config": {"steps": steps}} for steps in (-5, 1e30, 2**31, 0.5, float("nan"), float("inf"), True, "3", [3])),
+    ],
 )
 def test_a_fit_of_no_service_or_no_name_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput) as error:
@@ -124,6 +132,8 @@ def test_a_fit_of_no_service_or_no_name_is_refused(wrong: dict[str, Any]) -> Non
 
 def test_the_steps_of_a_fit_are_those_asked_for() -> None:
     assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT)) == STEPS
+    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT | {"config": {"steps": 3.0}})) == 3
+    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT | {"config": {}})) == 0
 
 
 class Nth:

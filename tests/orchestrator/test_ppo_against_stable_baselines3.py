@@ -35,6 +35,7 @@ CARTPOLE = PPOConfig(
     discount=0.98,
     trace_decay=0.8,
     entropy_weight=0.0,
+    overlap=False,
     scale_rewards=False,
 )
 

@@ -165,6 +165,13 @@ def test_a_run_over_two_sims_goes_on_over_two_only(tmp_path: Path, services: dic
     assert card(tmp_path / "two")["sims"] == 2
 
 
+def test_a_run_uses_no_more_sims_than_it_has_environments(tmp_path: Path, services: dict[str, Any]) -> None:
+    work = work_of(tmp_path / "one", services, iterations=1, num_envs=1)
+    address = work.environ["FREEREIN_SIM_ADDRESS"]
+    assert run(replace(work, environ={**work.environ, "FREEREIN_SIM_ADDRESS": f"{address},{address}"}))
+    assert card(tmp_path / "one")["sims"] == 1
+
+
 @pytest.mark.parametrize(
     ("config", "error"),
     [
@@ -193,3 +200,11 @@ def test_the_oracles_reward_is_marked_as_privileged(tmp_path: Path, services: di
     assert card(tmp_path / "run")["privileged"]
     assert card(tmp_path / "run")["supervision"].startswith("the task's true reward")
     assert rows(tmp_path / "run")[0]["privileged"] == 1.0
+
+    assert run(work_of(tmp_path / "more", services, start_from="run", iterations=1))
+    assert card(tmp_path / "more")["privileged"]
+    assert rows(tmp_path / "more")[0]["privileged"] == 1.0
+    assert card(tmp_path / "more")["start"]["sha256"] == card(tmp_path / "run")["sha256"]
+    told = card(tmp_path / "more")["supervision"]
+    assert told.startswith("goal text; ")
+    assert told.endswith(f"supervision: {card(tmp_path / 'run')['supervision']}")

@@ -11,8 +11,10 @@ import torch
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import checkpoints, tensor_files, weights
 from freerein_orchestrator import ppo_training
+from freerein_orchestrator.hindsight import reconsider
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.patience import Stopped
+from freerein_orchestrator.ppo import estimate_advantages, prepare
 from freerein_orchestrator.ppo_config import PPOConfig
 from freerein_orchestrator.ppo_loop import Gather, iterations
 from freerein_orchestrator.ppo_training import Outset, PPOTraining, roll_out
@@ -256,27 +258,48 @@ class ScriptedEnvironments(KeptRewards):
 
 
 @pytest.mark.parametrize("is_recurrent", [False, True])
-def test_an_episode_cut_off_is_worth_what_it_would_have_gone_on_to_and_one_at_its_end_nothing(
+def test_every_value_is_the_learners_also_at_the_end_of_a_rollout_and_where_an_episode_was_cut_off(
     is_recurrent: bool,
 ) -> None:
-    network, environments = (
-        ActorCritic(ActorCriticSpec(vector_size=2, is_recurrent=is_recurrent)),
-        ScriptedEnvironments(),
+    environments, generator = ScriptedEnvironments(), torch.Generator().manual_seed(0)
+    actor, learner = (ActorCritic(ActorCriticSpec(vector_size=2, is_recurrent=is_recurrent)) for _ in range(2))
+    for network in (actor, learner):
+        weights.draw(network, generator=generator)
+    standing = Standing.begin(environments.reset(), actor.spec, Tally.begin(3, scale=None))
+    rollout, after = collect(actor, environments, standing, steps=400, discount=0.9, generator=generator)
+    made = reconsider(rollout, learner)
+
+    seen = torch.cat([rollout.observations, after.observations[None]])
+    lived = torch.cat([rollout.observations[:3], torch.from_numpy(environments.final)[None]])
+    with torch.no_grad():
+        outputs = learner(seen, torch.cat([rollout.starts, after.starts[None]]), standing.memory)
+        beyond = learner(lived, torch.zeros(4, 3, dtype=torch.bool), standing.memory).values[3, 1]
+        log_probs = learner(rollout.observations, rollout.starts, standing.memory).actions.log_prob(rollout.actions)
+    torch.testing.assert_close(torch.cat([made.values, made.next_values[None]]), outputs.values)
+    torch.testing.assert_close(made.log_probs, log_probs)
+    expected = torch.zeros(400, 3)
+    expected[2, 1] = beyond
+    torch.testing.assert_close(made.cut_values, expected)
+
+    samples = prepare(rollout, PPOConfig(num_envs=3, steps=400, batch_size=400, is_recurrent=True), learner)
+    bootstrapped = rollout.rewards + 0.98 * expected
+    advantages = estimate_advantages(
+        bootstrapped, outputs.values[:-1], rollout.ends, outputs.values[-1], discount=0.98, trace_decay=0.95
     )
+    torch.testing.assert_close(samples.advantages, advantages)
+
+
+def test_episodes_end_where_they_end_and_are_told_apart_from_those_cut_off() -> None:
+    network, environments = ActorCritic(ActorCriticSpec(vector_size=2)), ScriptedEnvironments()
     generator = torch.Generator().manual_seed(0)
     weights.draw(network, generator=generator)
     standing = Standing.begin(environments.reset(), network.spec, Tally.begin(3, scale=None))
     rollout, after = collect(network, environments, standing, steps=5, discount=0.9, generator=generator)
-
-    lived = torch.cat([rollout.observations[:3], torch.from_numpy(environments.final)[None]])
-    starts = torch.zeros(4, 3, dtype=torch.bool)
-    with torch.no_grad():
-        beyond = network(lived, starts, standing.memory).values[3, 1]
-    expected = torch.ones(5, 3)
-    expected[2, 1] += 0.9 * beyond
-    torch.testing.assert_close(rollout.rewards, expected)
     assert rollout.ends.tolist() == [[t == 2] * 3 for t in range(5)]
+    assert rollout.cuts.tolist() == [[False, t == 2, False] for t in range(5)]
+    assert rollout.cut_observations.tolist() == [environments.final[1].tolist()]
     assert rollout.starts.tolist() == [[t in (0, 3)] * 3 for t in range(5)]
+    assert rollout.rewards.tolist() == [[1.0] * 3] * 5
     assert (rollout.returns.tolist(), rollout.lengths.tolist()) == ([3.0] * 3, [3] * 3)
     assert after.tally.lengths.tolist() == [2] * 3
 
@@ -352,7 +375,14 @@ def test_a_reward_scale_is_the_spread_of_all_discounted_sums() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [{"batch_size": 100}, {"batch_size": 16, "is_recurrent": True}, {"clip": 0.0}, {"gamma": 0.9}]
+    "values",
+    [
+        {"batch_size": 100},
+        {"batch_size": 16, "is_recurrent": True},
+        {"num_envs": 1024, "steps": 256},
+        {"clip": 0.0},
+        {"gamma": 0.9},
+    ],
 )
 def test_a_configuration_that_cannot_be_is_refused(values: dict[str, object]) -> None:
     assert PPOConfig.from_mapping({"steps": 64.0}).updates == 16

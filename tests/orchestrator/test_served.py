@@ -1,5 +1,7 @@
 """Environments over the network, with the real sim and reward services."""
 
+import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -11,7 +13,7 @@ from freerein.clients import Channel, RewardClient, SimClient, Synchronous
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import weights
 from freerein.types.common import ModelRef
-from freerein.types.reward import RewardRequest
+from freerein.types.reward import Mode, RewardRequest
 from freerein.types.sim import CreateSessionRequest, StepResponse
 from freerein_orchestrator import ppo_training
 from freerein_orchestrator.judges import Frames, Judge, LearnedReward, oracle
@@ -140,6 +142,18 @@ def test_environments_split_over_two_sims_are_as_many_and_differ(sim: Synchronou
         each.close()
 
 
+def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(start_service: Callable[..., Any]) -> None:
+    service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    with Synchronous(SimClient(Channel(service.address))) as sim:
+        environments = served(sim, sim, sim, judge=oracle)
+        service.process.send_signal(signal.SIGSTOP)
+        begun = time.monotonic()
+        environments.close()
+        took_s = time.monotonic() - begun
+        service.process.send_signal(signal.SIGCONT)
+    assert took_s < 0.9
+
+
 @pytest.mark.parametrize("rewards", [np.zeros(2, np.float32), np.full(24, np.nan, np.float32)])
 def test_rewards_that_are_none_are_rejected(sim: Synchronous, rewards: Rewards) -> None:
     whole = served(sim, judge=lambda reached, _: np.zeros(len(reached), np.float32))
@@ -149,6 +163,31 @@ def test_rewards_that_are_none_are_rejected(sim: Synchronous, rewards: Rewards) 
         roll_out(training.actor, training.outset, environments, FAST)
     for each in (whole, environments):
         each.close()
+
+
+@pytest.mark.parametrize(
+    ("mode", "possible", "garbage"),
+    [("binary", [0, 1, 1], [0, 0.5, 1]), ("raw", [-1, 0.3, 1], [0, 1e30, 0]), ("raw", [0, 0, 0], [0, np.nan, 0])],
+)
+def test_a_learned_reward_that_its_mode_cannot_come_to_is_rejected(
+    mode: Mode, possible: list[float], garbage: list[float]
+) -> None:
+    class Service:
+        """A reward service that answers what it was told."""
+
+        def __init__(self, rewards: list[float]) -> None:
+            self.rewards = np.array(rewards, np.float32)
+
+        def reward(self, _request: RewardRequest) -> "Service":
+            return self
+
+    def judge(rewards: list[float]) -> Rewards:
+        service: Any = Service(rewards)
+        return LearnedReward(service, GOAL, CAMERA, mode=mode)(np.zeros((3, 4, 4, 3), np.uint8), None)
+
+    np.testing.assert_array_equal(judge(possible), np.array(possible, np.float32))
+    with pytest.raises(Rejected, match=f"mode {mode} must be"):
+        judge(garbage)
 
 
 def test_which_model_judges_is_pinned_and_what_it_cannot_judge_refused_at_once(reward: Synchronous) -> None:

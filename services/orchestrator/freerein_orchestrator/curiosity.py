@@ -28,6 +28,8 @@ from freerein.learning.shuffle import Shuffle
 from freerein_orchestrator.networks import ActorCriticSpec
 from freerein_orchestrator.rejection import Rejected
 
+_AT_ONCE = 1024  # transitions in one forward pass
+
 
 @dataclass(frozen=True)
 class CuriosityConfig:
@@ -149,9 +151,9 @@ def begin(
 def surprise(network: Curiosity, transitions: Transitions, *, scale: float) -> Tensor:
     """Returns the reward of each transition, eta / 2 * |phi_hat(s') - phi(s')|^2 (eq. 6): float32 (M,), on the CPU."""
     device = next(network.parameters()).device
-    _, errors = network(transitions.to(device))
-    rewards: Tensor = scale * errors.cpu()
-    return rewards
+    parts = zip(*(getattr(transitions, each.name).split(_AT_ONCE) for each in fields(transitions)), strict=True)
+    errors = [network(Transitions(*part).to(device))[1].cpu() for part in parts]
+    return scale * torch.cat(errors)
 
 
 def learn(

@@ -92,7 +92,7 @@ def advance(
     known, errors = curiosity.learn(exploration.curiosity, steps, exploration.config)
     metrics = {**metrics, **errors, "surprise": felt.mean().item()}
     after = replace(training, progress=progress, actor=frozen(progress.state.network), outset=outset, metrics=metrics)
-    recorded = exploration.recorded + len(cuts(rollout))
+    recorded = exploration.recorded + len(stretches(rollout))
     return Exploration(exploration.config, after, known, scale, recorded)
 
 
@@ -112,10 +112,11 @@ def trajectories(rollout: Rollout, camera: str) -> list[Trajectory]:
     steps = transitions(rollout, rollout.observations)
     actions = steps.actions.reshape(rollout.actions.shape).numpy()
     frames = rollout.observations.numpy()
-    return [Trajectory({camera: frames[begin:end, env]}, actions[begin:end, env]) for end, env, begin in cuts(rollout)]
+    parts = stretches(rollout)
+    return [Trajectory({camera: frames[begin:end, env]}, actions[begin:end, env]) for end, env, begin in parts]
 
 
-def cuts(rollout: Rollout) -> list[tuple[int, int, int]]:
+def stretches(rollout: Rollout) -> list[tuple[int, int, int]]:
     """Returns, for each stretch of an episode in a rollout, the timestep after it, its environment and its first."""
     found = []
     for env, ends in enumerate(rollout.ends.T):

@@ -1,6 +1,6 @@
 """Where rewards come from: what is seen, or, to compare with, what is true."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
@@ -11,7 +11,12 @@ from freerein.clients import Synchronous
 from freerein.errors import FailedPrecondition
 from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
+from freerein_orchestrator.rejection import Rejected
 from freerein_orchestrator.rollout import Rewards
+
+_POSSIBLE: Mapping[Mode, str] = {"binary": "0 or 1", "raw": "a cosine, within [-1, 1]"}
+_LARGEST_COSINE = 1.001
+"""Vectors of length 1 in single precision may have a product a little above 1."""
 
 Frames: TypeAlias = npt.NDArray[np.uint8]
 Judge: TypeAlias = Callable[[Frames, Rewards | None], Rewards]
@@ -40,9 +45,20 @@ class LearnedReward:
     mode: Mode = "binary"
 
     def __call__(self, reached: Frames, _oracle: Rewards | None) -> Rewards:
-        """Returns the rewards. A lone frame is sent twice: the service would judge it together with others' frames."""
+        """Returns the rewards. A lone frame is sent twice: the service would judge it together with others' frames.
+
+        Raises:
+            Rejected: The service answered what is no reward of this mode.
+        """
         frames = np.repeat(reached, 2, axis=0) if len(reached) == 1 else reached
-        return self._ask(frames).rewards[: len(reached)]
+        rewards = self._ask(frames).rewards
+        possible = np.isin(rewards, (0, 1)) if self.mode == "binary" else np.abs(rewards) <= _LARGEST_COSINE
+        if not possible.all():
+            raise Rejected(
+                f"A reward in the mode {self.mode} must be {_POSSIBLE[self.mode]}; got {rewards[~possible][0]}.",
+                hint="Look at the log of the reward service.",
+            )
+        return rewards[: len(reached)]
 
     def pin(self, height: int, width: int, channels: int) -> ModelRef:
         """Returns the model, with its version, that judges frames of a size, once it has judged some.

@@ -4,8 +4,9 @@ Departures from the paper are those that everybody makes: advantages are normali
 clipped, the first weights are orthogonal (Huang et al. 2022, "The 37 implementation details").
 
 Where experience is collected while the last is learnt from, the policy that acted is not the one that learning begins
-with. The clipping is around the latter, and each timestep counts as much more or less as the latter would rather have
-acted so (Hilton et al. 2022, the decoupled objective), but never more than once (Espeholt et al. 2018).
+with. The clipping is around the latter, every value is its critic's, and each timestep counts as much more or less as
+the latter would rather have acted so (Hilton et al. 2022, the decoupled objective), but never more than once (Espeholt
+et al. 2018).
 """
 
 import math
@@ -20,6 +21,7 @@ from torch.nn import functional
 
 from freerein.learning.descent import descend, learning_rate
 from freerein.learning.progress import Progress
+from freerein_orchestrator.hindsight import reconsider
 from freerein_orchestrator.networks import ActorCritic, Distribution
 from freerein_orchestrator.ppo_config import PPOConfig
 from freerein_orchestrator.rejection import Rejected
@@ -57,7 +59,8 @@ def learn(
         state = descend(state, losses.total(config), rate=rate)
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}
-    means["explained_variance"] = _explained(rollout.values, samples.targets)
+    # the share of the targets' variance that the values explain, whose errors the advantages are
+    means["explained_variance"] = 1.0 - (samples.advantages.var() / samples.targets.var().clamp(min=_NOTHING)).item()
     _check_finite(means, state.network)
     return replace(progress, state=state), means
 
@@ -98,14 +101,14 @@ def prepare(rollout: Rollout, config: PPOConfig, network: ActorCritic) -> Sample
     Args:
         rollout: By the network, or where experience is collected meanwhile by an earlier one.
         config: What was chosen.
-        network: Before its updates.
+        network: Before its updates; all values are its own, those at the rollout's end and at limits of time too.
     """
-    log_probs, values = _reconsider(rollout, network) if config.overlap else (rollout.log_probs, rollout.values)
+    judged = reconsider(rollout, network)
     advantages = estimate_advantages(
-        rollout.rewards,
-        values,
+        rollout.rewards + config.discount * judged.cut_values,
+        judged.values,
         rollout.ends,
-        rollout.next_values,
+        judged.next_values,
         discount=config.discount,
         trace_decay=config.trace_decay,
     )
@@ -113,25 +116,16 @@ def prepare(rollout: Rollout, config: PPOConfig, network: ActorCritic) -> Sample
         observations=rollout.observations,
         starts=rollout.starts,
         actions=rollout.actions,
-        log_probs=log_probs,
-        weights=(log_probs - rollout.log_probs).exp().clamp(max=1.0),
+        log_probs=judged.log_probs,
+        weights=(judged.log_probs - rollout.log_probs).exp().clamp(max=1.0),
         advantages=advantages,
-        targets=advantages + values,
+        targets=advantages + judged.values,
         memory=rollout.memory[None],
     )
     if config.is_recurrent:
         return whole
     singles = {each.name: getattr(whole, each.name).flatten(end_dim=1)[None] for each in fields(whole)}
     return Samples(**singles | {"memory": rollout.memory.new_zeros(1, rollout.starts.numel(), 0)})
-
-
-@torch.no_grad()
-def _reconsider(rollout: Rollout, network: ActorCritic) -> tuple[Tensor, Tensor]:
-    """Returns the log probabilities of a rollout's actions and the values of its observations, by a network."""
-    device = next(network.parameters()).device
-    shown = (rollout.observations, rollout.starts, rollout.memory)
-    outputs = network(*(each.to(device) for each in shown))
-    return outputs.actions.log_prob(rollout.actions.to(device)).cpu(), outputs.values.cpu()
 
 
 def estimate_advantages(
@@ -165,7 +159,7 @@ class Losses:
         policy: The clipped objective, negative (eq. 7).
         value: The value's squared error.
         entropy: Of the policy, in nats.
-        divergence: Of the policy from that which acted, in nats, estimated (Schulman 2020).
+        divergence: Of the policy from that which learning began with, in nats, estimated (Schulman 2020).
         clipped_share: The share of timesteps whose ratio of probabilities left the clipping range.
     """
 
@@ -219,9 +213,3 @@ def _check_finite(metrics: Mapping[str, float], network: ActorCritic) -> None:
                 f"A training's numbers must stay finite; {name} became {value}.",
                 hint="Lower the learning rate, or look at the rewards.",
             )
-
-
-def _explained(values: Tensor, targets: Tensor) -> float:
-    """Returns the share of the targets' variance that the values explained when they were acted on; at most 1."""
-    errors = targets - values.reshape_as(targets)
-    return 1.0 - (errors.var() / targets.var().clamp(min=_NOTHING)).item()

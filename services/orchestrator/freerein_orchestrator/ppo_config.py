@@ -7,6 +7,8 @@ from typing import Literal, Self, TypeAlias
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
 
+_MOST_COLLECTED = 131_072
+
 RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
 
 
@@ -38,7 +40,7 @@ class PPOConfig:
         threads: Of torch on the CPU.
 
     Raises:
-        InvalidInput: `batch_size` does not divide what is collected.
+        InvalidInput: Too much is to be collected at once, or `batch_size` does not divide it.
     """
 
     iterations: int = bounded(100, least=1, most=1_000_000)
@@ -63,6 +65,12 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         collected = self.num_envs * self.steps
+        if collected > _MOST_COLLECTED:
+            raise InvalidInput(
+                f"num_envs * steps must be at most {_MOST_COLLECTED}, which are kept in memory; got {collected}.",
+                field="steps",
+                hint="Make more iterations of fewer steps.",
+            )
         whole = self.steps if self.is_recurrent else 1
         if collected % self.batch_size or self.batch_size % whole:
             raise InvalidInput(

@@ -3,8 +3,9 @@
     learner   theta 0 ── learns from rollout 0 ──> theta 1 ── learns from rollout 1 ──> theta 2 ...
     actor     rollout 0 by theta 0 | rollout 1 by theta 0  |  rollout 2 by theta 1      |  ...
 
-The actor is one iteration behind, which the ratios of PPO account for: they are to the probabilities with which it
-acted. Which bits come of it depends on the order of the work, never on which thread is faster.
+The actor is one iteration behind, which the weights of timesteps account for: what the policy that learning begins with
+would rather not have done counts less. The ratios of PPO are to that policy, and every value is its critic's. Which
+bits come of it depends on the order of the work, never on which thread is faster.
 """
 
 from collections.abc import Callable, Generator
@@ -25,7 +26,7 @@ Gather: TypeAlias = Callable[[ActorCritic, Outset], tuple[Rollout, Outset]]
 """Returns the rollout of an actor from an outset on, and the outset of the next one; called on another thread."""
 
 _LOOK_S = 0.1
-_END_S = 1.0
+_END_S = 0.6
 
 
 def iterations(

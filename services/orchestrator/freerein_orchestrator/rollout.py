@@ -103,12 +103,13 @@ class Rollout:
         starts: Whether an episode begins there, bool (T, N).
         actions: As they were drawn, float32 (T, N, A) or int64 (T, N, 1).
         log_probs: Of the actions when they were drawn, float32 (T, N).
-        values: When they were drawn, float32 (T, N).
-        rewards: As they are learnt from, float32 (T, N): scaled, and where an episode was cut off, with the discounted
-            value of what it would have gone on from.
+        rewards: As they are learnt from, float32 (T, N).
         ends: Whether an episode ended there, for whichever reason, bool (T, N).
-        next_values: After the last timestep, float32 (N,).
-        memory: Before the first timestep, float32 (N, memory_size).
+        cuts: Whether one was cut off there, and would have gone on, bool (T, N).
+        cut_observations: What the K episodes that were cut off would have gone on from, by time and environment,
+            uint8 (K, H, W, C) or float32 (K, D).
+        next_observations: After the last timestep, uint8 (N, H, W, C) or float32 (N, D).
+        memory: The actor's, before the first timestep, float32 (N, memory_size).
         returns: Of the episodes that ended, their sums of unscaled rewards, float64 (episodes,).
         lengths: Of the same, their timesteps, int64 (episodes,).
     """
@@ -117,10 +118,11 @@ class Rollout:
     starts: Tensor
     actions: Tensor
     log_probs: Tensor
-    values: Tensor
     rewards: Tensor
     ends: Tensor
-    next_values: Tensor
+    cuts: Tensor
+    cut_observations: Tensor
+    next_observations: Tensor
     memory: Tensor
     returns: Tensor
     lengths: Tensor
@@ -153,7 +155,6 @@ def collect(
     for _ in range(steps):
         step, seen = _take(network, environments, seen, generator=generator)
         taken.append(step)
-    after = _outputs(network, seen.observations, seen.starts, seen.memory)
     ends = torch.stack([step.ends for step in taken])
     rewards = _checked_rewards(environments.rewards(), ends.shape)
     earnings, tally = standing.tally.add(rewards, ends, discount=discount)
@@ -162,10 +163,11 @@ def collect(
         starts=torch.stack([step.starts for step in taken]),
         actions=torch.stack([step.actions for step in taken]),
         log_probs=torch.stack([step.log_probs for step in taken]),
-        values=torch.stack([step.values for step in taken]),
-        rewards=earnings.rewards + discount * torch.stack([step.values_beyond for step in taken]),
+        rewards=earnings.rewards,
         ends=ends,
-        next_values=after.values[0].cpu(),
+        cuts=torch.stack([step.cuts for step in taken]),
+        cut_observations=torch.cat([step.cut_observations for step in taken]),
+        next_observations=seen.observations,
         memory=standing.memory,
         returns=earnings.returns,
         lengths=earnings.lengths,
@@ -184,33 +186,36 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class _Taken:
-    """One timestep of a rollout, fields as there; and where an episode was cut off, what would have come is worth."""
+    """One timestep of a rollout, fields as there."""
 
     observations: Tensor
     starts: Tensor
     actions: Tensor
     log_probs: Tensor
-    values: Tensor
     ends: Tensor
-    values_beyond: Tensor
+    cuts: Tensor
+    cut_observations: Tensor
 
 
 def _take(
     network: ActorCritic, environments: Environments, seen: _Seen, *, generator: torch.Generator
 ) -> tuple[_Taken, _Seen]:
-    outputs = _outputs(network, seen.observations, seen.starts, seen.memory)
+    device = next(network.parameters()).device
+    shown = (seen.observations[None], seen.starts[None], seen.memory)  # one timestep
+    outputs: Outputs = network(*(each.to(device) for each in shown))
     actions, memory = outputs.actions.sample(generator), outputs.memory.cpu()
     step = environments.step(executable(actions[0]))
     observations = _checked_step(step, network.spec, len(seen.starts))
-    ends = torch.from_numpy(step.terminated | step.truncated)
+    ends, cuts = torch.from_numpy(step.terminated | step.truncated), torch.from_numpy(step.truncated & ~step.terminated)
+    last = _observed(step.final_observations, network.spec, len(cuts))[cuts] if cuts.any() else observations[:0]
     taken = _Taken(
         observations=seen.observations,
         starts=seen.starts,
         actions=actions[0].cpu(),
         log_probs=outputs.actions.log_prob(actions)[0].cpu(),
-        values=outputs.values[0].cpu(),
         ends=ends,
-        values_beyond=_values_beyond(network, step, memory),
+        cuts=cuts,
+        cut_observations=last,
     )
     return taken, _Seen(observations, ends, memory)
 
@@ -219,24 +224,6 @@ def executable(actions: Tensor) -> Actions:
     """Returns actions (N, A) as environments take them: continuous ones within [-1, 1]."""
     array: Actions = (actions.clamp(-1, 1) if actions.is_floating_point() else actions).cpu().numpy()
     return array
-
-
-def _values_beyond(network: ActorCritic, step: Step, memory: Tensor) -> Tensor:
-    """Returns, where an episode was cut off, the value of what it would have gone on from, else 0: float32 (N,)."""
-    values = torch.zeros(len(memory))
-    was_cut = torch.from_numpy(step.truncated & ~step.terminated)
-    if was_cut.any():
-        last = _observed(step.final_observations, network.spec, len(memory))[was_cut]
-        goes_on = torch.zeros(len(last), dtype=torch.bool)
-        values[was_cut] = _outputs(network, last, goes_on, memory[was_cut]).values[0].cpu()
-    return values
-
-
-def _outputs(network: ActorCritic, observations: Tensor, starts: Tensor, memory: Tensor) -> Outputs:
-    """Returns what a network, wherever it is, makes of one timestep of B environments, T = 1."""
-    device = next(network.parameters()).device
-    outputs: Outputs = network(observations[None].to(device), starts[None].to(device), memory.to(device))
-    return outputs
 
 
 def _checked_step(step: Step, spec: ActorCriticSpec, count: int) -> Tensor:

@@ -29,7 +29,7 @@ from freerein_orchestrator.rollout import Actions, Rewards, Step
 
 LEASE_S = 300.0
 _FRAMES_PER_JUDGEMENT = 32
-_CLOSE_TIMEOUT_S = 1.0
+_CLOSE_TIMEOUT_S = 0.5
 
 
 def split(num_envs: int, sims: int) -> tuple[int, ...]:
@@ -74,11 +74,11 @@ class ServedEnvironments:
         self._stepping = ThreadPoolExecutor(len(sims), thread_name_prefix="sim")
         self._closing.callback(self._stepping.shutdown, wait=False)
         self._sessions: list[_Session] = []
+        self._closing.callback(self._end_sessions)
         with ExitStack() as on_error:
             on_error.callback(self.close)
             for index, (sim, own) in enumerate(zip(sims, _share(request, shares), strict=True)):
                 session = _Session.open(sim, own, camera=camera)
-                self._closing.callback(session.close)
                 self._sessions.append(session)
                 if snapshots:
                     session.restore(snapshots[index])
@@ -114,6 +114,11 @@ class ServedEnvironments:
     def close(self) -> None:
         """Ends the sessions that can be reached; the others end with their leases."""
         self._closing.close()
+
+    def _end_sessions(self) -> None:
+        """Ends all at once, by threads of their own: those that step may hang."""
+        with ThreadPoolExecutor(max(1, len(self._sessions)), thread_name_prefix="close") as ending:
+            list(ending.map(_Session.close, self._sessions))
 
 
 def _share(request: CreateSessionRequest, shares: Sequence[int]) -> list[CreateSessionRequest]:

@@ -28,13 +28,15 @@ from freerein_orchestrator.taught import taught_policy
 from freerein_orchestrator.work import Work
 
 _GROUNDING = "grounding"
+_TOLD = ("supervision", "sha256")
 
 
 class ServedTask:
     """A task over the network.
 
     What a run is bound to when it begins, its terms: `goal_text`, `camera`, `model` (name and version of what judges;
-    empty for the oracle), how many `sims` the environments are split over, and whether their sessions are `privileged`.
+    empty for the oracle), how many `sims` the environments are split over, what taught the policy to start from (its
+    `start`, with the `sha256` of its weights; empty without one), and whether all that is `privileged`.
 
     Args:
         work: The run.
@@ -46,9 +48,9 @@ class ServedTask:
         self._work = work
         self._config = config
         self._patience = patience
-        self._is_privileged = config.reward == "oracle"
+        self._sees_truth = config.reward == "oracle"
         self._device = choose_device(work.device)
-        self._sims = work.clients("sim")
+        self._sims = work.clients("sim")[: config.num_envs]
         self._reward = work.client("reward")
 
     def begin(self) -> PPOTraining:
@@ -73,7 +75,7 @@ class ServedTask:
         """Returns where the experience of a training comes from."""
         terms = cast(dict[str, Any], training.terms)
         judge: Judge = oracle
-        if not self._is_privileged:
+        if not self._sees_truth:
             judge = self._learned_reward(terms["goal_text"], terms["camera"], ModelRef(**terms["model"]))
 
         def open_at(snapshots: Sequence[bytes]) -> ServedEnvironments:
@@ -94,11 +96,19 @@ class ServedTask:
             "camera": camera.name,
             "model": asdict(self._pinned(goal_text, camera)),
             "sims": len(self._sims),
-            "privileged": self._is_privileged,
+            "start": {name: taught.card.get(name) for name in _TOLD} if taught else {},
+            "privileged": self._sees_truth or (taught is not None and taught.card.get("privileged") is True),
         }
         environments = self._open(_unjudged, camera.name)
         try:
-            return ppo_training.begin(self._config, spec, environments, device=self._device, taught=taught, terms=terms)
+            return ppo_training.begin(
+                self._config,
+                spec,
+                environments,
+                device=self._device,
+                taught=None if taught is None else taught.network,
+                terms=terms,
+            )
         finally:
             environments.close()
 
@@ -123,7 +133,7 @@ class ServedTask:
 
     def _pinned(self, goal_text: str, camera: Camera) -> ModelRef:
         """Returns which version of which model judges from now on."""
-        if self._is_privileged:
+        if self._sees_truth:
             return ModelRef()
         name = self._config.reward_model or (_GROUNDING if self._config.reward == "base" else "")
         judge = self._learned_reward(goal_text, camera.name, ModelRef(name))
@@ -136,7 +146,7 @@ class ServedTask:
     def _open(self, judge: Judge, camera: str, snapshots: Sequence[bytes] = ()) -> ServedEnvironments:
         config = self._config
         request = CreateSessionRequest(
-            config.task, num_envs=config.num_envs, seed=config.seed, privileged=self._is_privileged
+            config.task, num_envs=config.num_envs, seed=config.seed, privileged=self._sees_truth
         )
         return ServedEnvironments(
             self._sims, request, camera=camera, judge=judge, snapshots=snapshots, interrupt=self._patience.interrupt

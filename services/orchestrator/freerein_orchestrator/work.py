@@ -44,7 +44,7 @@ class Work:
         data_dir: Where datasets, models and all runs lie.
         device: `auto`, `cpu` or `cuda:N`.
         environ: Says where services are.
-        stop: Whether to save and end; asked often.
+        stop: Whether to end; asked often.
         cancelled: Whether it is to stop because the run was cancelled: nobody goes on with it soon.
         around: The folders of what this is a part of, the run's first; none of a whole run.
         first_step: Steps of the run before this part's.

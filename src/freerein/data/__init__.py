@@ -4,6 +4,7 @@
     <root>/meta/      LeRobot's index, rebuilt from data/ whenever the two differ
     <root>/cache/     decoded frames to train from, rebuilt when data/ changed
     <root>/labels/    a skill per timestep as a segmentation model predicted it, for skill policies to learn from
+    <root>/teachers.json   what is told of the policies that acted, where policies did; see `freerein.data.teachers`
     <root>/truth/     ground-truth labels for evaluation; only `freerein.data.truth` opens it
 
 `create` and `open_writer` write, `Dataset` reads, `inspect`, `verify` and `check` judge.

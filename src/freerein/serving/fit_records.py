@@ -79,15 +79,16 @@ class FitRecords:
         config = json.dumps({"dataset": fit.dataset, "config": fit.config}).encode()
         write_durably(self.work(fit.id) / "config.json", config)
         write_durably(self._root / fit.id / "request.json", json.dumps(wire.to_json(request)).encode())
-        self._events[fit.id], self._requests[fit.id] = [], request
-        await self.change(fit)
+        _append_durably(self._root / fit.id / "events.jsonl", fit)
+        self._events[fit.id], self._requests[fit.id] = [fit], request
 
     async def change(self, fit: Fit) -> None:
-        """Records a change of a fit, durably, and wakes those who wait for it."""
-        with (self._root / fit.id / "events.jsonl").open("ab") as file:
-            file.write(json.dumps(wire.to_json(fit)).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
+        """Records a change of a fit, durably, and wakes those who wait for it.
+
+        Raises:
+            OSError: The disk is full, or broken; nothing has changed.
+        """
+        _append_durably(self._root / fit.id / "events.jsonl", fit)
         self._events[fit.id].append(fit)
         async with self._changed:
             self._changed.notify_all()
@@ -98,6 +99,20 @@ class FitRecords:
         async with self._changed:
             await self._changed.wait_for(lambda: len(events) > count or events[-1].ended)
         return True
+
+
+def _append_durably(path: Path, fit: Fit) -> None:
+    """Appends a line, or, where the disk does not take the whole of it, nothing."""
+    line = json.dumps(wire.to_json(fit)).encode() + b"\n"
+    with path.open("ab", buffering=0) as file:
+        before = file.tell()
+        try:
+            while line:
+                line = line[file.write(line) :]
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(before)
+            raise
 
 
 def _read_events(path: Path) -> list[Fit]:

@@ -12,6 +12,7 @@ import math
 import sys
 import uuid
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from freerein.types.learning import (
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SAVE_S = 5.0
+_DISK_S = 1.0
 _CRASHES = 3
 _WAITING = 64
 HOPELESS = 2
@@ -156,7 +158,7 @@ class Fits:
             fit = replace(fit, state="cancelled")
             await self._records.change(fit)
             if self._running == fit.id:
-                await self._stop_child()
+                await asyncio.shield(self._stop_child())  # also where the caller does not wait so long
         return CancelFitResponse(fit)
 
     async def _stop_on_drain(self, runner: "asyncio.Task[None]") -> None:
@@ -170,10 +172,10 @@ class Fits:
             fit_id = await self._queue.get()
             try:
                 await self._run(fit_id)
+            except OSError as error:
+                await self._give_up(fit_id, f"The disk failed: {error.strerror}.")
             except Exception:  # one fit's bug must not end all fits
-                _log.exception("a fit failed", extra={"fit": fit_id})
-                await self._stop_child()
-                await self._fail(fit_id, "A bug of ours; the log says more.")
+                await self._give_up(fit_id, "A bug of ours; the log says more.")
 
     async def _run(self, fit_id: str) -> None:
         """Starts the child, again after each crash, until the fit has ended."""
@@ -183,19 +185,20 @@ class Fits:
             self._running = fit_id
             code, complaint = await self._run_child(fit_id)
             self._running = ""
-            crashes = crashes + 1 if self._records.fit(fit_id).step == step else 1
+            crashes = crashes + 1 if self._records.fit(fit_id).step == step else 0
             if self._records.fit(fit_id).ended:
                 return
             if code == 0:
                 await self._succeed(fit_id)
             elif code == HOPELESS:
-                await self._fail(fit_id, complaint)
+                await self._change(fit_id, state="failed", error=complaint)
             elif crashes >= _CRASHES:
-                await self._fail(fit_id, f"Its process ended with code {code}, {crashes} times without progress.")
+                reason = f"Its process ended with code {code}, {crashes} times without progress."
+                await self._change(fit_id, state="failed", error=reason)
 
     async def _run_child(self, fit_id: str) -> tuple[int, str]:
         work = self._records.work(fit_id)
-        await self._records.change(replace(self._records.fit(fit_id), state="running"))
+        await self._change(fit_id, state="running")
         with (work / "log.txt").open("ab") as log:
             self._child = await asyncio.create_subprocess_exec(
                 *self._command, str(work), *self._arguments, stdin=asyncio.subprocess.PIPE, stdout=log, stderr=log
@@ -216,7 +219,8 @@ class Fits:
         step = metrics.pop("step")
         if step != fit.step:
             finite = {name: value for name, value in metrics.items() if math.isfinite(value)}
-            await self._records.change(replace(fit, step=step, metrics=finite))
+            with suppress(OSError):  # where the disk is full, the next look records it
+                await self._records.change(replace(fit, step=step, metrics=finite))
 
     async def _succeed(self, fit_id: str) -> None:
         name, folder = self._records.fit(fit_id).model_name, self._records.work(fit_id) / "model"
@@ -224,15 +228,26 @@ class Fits:
         try:
             await self._models.resolve(ref)
         except ServiceError as error:
-            await self._fail(fit_id, f"{error.detail} {error.hint}")
+            await self._change(fit_id, state="failed", error=f"{error.detail} {error.hint}")
             return
-        fit = self._records.fit(fit_id)
-        if not fit.ended:  # it may have been cancelled meanwhile
+        if not self._records.fit(fit_id).ended:  # it may have been cancelled meanwhile
             self._store.activate(ref)
-            await self._records.change(replace(fit, state="succeeded", model=ref))
+            await self._change(fit_id, state="succeeded", model=ref)
 
-    async def _fail(self, fit_id: str, reason: str) -> None:
-        await self._records.change(replace(self._records.fit(fit_id), state="failed", error=reason))
+    async def _give_up(self, fit_id: str, reason: str) -> None:
+        _log.exception("a fit failed", extra={"fit": fit_id})
+        await self._stop_child()
+        await self._change(fit_id, state="failed", error=reason)
+
+    async def _change(self, fit_id: str, **changes: Any) -> None:
+        """Records a change of a fit that has not ended, as soon as the disk takes it."""
+        while not self._records.fit(fit_id).ended:
+            try:
+                await self._records.change(replace(self._records.fit(fit_id), **changes))
+                return
+            except OSError:
+                _log.exception("a fit's change cannot be recorded yet", extra={"fit": fit_id})
+                await asyncio.sleep(_DISK_S)
 
     async def _stop_child(self) -> None:
         if self._child is None or self._child.returncode is not None:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from freerein.errors import FailedPrecondition
-from freerein.serving.models import DEFAULT_NAME, ModelStore
+from freerein.serving.models import DEFAULT_NAME, ModelStore, card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,
     ActivateModelResponse,
     ListModelsRequest,
     ListModelsResponse,
+    Model,
 )
 
 M = TypeVar("M")
@@ -85,8 +86,9 @@ class LoadedModels(Generic[M]):
         name = check_name(request.name or DEFAULT_NAME, field="name")
         ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)
+        folder = await asyncio.to_thread(self._store.folder, ref)  # it may have been loaded long ago
         self._store.activate(ref, expected_current=request.expected_current)
-        return ActivateModelResponse(next(model for model in self._store.models() if model.ref == ref))
+        return ActivateModelResponse(Model(ref, True, card(folder)))
 
     async def _get(self, ref: ModelRef) -> M:
         if ref not in self._loaded:

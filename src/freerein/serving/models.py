@@ -57,13 +57,13 @@ class ModelStore:
         return ModelRef(name, version)
 
     def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:
-        """Makes a version the active one.
+        """Makes a version the active one. Its files are not read, which takes a while: whoever loads them checks them.
 
         Raises:
             NotFound: There is no such model.
             FailedPrecondition: Another version is active than `expected_current`.
         """
-        self.folder(ref)
+        self._find(ref)
         current = self.active_version(ref.name)
         if expected_current and expected_current != current:
             raise FailedPrecondition(
@@ -103,12 +103,16 @@ class ModelStore:
             NotFound: There is no such model.
             FailedPrecondition: A file is missing or changed.
         """
+        path = self._find(ref)
+        _check(path, ref)
+        return path
+
+    def _find(self, ref: ModelRef) -> Path:
         check_name(ref.name, field="model.name")
         check_name(ref.version, field="model.version")
         for root in self._roots:
             path = root / ref.name / ref.version
             if (path / MANIFEST).is_file():
-                _check(path, ref)
                 return path
         raise NotFound(
             "The model must be one of those in the store; there is none of that name and version.",

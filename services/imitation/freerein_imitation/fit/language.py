@@ -1,14 +1,14 @@
 """A fit of a language policy: the distillation of section 4.3."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from freerein.data import Dataset
+from freerein.data import Dataset, teachers
 from freerein.errors import InvalidInput
 from freerein.learning.exports import choose_device
 from freerein.learning.fit import Fitted, fit, stop_on_sigterm
@@ -53,7 +53,7 @@ def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) 
         fitted = fit(problem, problem.config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    card = _card(source.dataset, problem, fitted)
+    card = {**_card(source.dataset, problem, fitted), **supervision_of(teachers.read(source.root))}
     language_policy.save(fitted.network, tower, folder / "model", name=minilm.NAME, card=card)
     return True
 
@@ -92,6 +92,13 @@ def _card(dataset: Dataset, problem: LanguageProblem, fitted: Fitted[LanguageNet
             "best_step": fitted.best_step,
             "action_loss": fitted.validation_loss,
         },
-        "supervision": "images and executed actions of policies that were trained on rewards learned from goal texts "
-        "and noun phrases",
     }
+
+
+def supervision_of(told: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns what a card tells of the supervision: a dataset's, and that of the policies that acted in it, if any."""
+    supervision = "images, executed actions and goal texts"
+    if told:
+        theirs = sorted({str(teacher.get("supervision") or "unknown") for teacher in told})
+        supervision += f" of policies with this supervision: {'; or: '.join(theirs)}"
+    return {"supervision": supervision, "privileged": any(teacher.get("privileged") is True for teacher in told)}

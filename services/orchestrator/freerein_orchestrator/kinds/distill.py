@@ -7,6 +7,7 @@ The teachers' rollouts become a dataset, each with its goal text; the imitation 
              parts/fit/               the fit, as kind `fit`
 """
 
+import errno
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -15,12 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from freerein.data import Dataset, dataset_path
+from freerein.data import Dataset, dataset_path, teachers
 from freerein.durable import sync_folder, write_durably
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
-from freerein_orchestrator import policy_artifact
+from freerein_orchestrator import policy_artifact, taught
 from freerein_orchestrator.bearings import Bearing, check_alike
 from freerein_orchestrator.kinds import fit, lessons
 from freerein_orchestrator.kinds.collect import CARD
@@ -28,11 +29,10 @@ from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.lessons import Keep, Schedule
 from freerein_orchestrator.patience import Patience, Stopped
 from freerein_orchestrator.policy_artifact import Policy
-from freerein_orchestrator.taught import policy_folder
 from freerein_orchestrator.work import Work
 
 _TORCH_THREADS = 1
-_TOLD = ("task", "goal_text", "reward", "supervision", "sha256")
+_TOLD = ("task", "goal_text", "reward", "supervision", "privileged", "sha256")
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class DistillConfig:
         config: Of the fit of a language policy; what is left out has its default in the imitation service.
 
     Raises:
-        InvalidInput: There is no teacher, or the fit is not to be of a language policy, or a name is none.
+        InvalidInput: There is no teacher, or the fit is not to be of a language policy, or its steps, or a name, are
+            none.
     """
 
     teachers: tuple[str, ...]
@@ -84,6 +85,7 @@ class DistillConfig:
                 field="config.config.policy",
                 hint="Leave it out.",
             )
+        fit.check_steps(self.config)
 
     @property
     def schedule(self) -> Schedule:
@@ -122,6 +124,7 @@ def run(work: Work) -> bool:
     if not (work.artifacts / CARD).is_file():
         if dataset_path(work.data_dir, name).exists():
             raise _taken()
+        taught.pin(work, config.teachers)
         policies = [_load(work, teacher) for teacher in config.teachers]
         _check_teachers(config, policies)
         patience = Patience(np.random.default_rng(), stop=work.stop, say=work.say)
@@ -138,7 +141,7 @@ KIND = Kind(resolve, steps, run, check)
 
 
 def _load(work: Work, name: str) -> Policy:
-    return policy_artifact.load(policy_folder(work, name, field="config.teachers"), device=work.device)
+    return policy_artifact.load(taught.policy_folder(work, name, field="config.teachers"), device=work.device)
 
 
 def _check_teachers(config: DistillConfig, policies: Sequence[Policy]) -> None:
@@ -156,12 +159,14 @@ def _check_teachers(config: DistillConfig, policies: Sequence[Policy]) -> None:
 def _note(work: Work, name: str, policies: Sequence[Policy]) -> None:
     """Notes, durably, that the dataset is whole; only then is it moved to its place."""
     dataset = Dataset(work.folder / lessons.ROLLOUTS)
+    told = [{name: policy.card.get(name) for name in _TOLD} for policy in policies]
+    teachers.save(work.folder / lessons.ROLLOUTS, told)
     card = {
         "dataset": name,
         "trajectories": len(dataset),
         "timesteps": int(dataset.lengths.sum()),
         "fingerprint": dataset.fingerprint,
-        "teachers": [{name: policy.card.get(name) for name in _TOLD} for policy in policies],
+        "teachers": told,
     }
     write_durably(work.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
 
@@ -173,8 +178,10 @@ def _publish(work: Work, name: str) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     try:
         rollouts.rename(place)
-    except OSError:
-        raise _taken() from None
+    except OSError as error:
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY):
+            raise _taken() from None
+        raise
     sync_folder(place.parent)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from freerein.clients import Synchronous
 from freerein.durable import write_durably
-from freerein.errors import DeadlineExceeded, FailedPrecondition, ServiceError, Unavailable
+from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
 from freerein.types.learning import CancelFitRequest, Fit, StartFitRequest, WatchFitRequest
@@ -23,11 +23,12 @@ from freerein_orchestrator.patience import Patience, Stopped
 from freerein_orchestrator.work import Work
 
 _LOOK_S = 0.5
-_CANCEL_S = 3.0
+_CANCEL_S = 1.0
+_MOST_STEPS = 2**31
 
 
 @dataclass(frozen=True)
-class FitConfig:
+class FitRunConfig:
     """What to fit.
 
     Attributes:
@@ -35,6 +36,9 @@ class FitConfig:
         dataset: A dataset's name.
         model_name: The model's name.
         config: The service's own configuration; what is left out has its default there.
+
+    Raises:
+        InvalidInput: A name is none, or `steps` of the configuration is no number of steps.
     """
 
     service: Literal["segmentation", "imitation", "reward"]
@@ -42,19 +46,36 @@ class FitConfig:
     model_name: str = "default"
     config: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        check_name(self.dataset, field="config.dataset")
+        check_name(self.model_name, field="config.model_name")
+        check_steps(self.config)
+
+
+def check_steps(config: Mapping[str, Any]) -> None:
+    """Checks what a service's configuration says of steps, which a run's own steps follow from.
+
+    Raises:
+        InvalidInput: It is no whole number, or negative, or too large to be meant.
+    """
+    asked = config.get("steps", 0)
+    is_number = isinstance(asked, int | float) and not isinstance(asked, bool)
+    if not (is_number and 0 <= asked < _MOST_STEPS and asked == int(asked)):
+        raise InvalidInput(
+            f"`steps` must be a whole number from 0 to {_MOST_STEPS - 1}; got another value.",
+            field="config.config.steps",
+            hint="Leave it out for the service's default.",
+        )
+
 
 def resolve(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the whole configuration; the service checks its own when the fit is started."""
-    config = parse(FitConfig, values)
-    check_name(config.dataset, field="config.dataset")
-    check_name(config.model_name, field="config.model_name")
-    return asdict(config)
+    """Returns the whole configuration; the service checks the rest of its own when the fit is started."""
+    return asdict(parse(FitRunConfig, values))
 
 
 def steps(config: Mapping[str, Any]) -> int:
     """Returns the updates that were asked for; 0 where the service's default decides."""
-    asked = config["config"].get("steps", 0)
-    return int(asked) if isinstance(asked, int | float) else 0
+    return int(config["config"].get("steps", 0))
 
 
 def run(work: Work) -> bool:
@@ -121,7 +142,7 @@ class _Following:
 
 def _start(fits: Synchronous, work: Work) -> Fit:
     """Returns the one fit of this work that was not given up."""
-    asked = FitConfig(**work.config)
+    asked = FitRunConfig(**work.config)
     while True:
         key = work.key if not _given_up(work) else f"{work.key}-{_given_up(work)}"
         request = StartFitRequest(asked.dataset, asked.model_name, asked.config, idempotency_key=key)

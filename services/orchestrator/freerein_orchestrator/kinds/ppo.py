@@ -6,7 +6,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -82,11 +82,13 @@ KIND = Kind(resolve=resolve, steps=lambda config: int(config["iterations"]), run
 
 
 def _card(config: PPORunConfig, training: PPOTraining) -> dict[str, JSON]:
+    start = cast(Mapping[str, JSON], training.terms.get("start"))
+    before = f"; it began as a policy with this supervision: {start['supervision']}" if start else ""
     return {
         "task": config.task,
         **training.terms,
         "reward": config.reward,
-        "supervision": _SUPERVISION[config.reward],
+        "supervision": _SUPERVISION[config.reward] + before,
         "config": asdict(config),
         "figures": {
             "iterations": training.iteration,
