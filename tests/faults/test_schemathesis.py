@@ -14,6 +14,8 @@ CHECKS = "not_a_server_error,status_code_conformance,content_type_conformance,re
 CASES, SECONDS = 20_000, 10  # in `make fuzz`, and in `make test`
 SERVICES = {
     "segmentation": (str(Path(__file__).with_name("faulty_service.py")), {}),
+    "imitation": (str(Path(__file__).with_name("faulty_policy.py")), {"FREEREIN_SHIPPED_DIR": "none"}),
+    "reward": (str(Path(__file__).with_name("faulty_reward.py")), {"FREEREIN_SHIPPED_DIR": "none"}),
     "sim": ("freerein_sim", {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "8"}),
     "orchestrator": ("freerein_orchestrator", {}),
 }

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import shutil
 import signal
 import sqlite3
@@ -16,6 +17,7 @@ from typing import Any
 import psutil
 import pytest
 
+from freerein.cli.services import free_ports
 from freerein_orchestrator.outcomes import CANCELLED
 
 pytestmark = pytest.mark.e2e
@@ -67,7 +69,7 @@ class Worker:
 
     def end(self, number: signal.Signals) -> int:
         self.process.send_signal(number)
-        return self.process.wait(10)
+        return self.process.wait(15)
 
     def _reply(self) -> Reply:
         assert self.process.stdout is not None
@@ -89,10 +91,11 @@ def begin(tmp_path: Path) -> Iterator[Callable[..., Worker]]:
 
 
 class Postgres:
-    """A Postgres of our own, on a socket in a folder of its own."""
+    """A Postgres of our own, with its data in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self.url = f"postgresql://test@/postgres?host={folder}"
+        self._port = free_ports(["postgres"])["postgres"].rest
+        self.url = f"postgresql://test@127.0.0.1:{self._port}/postgres"
         self._data, self._folder = str(folder / "data"), str(folder)
         self._user: dict[str, Any] = {"user": "postgres"} if os.getuid() == 0 else {}  # it refuses to run as root
         if self._user:
@@ -101,13 +104,23 @@ class Postgres:
         subprocess.run(make, check=True, stdout=subprocess.DEVNULL, **self._user)
 
     def start(self) -> None:
-        serve = ["postgres", "-D", self._data, "-k", self._folder, "-c", "listen_addresses=", "-c", "fsync=off"]
+        serve = ["postgres", "-D", self._data, "-k", self._folder, "-p", str(self._port), "-c", "fsync=off"]
         self._server = subprocess.Popen(serve, stderr=subprocess.PIPE, text=True, **self._user)
         next(line for line in self._server.stderr or () if "ready to accept connections" in line)
 
     def stop(self) -> None:
         self._server.send_signal(signal.SIGQUIT)
         self._server.communicate()
+
+    def freeze(self) -> None:
+        """Keeps every connection open and answers nothing any more."""
+        self._frozen = [psutil.Process(self._server.pid), *psutil.Process(self._server.pid).children()]
+        for process in self._frozen:
+            process.suspend()
+
+    def thaw(self) -> None:
+        for process in self._frozen:
+            process.resume()
 
 
 @pytest.fixture(scope="module")
@@ -187,10 +200,10 @@ def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_b
     end = worker.watch(run_id)[-1]
     assert end["state"] == "failed"
     assert end["error"].startswith("3 attempts in a row ended without progress. Its process was killed by SIGKILL")
-    assert len(worker.pids(run_id)) == 3
+    assert len(worker.pids(run_id)) == 1 + 3  # the first got further than none before it
     assert worker.ask("resume", id=run_id)["state"] in ("queued", "running")
     assert worker.watch(run_id, start=end["sequence"] + 1)[-1]["state"] == "failed"
-    assert len(worker.pids(run_id)) == 6
+    assert len(worker.pids(run_id)) == 1 + 3 + 3
 
 
 def test_what_cannot_succeed_is_tried_once_and_says_why(begin):
@@ -259,6 +272,21 @@ def test_a_run_whose_folder_was_deleted_is_gone_and_disturbs_nobody(begin):
     shutil.rmtree(worker.runs / gone)
     assert [run["id"] for run in worker.ask("list")] == [run_id]
     assert worker.ask("get", id=gone) == {"error": "NotFound"}
+
+
+@pytest.mark.fault("O5")
+def test_a_run_goes_on_when_there_is_room_again_for_what_its_attempt_came_to(begin, tmp_path):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    process, whole = psutil.Process(worker.process.pid), (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    process.rlimit(resource.RLIMIT_FSIZE, (32_768, resource.RLIM_INFINITY))  # enough for the log, not for the database
+    worker.child(run_id).kill()
+    while "cannot be recorded" not in (tmp_path / "worker.log").read_text():
+        assert worker.process.poll() is None
+    process.rlimit(resource.RLIMIT_FSIZE, whole)
+    assert worker.watch(run_id)[-1]["state"] == "succeeded"
+    assert worker.steps(run_id) == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.fault("O6")
@@ -340,3 +368,19 @@ def test_a_run_goes_on_while_its_database_is_away_and_a_worker_can_end_without_i
     assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
     postgres.start()
     assert begin("four", postgres.url).watch(run_id)[-1]["state"] == "succeeded"
+
+
+def test_a_database_that_has_frozen_is_unavailable_and_a_worker_can_end_without_it(begin, postgres):
+    worker = begin("five", postgres.url)
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    postgres.freeze()
+    try:
+        assert worker.ask("cancel", id=run_id) == {"error": "Unavailable"}
+        assert worker.child(run_id).is_running()
+        assert worker.end(signal.SIGTERM) == 0
+        assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
+    finally:
+        postgres.thaw()
+    after = begin("five", postgres.url)
+    assert after.watch(run_id)[-1]["state"] in ("cancelled", "succeeded")  # what was refused may still have arrived

@@ -12,8 +12,8 @@ from freerein.serving.child import end_with_parent
 
 def main(folder: Path) -> int:
     end_with_parent()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(save(folder)))
     config = json.loads((folder / "config.json").read_bytes())["config"]
+    signal.signal(signal.SIGTERM, signal.SIG_IGN if config.get("deaf") else lambda *_: sys.exit(save(folder)))
     with (folder / "pids.txt").open("a") as pids:
         pids.write(f"{os.getpid()}\n")
     checkpoint = folder / "checkpoint.txt"

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import sys
 from collections.abc import Mapping
@@ -101,5 +102,4 @@ def resolve(_kind: str, config: Mapping[str, Any]) -> Resolved:
 
 
 if __name__ == "__main__":
-    status = asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3]))
-    raise SystemExit(status)
+    os._exit(asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3])))  # as the orchestrator does

@@ -1,6 +1,7 @@
 """The orchestrator as a process: `python -m freerein_orchestrator`."""
 
 import os
+import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -62,4 +63,6 @@ def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolve
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, OrchestratorSettings, build))
+    code = run(NAME, OrchestratorSettings, build)
+    sys.stdout.flush()
+    os._exit(code)  # `sys.exit` would wait for threads of DBOS, which wait for as long as a database is away

@@ -1,13 +1,18 @@
-"""How attempts at runs end."""
+"""How attempts at runs end, and where runs stand."""
 
 from dataclasses import dataclass
 from typing import Literal
+
+from freerein.types.orchestrator import RunState
 
 Reason = Literal["", "leave", "cancel"]
 """Why an attempt is to stop: another one will go on with the run, or the run was cancelled; empty while it goes on."""
 
 CANCELLED = "cancelled"
 """A file in a run's folder, there when its child is told to stop because the run was cancelled."""
+
+A_BUG = "A bug of ours; the log says more."
+"""Why a run failed, where nothing better is known."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,19 @@ class Attempt:
 
     outcome: Literal["succeeded", "failed", "crashed"]
     progressed: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a run stands, as the database has it.
+
+    Attributes:
+        state: Where it stands.
+        reason: Why it failed, else empty.
+    """
+
+    state: RunState
     reason: str = ""
 
 

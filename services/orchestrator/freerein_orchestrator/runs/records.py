@@ -84,24 +84,42 @@ class RunRecords:
             AlreadyExists: The idempotency key belongs to another request.
         """
         key = request.idempotency_key
-        run_id = uuid.uuid5(_KEYS, key).hex if key else uuid.uuid4().hex
+        run_id = _id(key) if key else uuid.uuid4().hex
         folder = self.folder(run_id)
         folder.mkdir(parents=True, exist_ok=True)
         with _appending(folder / "events.jsonl") as file:
-            asked = folder / "request.json"
-            if asked.is_file() and StartRunRequest(**json.loads(asked.read_bytes())) != request:
-                raise AlreadyExists(
-                    "An idempotency key belongs to one request; this one was used for another.",
-                    field="idempotency_key",
-                    hint="Choose a new key for a new run.",
-                )
-            if not asked.is_file():
-                body = {"kind": request.kind, "config": dict(config), "steps": steps}
-                write_durably(folder / "config.json", json.dumps(body).encode())
-                write_durably(asked, json.dumps(asdict(request)).encode())
             if _last(file) is None:
                 _append(file, {"state": "queued"})
+            if self.started_by(request) is None:
+                body = {"kind": request.kind, "config": dict(config), "steps": steps}
+                write_durably(folder / "config.json", json.dumps(body).encode())
+                write_durably(folder / "request.json", json.dumps(asdict(request)).encode())
         return run_id
+
+    def started_by(self, request: StartRunRequest) -> str | None:
+        """Returns the id of the run that a request's idempotency key has started; None when there is none.
+
+        Raises:
+            AlreadyExists: The idempotency key belongs to another request.
+        """
+        run_id = _id(request.idempotency_key)
+        asked = self.folder(run_id) / "request.json"
+        if not request.idempotency_key or not asked.is_file():
+            return None
+        if StartRunRequest(**json.loads(asked.read_bytes())) != request:
+            raise AlreadyExists(
+                "An idempotency key belongs to one request; this one was used for another.",
+                field="idempotency_key",
+                hint="Choose a new key for a new run.",
+            )
+        return run_id
+
+    @contextmanager
+    def settling(self, run_id: str) -> Iterator[None]:
+        """Lets nobody else, in any process, settle meanwhile whether a run has ended or is queued again."""
+        with (self.folder(run_id) / "settling.lock").open("ab") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
 
     def has(self, run_id: str) -> bool:
         """Returns whether a run's folder is there."""
@@ -193,6 +211,10 @@ class EventTail:
         self._offset += len(whole[0]) + len(whole[1])
         self._count += len(events)
         return events
+
+
+def _id(idempotency_key: str) -> str:
+    return uuid.uuid5(_KEYS, idempotency_key).hex
 
 
 @contextmanager
