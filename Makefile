@@ -25,7 +25,7 @@ check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract
 	$(BIN)/buf lint proto
 
 test: dev ## Run the tests, a file at a time on each core
-	$(BIN)/pytest --numprocesses logical --dist loadfile
+	$(BIN)/pytest --numprocesses logical --dist loadfile --no-loadscope-reorder
 
 bench: dev ## Measure freerein beside its peers
 	$(BIN)/python -m benchmarks

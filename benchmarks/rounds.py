@@ -82,10 +82,12 @@ async def race(contestants: Sequence[Contestant], effort: Effort) -> Times:
 
 
 async def _repeats(contestant: Contestant, turn_s: float) -> int:
-    """Returns how many repetitions fill a turn, having run that many."""
+    """Returns how many repetitions fill a turn, having run that many; 1, having run nothing, where any turn will do."""
     count = 1
+    if not turn_s:
+        return count
     await contestant.run(count)
-    while turn_s and (taken_s := await _seconds(contestant, count)) < turn_s:
+    while (taken_s := await _seconds(contestant, count)) < turn_s:
         count = math.ceil(count * min(_LONGEST_LEAP, _MARGIN * turn_s / taken_s))
     return count
 

@@ -49,7 +49,7 @@ class FaultyModel:
 
 def publish_model(data_dir: Path) -> None:
     """Puts a model in the store, once, so that there is an active one to load."""
-    store, folder = ModelStore(data_dir / "models" / NAME), data_dir / "unpublished"
+    store, folder = ModelStore(data_dir / "models" / NAME), data_dir / f"unpublished-{NAME}"
     if not store.active_version("default"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "weights").write_bytes(bytes(range(256)))

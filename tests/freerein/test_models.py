@@ -24,7 +24,7 @@ def store(tmp_path: Path) -> ModelStore:
 def publish(tmp_path: Path, store: ModelStore) -> Publish:
     def publish(weights: str, name: str = "", where: ModelStore = store) -> ModelRef:
         folder = tmp_path / "unpublished"
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "weights").write_text(weights)
         (folder / "card.json").write_text(json.dumps({"weights": weights}))
         return where.publish(name, folder)
@@ -62,6 +62,14 @@ def test_the_same_files_have_the_same_version_and_others_another(store: ModelSto
     assert first.name == "default"
     assert len(first.version) == 12
     assert len(store.models()) == 2
+
+
+def test_a_publication_that_broke_off_is_made_again(store: ModelStore, publish: Publish, tmp_path: Path) -> None:
+    whole = publish("a")
+    (tmp_path / "unpublished").mkdir()
+    (tmp_path / "unpublished" / "manifest.json.tmp").write_text("{")
+    assert publish("a", "another").version == whole.version
+    assert store.folder(ModelRef("another", whole.version))
 
 
 def test_what_is_published_is_gone_from_where_it_was_and_not_active_yet(

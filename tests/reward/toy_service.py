@@ -20,7 +20,7 @@ def build_toy(settings: RewardSettings, limits: Limits, metrics: Metrics, health
     from reward_cases import load
 
     for name in ("default", "grounding"):
-        store, folder = ModelStore(settings.data_dir / "models" / NAME), settings.data_dir / "unpublished"
+        store, folder = ModelStore(settings.data_dir / "models" / NAME), settings.data_dir / f"unpublished-{NAME}"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "card.json").write_text(json.dumps({"dataset": "none"}))
         store.activate(store.publish(name, folder))

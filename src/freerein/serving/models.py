@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from freerein.durable import sync_folder, write_durably
+from freerein.durable import UNFINISHED, sync_folder, write_durably
 from freerein.errors import FailedPrecondition, NotFound
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import Model
@@ -43,7 +43,8 @@ class ModelStore:
             folder: Files, among them `card.json`; gone afterwards.
         """
         name = check_name(name or DEFAULT_NAME, field="model_name")
-        files = {path.name: _sha256(path) for path in sorted(folder.iterdir()) if path.name != MANIFEST}
+        theirs = (path for path in sorted(folder.iterdir()) if path.name.removesuffix(UNFINISHED) != MANIFEST)
+        files = {path.name: _sha256(path) for path in theirs}
         manifest = json.dumps({"files": files}, sort_keys=True).encode()
         version = hashlib.sha256(manifest).hexdigest()[:12]
         write_durably(folder / MANIFEST, manifest)
