@@ -19,7 +19,7 @@ from freerein.types.common import ModelRef
 from freerein.types.learning import ActivateModelRequest
 
 pytestmark = pytest.mark.e2e
-ROBOTS = 32
+ROBOTS = 40  # more than a batch holds, so that some have to wait
 
 
 @pytest.fixture

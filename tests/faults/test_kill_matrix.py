@@ -48,7 +48,7 @@ POLICY = "policy.safetensors"
 PPO = list(itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing")))
 DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "all"), ("collecting", "fitting")))
 if not FUZZ:
-    PPO, DISTILL = [("sim", "collecting"), ("child", "committing"), ("all", "collecting")], []
+    PPO, DISTILL = [("all", "collecting")], []
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class Figure:
         return "" if self.at_most is None else f"<= {self.at_most:.3f}"
 
 
-def document(figures: Sequence[Figure], *, seed: int, begun_with: Mapping[str, object]) -> dict[str, object]:
+def document(figures: Sequence[Figure], *, seed: int, begun_with: Mapping[str, Sequence[str]]) -> dict[str, object]:
     """Returns `summary.json`: each figure's value by name, and under `figures` its bar and whether it is met.
 
     Args:

@@ -84,9 +84,10 @@ async def run(out: Path, *, seed: int, screen: Screen, running: bool) -> None:
         for path, caption in _draw(results, out):
             screen.say(f"{path}: {caption}")
     measured = _figures(results, total_s=time.perf_counter() - begun)
-    summary = figures.document(measured, seed=seed, begun_with=_begun_with())
+    begun_with = _begun_with()
+    summary = figures.document(measured, seed=seed, begun_with=begun_with)
     figures.save(out / "summary.json", summary)
-    screen.summary(measured, summary)
+    screen.summary(measured, summary, begun_with=begun_with)
     screen.say(f"{out / 'summary.json'} holds these figures.")
     if not running:
         screen.say(
@@ -137,7 +138,7 @@ async def _learn_and_measure(context: Context) -> _Results:
         judgements, judged = await rewarding.judge_held_out(context)
         followed = await imitating.follow(context)
         executed = await skilling.execute(context)
-    with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
+    with screen.stage("Learn by PPO what a sentence asks for, from images and a learned reward"):
         before = await reinforcing.finish_baselines(context, baselines, distilling.TASKS)
         reinforced = await reinforcing.reinforce(context)
     with screen.stage("Distill that, and a policy that came with freerein, into one that is told in words what to do"):
@@ -232,9 +233,10 @@ def _mean(earned: Mapping[str, Earned]) -> float:
     return sum(each.mean for each in earned.values()) / len(earned)
 
 
-def _begun_with() -> dict[str, object]:
-    """Returns what came with freerein and was begun with, by stage."""
-    return {"ppo": reinforcing.STARTS_FROM, "distill": list(distilling.SHIPPED_TEACHERS.values())}
+def _begun_with() -> dict[str, list[str]]:
+    """Returns the models that were begun with and not learned here, as `models/` has them, by stage."""
+    teachers = [f"orchestrator/{name}" for name in distilling.SHIPPED_TEACHERS.values()]
+    return {"ppo": [f"reward/{reinforcing.REWARD_MODEL}"], "distill": teachers}
 
 
 def _ports() -> dict[str, Ports]:

@@ -1,7 +1,7 @@
 """What a person sees of the demo: stages, the calls that are made, progress bars, and a table at the end."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -80,8 +80,10 @@ class Screen:
         if not self._console.is_terminal:
             self._console.line()  # which a live display ends only terminals' lines with
 
-    def summary(self, figures: Sequence[Figure], document: dict[str, object]) -> None:
-        """Prints the figures, each met or missed."""
+    def summary(
+        self, figures: Sequence[Figure], document: dict[str, object], *, begun_with: Mapping[str, Sequence[str]]
+    ) -> None:
+        """Prints the figures, each met or missed, and by stage the models that were not learned here."""
         if self._as_json:
             print_json(document)
             return
@@ -92,3 +94,5 @@ class Screen:
             verdict = "" if figure.met is None else "[green]met[/]" if figure.met else "[red]missed[/]"
             table.add_row(figure.name, f"{figure.value:.3f}", figure.bar_text, verdict)
         self._console.print(table)
+        for stage, models in begun_with.items():
+            self.say(f"{stage} began with what came with freerein: {', '.join(models)}")
