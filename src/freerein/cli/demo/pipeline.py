@@ -138,7 +138,7 @@ async def _learn_and_measure(context: Context) -> _Results:
         judgements, judged = await rewarding.judge_held_out(context)
         followed = await imitating.follow(context)
         executed = await skilling.execute(context)
-    with screen.stage("Learn by PPO what a sentence asks for, from images and a learned reward"):
+    with screen.stage("Learn by PPO what a sentence asks for, from images and the reward that was learned"):
         before = await reinforcing.finish_baselines(context, baselines, distilling.TASKS)
         reinforced = await reinforcing.reinforce(context)
     with screen.stage("Distill that, and a policy that came with freerein, into one that is told in words what to do"):
@@ -218,6 +218,7 @@ def _figures_of_words(before: Baselines, reinforced: Reinforced, distilled: Dist
     return (
         Figure("ppo.return_first", first.mean),
         Figure("ppo.return_first_high", first.high),
+        Figure("ppo.return_begun", before.begun.mean),
         Figure("ppo.return_last", last.mean),
         Figure("ppo.return_last_low", last.low, above=first.high),
         Figure("ppo.random_return", before.random[reinforcing.TASK].mean),
@@ -234,9 +235,8 @@ def _mean(earned: Mapping[str, Earned]) -> float:
 
 
 def _begun_with() -> dict[str, list[str]]:
-    """Returns the models that were begun with and not learned here, as `models/` has them, by stage."""
-    teachers = [f"orchestrator/{name}" for name in distilling.SHIPPED_TEACHERS.values()]
-    return {"ppo": [f"reward/{reinforcing.REWARD_MODEL}"], "distill": teachers}
+    """Returns the policies that were begun with and not learned here, by stage."""
+    return {"ppo": [reinforcing.STARTS_FROM], "distill": list(distilling.SHIPPED_TEACHERS.values())}
 
 
 def _ports() -> dict[str, Ports]:
