@@ -12,8 +12,8 @@ import torch
 from freerein import images, wire
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.learning import weights
-from freerein.learning.exports import export
-from freerein.serving.models import ModelStore
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ControlRequest, Hello, Observed
 from freerein_imitation import model
@@ -113,7 +113,7 @@ def publish(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
     folder = data_dir / f"{side_px}px.new"
     folder.mkdir(parents=True)
     handshake = model.Handshake(_ACTION, _CONTROL_DT_S, reached_threshold=_CERTAIN, max_steps_per_goal=NEVER_STEPS)
-    export(network, folder, card={"kind": model.GoalConditionedPolicy.kind, **handshake.to_card()})
+    save_model(network, folder, card={"kind": model.GoalConditionedPolicy.kind, **handshake.to_card()})
     store = ModelStore(data_dir / "models" / "imitation")
     ref = store.publish(f"{side_px}px", folder)
     store.activate(ref)

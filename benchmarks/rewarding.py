@@ -24,8 +24,8 @@ from benchmarks.services import running
 from freerein import wire
 from freerein.clients import Channel, RewardClient
 from freerein.learning import weights
-from freerein.learning.exports import export
-from freerein.serving.models import ModelStore
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward import model
@@ -175,7 +175,7 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     weights.draw(network, generator=torch.Generator().manual_seed(0))
     folder = data_dir / "untrained"
     folder.mkdir()
-    export(network, folder, card={"kind": trained.REWARD})
+    save_model(network, folder, card={"kind": trained.REWARD})
     store = ModelStore(data_dir / "models" / "reward")
     ref = store.publish("", folder)
     store.activate(ref)

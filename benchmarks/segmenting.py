@@ -25,8 +25,8 @@ from benchmarks.services import running
 from freerein import images, tensors
 from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
-from freerein.learning.exports import export
-from freerein.serving.models import ModelStore
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import SegmentRequest
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
@@ -137,7 +137,7 @@ def _publish(case: _Case, data_dir: Path) -> SegmentationModel:
     network.image.calibrate(torch.from_numpy(case.frames))
     folder = data_dir / f"{case.task}.new"
     folder.mkdir()
-    export(network, folder, card={})
+    save_model(network, folder, card={})
     store = ModelStore(data_dir / "models" / "segmentation")
     ref = store.publish(case.task, folder)
     store.activate(ref)

@@ -22,7 +22,7 @@ from benchmarks.services import running
 from freerein.clients import Channel, RewardClient, SimClient, Synchronous
 from freerein.learning import weights
 from freerein.learning.checkpoints import Checkpoint
-from freerein.serving.models import IN_A_CLONE, ModelStore
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator import ppo_training
@@ -181,7 +181,7 @@ class _Judge:
     """The reward service's model and what runs it."""
 
     def __init__(self, goal_text: str) -> None:
-        store = ModelStore(IN_A_CLONE / "reward")
+        store = ModelStore(CLONE_MODELS / "reward")
         self._ref = ModelRef("default", store.active_version("default"))
         model, _ = trained.load(store.folder(self._ref), "cpu")
         if not isinstance(model, RewardModel):

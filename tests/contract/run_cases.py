@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
@@ -36,7 +36,7 @@ def build(data_dir: Path, health: Health) -> Service:
         run = (await runs.start_run(StartRunRequest("collect", CONFIG, "key"))).run
         assert run.id == RUN, run.id
         await runs.cancel_run(CancelRunRequest(run.id))
-        write_durably(records.folder(run.id) / "artifacts" / "policy.json", b"{}\n")
+        write_atomic(records.folder(run.id) / "artifacts" / "policy.json", b"{}\n")
 
     contract = orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"]
     return Service("orchestrator", methods_of(contract, runs), start, runs.close, runs.not_ready)

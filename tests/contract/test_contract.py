@@ -31,10 +31,10 @@ from freerein.serving.fits import Fits
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.methods import Method, methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
 from freerein.types.common import Image, ModelRef
 from freerein.types.learning import Fit, StartFitRequest
@@ -97,7 +97,7 @@ def build_learning(data_dir: Path, health: Health) -> Service:
             raise NotFound("The dataset must be there; there is none of that name.", field="dataset", hint="Make it.")
         return {"steps": 5, **config}
 
-    models = LoadedModels(store, lambda folder: folder.name, fit_command="freerein fit toy")
+    models = ModelCache(store, lambda folder: folder.name, fit_command="freerein fit toy")
     fits = Fits(records, module="none", store=store, models=models, resolve=resolve, health=health)
     services = learning_pb2.DESCRIPTOR.services_by_name
 

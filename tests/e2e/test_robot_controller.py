@@ -14,8 +14,8 @@ import torch
 
 from freerein.clients import Channel, ImitationClient, SimClient
 from freerein.errors import InvalidInput, Unauthenticated
-from freerein.learning.exports import export
-from freerein.serving.models import ModelStore
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image
 from freerein.types.imitation import ControlResponse
 from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedSpec, Handshake
@@ -43,7 +43,7 @@ def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
     handshake = Handshake(ACTION, 0.04, reached_threshold, 100_000)
     network = GoalConditionedNetwork(spec)
     network.calibrate(torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8))
-    export(network, data_dir / "new", card={"kind": "goal_conditioned", **handshake.to_card()})
+    save_model(network, data_dir / "new", card={"kind": "goal_conditioned", **handshake.to_card()})
     store = ModelStore(data_dir / "models" / "imitation")
     store.activate(store.publish("", data_dir / "new"))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
@@ -38,7 +38,7 @@ def next_lie(told: Path) -> str:
     kind, _, left = told.read_text().partition(" ") if told.exists() else ("", "", "0")
     if not int(left or 0):
         return ""
-    write_durably(told, f"{kind} {int(left) - 1}".encode())
+    write_atomic(told, f"{kind} {int(left) - 1}".encode())
     return kind
 
 

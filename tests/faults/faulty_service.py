@@ -18,7 +18,7 @@ from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_store import ModelStore
 from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.settings import SegmentationSettings
 

@@ -14,7 +14,7 @@ import pytest
 from freerein.clients import Channel, ImitationClient
 from freerein.clients.learning import ModelClient
 from freerein.errors import FailedPrecondition, Unavailable
-from freerein.serving.models import ModelStore
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import ActivateModelRequest
 

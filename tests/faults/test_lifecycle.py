@@ -19,7 +19,7 @@ import pytest
 
 from freerein import wire
 from freerein.data import DatasetSpec, create
-from freerein.serving.models import ModelStore
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Trajectory
 from freerein.types.learning import WatchFitRequest
 from freerein.types.segmentation import SegmentRequest, SegmentResponse

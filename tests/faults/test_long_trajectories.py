@@ -13,8 +13,8 @@ import torch
 
 from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
-from freerein.learning.exports import export
-from freerein.serving.models import ModelStore
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 
@@ -31,7 +31,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     network = SegmentationNetwork(SPEC)
     weights.draw(network, generator=torch.Generator().manual_seed(0))
     network.image.calibrate(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
-    export(network, data_dir / "unpublished", card={})
+    save_model(network, data_dir / "unpublished", card={})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish("", data_dir / "unpublished"))
     return start_module_service("freerein_segmentation", data_dir)

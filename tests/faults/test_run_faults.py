@@ -219,10 +219,10 @@ def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, 
 
 @pytest.mark.fault("O7")
 def test_a_run_is_not_gone_on_with_as_another_and_says_what_differs(begun: Run) -> None:
-    begun.configure(threads=2, learning_rate=0.5)
+    begun.configure(threads=2, lr=0.5)
     pretend_another_torch(begun.checkpoints)
     assert begun.finish() == HOPELESS
-    assert [name in begun.reason for name in ("threads", "learning_rate", "torch")] == [True, True, True]
+    assert [name in begun.reason for name in ("threads", "lr", "torch")] == [True, True, True]
 
 
 def pretend_another_torch(checkpoints: list[Path]) -> None:

@@ -20,8 +20,8 @@ from freerein.serving import fits as fits_module
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.fits import Fits
 from freerein.serving.health import Health
-from freerein.serving.loaded import LoadedModels
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import (
     CancelFitRequest,
@@ -84,7 +84,7 @@ class Bench:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.store = ModelStore(root / "models")
-        self.models = LoadedModels(self.store, load, fit_command="freerein fit toy")
+        self.models = ModelCache(self.store, load, fit_command="freerein fit toy")
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Fits]:

@@ -16,9 +16,9 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, weights
-from freerein.learning.descent import descend
-from freerein.learning.fit import FitEvent, Fitted, Plan, fit, stop_on_sigterm
-from freerein.learning.progress import TrainingState
+from freerein.learning.fit import FitEvent, FitResult, Plan, fit, stop_on_sigterm
+from freerein.learning.optimiser import optimiser_step
+from freerein.learning.train_state import TrainState
 
 PLAN = Plan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
 CUT = 7
@@ -32,14 +32,14 @@ class Line:
         self.identity = {"config": {"rate": 0.1}}
         self.before_update = before_update
 
-    def init(self, generator: torch.Generator) -> TrainingState[nn.Linear]:
+    def init(self, generator: torch.Generator) -> TrainState[nn.Linear]:
         network = nn.Linear(1, 1)
         weights.draw(network, generator=generator)
-        return TrainingState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
+        return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(
-        self, state: TrainingState[nn.Linear], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainingState[nn.Linear], Mapping[str, float]]:
+        self, state: TrainState[nn.Linear], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainState[nn.Linear], Mapping[str, float]]:
         self.before_update(state.step)
         x = torch.from_numpy(items).float()[:, None]
         noise = torch.randn(x.shape, generator=state.generator)
@@ -49,14 +49,14 @@ class Line:
         state.optimiser.step()
         return replace(state, step=state.step + 1), {"train_loss": loss.item()}
 
-    def evaluate(self, state: TrainingState[nn.Linear]) -> float:
+    def evaluate(self, state: TrainState[nn.Linear]) -> float:
         return (state.network.weight - 2).abs().item()
 
 
 class Diverging(Line):
     def update(
-        self, state: TrainingState[nn.Linear], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainingState[nn.Linear], Mapping[str, float]]:
+        self, state: TrainState[nn.Linear], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainState[nn.Linear], Mapping[str, float]]:
         return replace(state, step=state.step + 1), {"train_loss": float("nan")}
 
 
@@ -79,20 +79,20 @@ class NormalisedLine:
     size = 10
     identity: Mapping[str, str] = {}
 
-    def init(self, generator: torch.Generator) -> TrainingState[Normalised]:
+    def init(self, generator: torch.Generator) -> TrainState[Normalised]:
         network = Normalised()
         weights.draw(network, generator=generator)
-        return TrainingState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
+        return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(
-        self, state: TrainingState[Normalised], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainingState[Normalised], Mapping[str, float]]:
+        self, state: TrainState[Normalised], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainState[Normalised], Mapping[str, float]]:
         x = torch.from_numpy(items).float()[:, None]
         loss = (state.network.train()(x) - x).square().mean()
-        return descend(state, loss, rate=0.1), {"train_loss": loss.item()}
+        return optimiser_step(state, loss, lr=0.1), {"train_loss": loss.item()}
 
     @torch.no_grad()
-    def evaluate(self, state: TrainingState[Normalised]) -> float:
+    def evaluate(self, state: TrainState[Normalised]) -> float:
         x = torch.arange(10.0)[:, None]
         loss: float = (state.network.eval()(x) - x).square().mean().item()
         return loss
@@ -106,7 +106,7 @@ def run(folder: Path, plan: Plan = PLAN, problem: Line | None = None) -> tuple[s
     return sha256(fitted), events
 
 
-def sha256(fitted: Fitted[nn.Linear]) -> str:
+def sha256(fitted: FitResult[nn.Linear]) -> str:
     return f"{weights.sha256(fitted.network)} {fitted.best_step} {fitted.validation_loss}"
 
 

@@ -33,7 +33,7 @@ FIT = learning.Fit(
     state="running",
     dataset="demos",
     model_name="default",
-    config={"steps": 5, "learning_rate": 0.5, "objective": "lse"},
+    config={"steps": 5, "lr": 0.5, "objective": "lse"},
     metrics={"train_loss": 0.25},
     model=common.ModelRef("default", "abc"),
 )

@@ -12,9 +12,9 @@ import torch
 
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_imitation.acting import BatchActor
 from freerein_imitation.control import ControlStreams
@@ -62,7 +62,7 @@ class Core:
 async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
     versions = policies.publish_policies(tmp_path)
     store = ModelStore(tmp_path / "models" / policies.NAME)
-    models: Any = LoadedModels(store, lambda folder: policies.load(folder, "cpu"), fit_command="none")
+    models: Any = ModelCache(store, lambda folder: policies.load(folder, "cpu"), fit_command="none")
     batcher = Batcher(BatchActor().act_batch, queue=64, batch=32, metrics=Metrics())
     health = Health()
     streams = ControlStreams(models, batcher, health=health, drain_s=5.0)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports, weights
+from freerein.learning import model_files, weights
 from freerein.types.common import ActionSpec
 from freerein_imitation import model
 from freerein_imitation.model import (
@@ -105,7 +105,7 @@ def test_without_the_previous_action_it_does_not_count() -> None:
 @SPECS
 def test_a_model_on_disk_acts_as_it_did(spec: GoalConditionedSpec, tmp_path: Path) -> None:
     trained = network(spec)
-    exports.export(trained, tmp_path, card={"kind": "goal_conditioned", **handshake(spec).to_card()})
+    model_files.save_model(trained, tmp_path, card={"kind": "goal_conditioned", **handshake(spec).to_card()})
     before, after = GoalConditionedPolicy(trained, handshake(spec)), model.load(tmp_path, "cpu")
     assert isinstance(after, GoalConditionedPolicy)
     assert (after.action, after.control_dt_s) == (before.action, 0.04)
@@ -124,8 +124,10 @@ def test_a_model_on_disk_acts_as_it_did(spec: GoalConditionedSpec, tmp_path: Pat
     [{"kind": "pilot"}, {"kind": None}, {"handshake": {}}, {"spec": {}}, {"spec": {"camera": "front", "channels": 2}}],
 )
 def test_a_card_that_says_something_else_is_refused(change: dict[str, object], tmp_path: Path) -> None:
-    exports.export(network(CONTINUOUS), tmp_path, card={"kind": "goal_conditioned", **handshake(CONTINUOUS).to_card()})
-    card = tmp_path / exports.CARD
+    model_files.save_model(
+        network(CONTINUOUS), tmp_path, card={"kind": "goal_conditioned", **handshake(CONTINUOUS).to_card()}
+    )
+    card = tmp_path / model_files.CARD
     card.write_text(json.dumps({**json.loads(card.read_text()), **change}))
     with pytest.raises(InvalidInput):
         model.load(tmp_path, "cpu")

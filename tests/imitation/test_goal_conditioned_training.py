@@ -14,7 +14,7 @@ from freerein.types.common import ActionSpec
 from freerein_imitation.model import GoalConditionedPolicy, Handshake
 from freerein_imitation.training import goal_conditioned
 from freerein_imitation.training.exploration import Exploration, hold_out
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedProblem, draw_slices
+from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner, draw_slices
 
 SIDE = 16
 STEP = 1.0
@@ -23,7 +23,7 @@ FAST = GoalConditionedConfig(
     camera="front",
     steps=200,
     batch_size=4,
-    learning_rate=1e-2,
+    lr=1e-2,
     longest_slice=10,
     far_steps=10,
     features=32,
@@ -56,16 +56,16 @@ def explore(count: int, *, seed: int, length: int = 40) -> Exploration:
     return Exploration(frames, actions)
 
 
-def problem(config: GoalConditionedConfig = FAST) -> GoalConditionedProblem:
+def learner(config: GoalConditionedConfig = FAST) -> GoalConditionedLearner:
     learnt, held_out = explore(40, seed=0), explore(6, seed=1)
     spec = goal_conditioned.design(config, learnt, action_choices=0)
-    return GoalConditionedProblem(config, spec, learnt, held_out, "fingerprint", CPU)
+    return GoalConditionedLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
 def test_goals_never_seen_are_reached_and_recognised(tmp_path: Path) -> None:
-    fitted = fit(problem(), FAST.plan, tmp_path)
+    fitted = fit(learner(), FAST.plan, tmp_path)
     assert fitted is not None
-    threshold = goal_conditioned.reached_threshold(fitted.network, problem().validation)
+    threshold = goal_conditioned.reached_threshold(fitted.network, learner().validation)
     policy = GoalConditionedPolicy(fitted.network, Handshake(ActionSpec(2, 0, ("down", "right")), 0.1, threshold, 30))
     rng = np.random.default_rng(2)
     here, there = rng.uniform(4, 11, (2, 32, 2))
@@ -93,7 +93,7 @@ def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_are_
         for weight in (0.0, 1.0, 10.0):
             config = replace(FAST, forward_consistency=weight)
             spec = goal_conditioned.design(config, data, action_choices=choices)
-            whole = GoalConditionedProblem(config, spec, data, data, "fingerprint", CPU)
+            whole = GoalConditionedLearner(config, spec, data, data, "fingerprint", CPU)
             state = whole.init(torch.Generator().manual_seed(0))
             for _ in range(2):
                 state, figures = whole.update(state, np.arange(8))
@@ -106,7 +106,7 @@ def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_are_
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=3, seed=seed)
-        fitted = fit(problem(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), config.plan, tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 

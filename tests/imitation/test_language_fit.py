@@ -13,9 +13,9 @@ import pytest
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.serving.batcher import Batcher
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation import fit, model
@@ -26,7 +26,7 @@ from freerein_imitation.training.language import minilm
 
 TEXTS = ("open the gripper", "close the gripper")
 ACTION = ActionSpec(1, 0, ("gripper",), "m", (0.02,))
-FAST = {"policy": "language", "steps": 40, "batch_size": 16, "learning_rate": 1e-2, "warmup_steps": 3, "hidden": 16}
+FAST = {"policy": "language", "steps": 40, "batch_size": 16, "lr": 1e-2, "warmup_steps": 3, "hidden": 16}
 
 
 def record(data_dir: Path, name: str, *, texts: tuple[str, ...] = TEXTS) -> None:
@@ -64,7 +64,7 @@ async def actor(folder: Path, tmp_path: Path) -> AsyncIterator[Actor]:
     for path in (folder / "model").iterdir():
         (copied / path.name).write_bytes(path.read_bytes())
     store.activate(store.publish("", copied))
-    models: Any = LoadedModels(store, lambda path: model.load(path, "cpu"), fit_command="none")
+    models: Any = ModelCache(store, lambda path: model.load(path, "cpu"), fit_command="none")
     batcher = Batcher(BatchActor().act_batch, queue=4, batch=4, metrics=Metrics())
     yield Actor(models, batcher, timeout_s=10.0)
     batcher.close()

@@ -13,11 +13,11 @@ from freerein.learning.fit import fit
 from freerein_imitation.model.text_tower import TextTower
 from freerein_imitation.training import language
 from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.language import LanguageConfig, LanguageProblem, Rollouts, hold_out, random_crop
+from freerein_imitation.training.language import LanguageConfig, LanguageLearner, Rollouts, hold_out, random_crop
 
 CPU = torch.device("cpu")
 FAST = LanguageConfig(
-    camera="front", steps=60, batch_size=32, learning_rate=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25
+    camera="front", steps=60, batch_size=32, lr=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25
 )
 TEXTS = ("red left", "left red")  # to the right, and to the left
 
@@ -35,7 +35,7 @@ def roll_out(count: int, *, seed: int = 0) -> Exploration:
     return Exploration(frames, actions)
 
 
-def prepare(tower: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> LanguageProblem:
+def prepare(tower: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> LanguageLearner:
     return language.prepare(
         FAST,
         roll_out(count),
@@ -48,24 +48,24 @@ def prepare(tower: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> L
 
 
 def test_the_sentence_decides_what_is_done(tower: bytes, tmp_path: Path) -> None:
-    problem, blind = prepare(tower), prepare(tower, texts=TEXTS[:1])
-    told, untold = (fit(each, each.config.plan, tmp_path / str(i)) for i, each in enumerate((problem, blind)))
+    learner, blind = prepare(tower), prepare(tower, texts=TEXTS[:1])
+    told, untold = (fit(each, each.config.plan, tmp_path / str(i)) for i, each in enumerate((learner, blind)))
     assert told is not None
     assert untold is not None
     assert told.validation_loss < 0.05 < 0.4 < untold.validation_loss  # the mean of opposites is no use
 
-    frames = torch.from_numpy(problem.validation.exploration.frames[0])
-    right, left = (torch.from_numpy(problem.training.codes[text]).expand(len(frames), -1) for text in TEXTS)
+    frames = torch.from_numpy(learner.validation.exploration.frames[0])
+    right, left = (torch.from_numpy(learner.training.codes[text]).expand(len(frames), -1) for text in TEXTS)
     with torch.no_grad():
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()
 
 
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tower: bytes, tmp_path: Path) -> None:
-    problem, asked = prepare(tower), iter(range(100))
-    whole = fit(problem, problem.config.plan, tmp_path / "whole")
-    assert fit(problem, problem.config.plan, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
-    parts = fit(prepare(tower), problem.config.plan, tmp_path / "parts")
+    learner, asked = prepare(tower), iter(range(100))
+    whole = fit(learner, learner.config.plan, tmp_path / "whole")
+    assert fit(learner, learner.config.plan, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
+    parts = fit(prepare(tower), learner.config.plan, tmp_path / "parts")
     assert whole is not None
     assert parts is not None
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
@@ -74,14 +74,14 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tower: bytes, tmp_path: 
 def test_discrete_actions_are_learned_too(tower: bytes) -> None:
     moves = roll_out(4)
     choices = Exploration(moves.frames, [(done[:, :1] > 0).astype(np.int64) for done in moves.actions])
-    problem = language.prepare(
+    learner = language.prepare(
         FAST, choices, TEXTS * 2, TextTower(tower), action_choices=2, fingerprint="fingerprint", device=CPU
     )
-    state = problem.init(torch.Generator().manual_seed(0))
-    before = problem.evaluate(state)
+    state = learner.init(torch.Generator().manual_seed(0))
+    before = learner.evaluate(state)
     for _ in range(20):
-        state, _ = problem.update(state, np.arange(problem.size))
-    assert problem.evaluate(state) < before
+        state, _ = learner.update(state, np.arange(learner.size))
+    assert learner.evaluate(state) < before
 
 
 def rollouts(lengths: Sequence[int], texts: Sequence[str]) -> Rollouts:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports, weights
+from freerein.learning import model_files, weights
 from freerein.types.common import ActionSpec
 from freerein_imitation import model
 from freerein_imitation.model import Handshake, SkillsNetwork, SkillsPolicy, SkillsSpec
@@ -130,7 +130,7 @@ def test_a_skill_that_was_not_learned_is_refused() -> None:
 @SPECS
 def test_a_model_on_disk_acts_as_it_did(spec: SkillsSpec, tmp_path: Path) -> None:
     trained = network(spec)
-    exports.export(trained, tmp_path, card={"kind": "skills", **handshake(spec).to_card()})
+    model_files.save_model(trained, tmp_path, card={"kind": "skills", **handshake(spec).to_card()})
     before, after = SkillsPolicy(trained, handshake(spec)), model.load(tmp_path, "cpu")
     assert isinstance(after, SkillsPolicy)
     assert (after.skills, after.reached_threshold, after.max_steps_per_goal) == (("pick", "push"), 0.5, 40)
@@ -144,8 +144,8 @@ def test_a_model_on_disk_acts_as_it_did(spec: SkillsSpec, tmp_path: Path) -> Non
     "spec", [{}, {"skills": [], "camera": "front"}, {"skills": ["a"], "camera": "", "channels": 2}]
 )
 def test_a_card_that_says_something_else_is_refused(spec: dict[str, object], tmp_path: Path) -> None:
-    exports.export(network(CONTINUOUS), tmp_path, card={"kind": "skills", **handshake(CONTINUOUS).to_card()})
-    card = tmp_path / exports.CARD
+    model_files.save_model(network(CONTINUOUS), tmp_path, card={"kind": "skills", **handshake(CONTINUOUS).to_card()})
+    card = tmp_path / model_files.CARD
     card.write_text(json.dumps({**json.loads(card.read_text()), "spec": spec}))
     with pytest.raises(InvalidInput):
         model.load(tmp_path, "cpu")

@@ -13,7 +13,7 @@ from freerein.types.common import ActionSpec
 from freerein_imitation.model import Handshake, SkillsPolicy
 from freerein_imitation.training import skills
 from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.skills import Segment, Segments, SkillsConfig, SkillsProblem
+from freerein_imitation.training.skills import Segment, Segments, SkillsConfig, SkillsLearner
 
 SKILLS = ("to-red", "to-blue")
 SIDE, STEP = 24, 2.0
@@ -23,7 +23,7 @@ FAST = SkillsConfig(
     camera="front",
     steps=250,
     batch_size=8,
-    learning_rate=5e-3,
+    lr=5e-3,
     shortest_segment=2,
     start_jitter=1,
     colours=3,
@@ -70,7 +70,7 @@ def demonstrate(count: int, *, seed: int) -> tuple[Exploration, list[npt.NDArray
     return Exploration(frames, actions), labels
 
 
-def problem(config: SkillsConfig = FAST) -> SkillsProblem:
+def learner(config: SkillsConfig = FAST) -> SkillsLearner:
     demonstrations, labels = demonstrate(60, seed=0)
     return skills.prepare(
         config, demonstrations, labels, skills=SKILLS, action_choices=0, fingerprint="fingerprint", device=CPU
@@ -78,7 +78,7 @@ def problem(config: SkillsConfig = FAST) -> SkillsProblem:
 
 
 def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
-    cloned = problem()
+    cloned = learner()
     fitted = fit(cloned, FAST.plan, tmp_path)
     assert fitted is not None
     handshake = Handshake(ActionSpec(1, 0, ("right",)), 0.1, skills.END_THRESHOLD, cloned.max_steps_per_skill)
@@ -98,7 +98,7 @@ def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=3, seed=seed)
-        fitted = fit(problem(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), config.plan, tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 
@@ -164,7 +164,7 @@ def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by
         prepare(demonstrations, told, seed=0)
 
 
-def prepare(demonstrations: Exploration, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsProblem:
+def prepare(demonstrations: Exploration, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsLearner:
     return skills.prepare(
         replace(FAST, seed=seed),
         demonstrations,

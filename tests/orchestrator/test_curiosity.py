@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, tensor_files
-from freerein.learning.progress import Progress
+from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator import curiosity, exploration, ppo_training
 from freerein_orchestrator.curiosity import Curiosity, CuriosityConfig, Transitions
 from freerein_orchestrator.exploration import Exploration
@@ -28,7 +28,7 @@ PPO = PPOConfig(
     num_envs=4,
     steps=CELLS,
     batch_size=CELLS,
-    learning_rate=1e-3,
+    lr=1e-3,
     discount=0.99,
     entropy_weight=0.01,
     overlap=False,
@@ -96,7 +96,7 @@ def moves(rng: np.random.Generator, *, first: int, end: int, is_discrete: bool) 
     return Transitions(*(torch.from_numpy(each) for each in (lamps(at), actions, lamps(after))))
 
 
-def curious(seen: Transitions, *, is_discrete: bool, updates: int) -> Progress[Curiosity]:
+def curious(seen: Transitions, *, is_discrete: bool, updates: int) -> FitLoopState[Curiosity]:
     """Returns curiosity that has learnt some transitions."""
     height, width, channels = seen.before.shape[1:]
     choices = 2 if is_discrete else 0

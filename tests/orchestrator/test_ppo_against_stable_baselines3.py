@@ -31,7 +31,7 @@ CARTPOLE = PPOConfig(
     steps=128,
     epochs=10,
     batch_size=128,
-    learning_rate=1e-3,
+    lr=1e-3,
     discount=0.98,
     trace_decay=0.8,
     entropy_weight=0.0,
@@ -205,7 +205,7 @@ def _their_curve(config: PPOConfig) -> list[float]:
         gae_lambda=config.trace_decay,
         ent_coef=config.entropy_weight,
         max_grad_norm=1.0,
-        learning_rate=lambda left: config.learning_rate * 0.5 * (1 + math.cos(math.pi * (1 - left))),
+        lr=lambda left: config.lr * 0.5 * (1 + math.cos(math.pi * (1 - left))),
         seed=config.seed,
         device="cpu",
     )

@@ -7,7 +7,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.serving.models import ModelStore
+from freerein.serving.model_store import ModelStore
 from freerein_orchestrator import policy_artifact, taught
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.work import Work

@@ -6,7 +6,7 @@ import signal
 import sys
 from pathlib import Path
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.serving.child import end_with_parent
 
 
@@ -23,7 +23,7 @@ def main(folder: Path) -> int:
         return 2
     while step < config["steps"]:
         step += 1
-        write_durably(checkpoint, b"%d" % step)
+        write_atomic(checkpoint, b"%d" % step)
         with (folder / "steps.txt").open("a") as steps:
             steps.write(f"{step}\n")
         with (folder / "metrics.jsonl").open("a") as metrics:
@@ -32,12 +32,12 @@ def main(folder: Path) -> int:
             signal.pause()
     if config.get("crash"):
         os.kill(os.getpid(), signal.SIGKILL)
-    write_durably(folder / "artifacts" / "count.txt", b"%d" % step)
+    write_atomic(folder / "artifacts" / "count.txt", b"%d" % step)
     return 0
 
 
 def save(folder: Path) -> int:
-    write_durably(folder / "saved.txt", b"yes")
+    write_atomic(folder / "saved.txt", b"yes")
     return 1
 
 

@@ -13,9 +13,9 @@ import pytest
 from freerein import images
 from freerein.errors import InvalidInput, ModelFault, OutputNotFinite, ServiceError, TooLarge
 from freerein.serving.batcher import Batcher
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, Loaded, Rewarder
@@ -65,7 +65,7 @@ async def start(tmp_path: Path) -> AsyncIterator[Start]:
         folder.mkdir()
         (folder / "card.json").write_text(json.dumps({}))
         store.activate(store.publish("", folder))
-        models = LoadedModels(store, lambda _folder: Loaded(model, preprocess), fit_command="freerein fit reward X")
+        models = ModelCache(store, lambda _folder: Loaded(model, preprocess), fit_command="freerein fit reward X")
         await models.start()
         goals = GoalCache(CACHE_BYTES)
         batchers.append(Batcher(Inference(goals).run, queue=64, batch=8, metrics=Metrics()))

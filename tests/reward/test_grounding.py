@@ -5,8 +5,8 @@ import numpy.typing as npt
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports
-from freerein.serving.models import ModelStore
+from freerein.learning import model_files
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel, load, load_grounding
 from freerein_reward.training import objects
@@ -79,7 +79,7 @@ def test_a_caption_is_true_of_what_it_was_made_from() -> None:
 
 
 def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
-    exports.export(DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a",))), tmp_path, card={})
+    model_files.save_model(DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a",))), tmp_path, card={})
     with pytest.raises(InvalidInput, match="kind"):
         load(tmp_path, "cpu")
 

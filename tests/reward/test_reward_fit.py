@@ -9,7 +9,7 @@ import pytest
 from freerein.data.spec import DatasetSpec
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
-from freerein.serving.models import ModelStore
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward import fit
 from freerein_reward.model import RewardModel, load

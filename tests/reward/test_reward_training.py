@@ -11,7 +11,7 @@ from freerein.learning.fit import fit
 from freerein_reward import objectives
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel
 from freerein_reward.relations import Relation
-from freerein_reward.training import Described, RewardConfig, RewardProblem, agreement, design, hold_out
+from freerein_reward.training import Described, RewardConfig, RewardLearner, agreement, design, hold_out
 from freerein_reward.training.described import UNSAID, relations_of, sentences, sides_of
 
 CPU = torch.device("cpu")
@@ -43,53 +43,53 @@ def blocks(count: int, *, seed: int) -> Described:
 
 
 @pytest.fixture(scope="module")
-def problem() -> RewardProblem:
+def learner() -> RewardLearner:
     grounding = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "blue", "block")))
     weights.draw(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
-    return RewardProblem(FAST, design(grounding.spec, FAST), training, validation, GroundingModel(grounding), "", CPU)
+    return RewardLearner(FAST, design(grounding.spec, FAST), training, validation, GroundingModel(grounding), "", CPU)
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(problem: RewardProblem, tmp_path: Path) -> None:
-    whole = fit(problem, FAST.plan, tmp_path / "whole")
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, tmp_path: Path) -> None:
+    whole = fit(learner, FAST.plan, tmp_path / "whole")
     asked = iter([False, False, False, True])
-    assert fit(problem, FAST.plan, tmp_path / "parts", stop=lambda: next(asked)) is None
-    parts = fit(problem, FAST.plan, tmp_path / "parts")
+    assert fit(learner, FAST.plan, tmp_path / "parts", stop=lambda: next(asked)) is None
+    parts = fit(learner, FAST.plan, tmp_path / "parts")
     assert whole is not None
     assert parts is not None
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_before_the_first_update_each_phrase_has_a_head_that_sees_its_heatmap(problem: RewardProblem) -> None:
-    begun = problem.init(torch.Generator().manual_seed(5)).network.image
-    frames = problem.training.views[0][:4]
+def test_before_the_first_update_each_phrase_has_a_head_that_sees_its_heatmap(learner: RewardLearner) -> None:
+    begun = learner.init(torch.Generator().manual_seed(5)).network.image
+    frames = learner.training.views[0][:4]
 
     with torch.no_grad():
         asked = begun.places.ask(begun.maps(torch.from_numpy(frames)).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
         heat = (asked - begun.places.ask.bias[:, None, None])[:, : len(PHRASES)].relu()  # (N, P, h, w)
         heat /= heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6)
 
-    heatmaps = problem.grounding.ground(frames, PHRASES).heatmaps
+    heatmaps = learner.grounding.ground(frames, PHRASES).heatmaps
     assert heatmaps.max() == 1.0
     np.testing.assert_allclose(heat, heatmaps, atol=1e-3)
 
 
-def test_what_the_grounding_model_saw_is_never_unlearned(problem: RewardProblem) -> None:
-    begun = problem.init(torch.Generator().manual_seed(5))
+def test_what_the_grounding_model_saw_is_never_unlearned(learner: RewardLearner) -> None:
+    begun = learner.init(torch.Generator().manual_seed(5))
     ask = begun.network.image.places.ask.weight.clone()
 
-    after, _ = problem.update(begun, np.arange(8))
-    problem.evaluate(after)
+    after, _ = learner.update(begun, np.arange(8))
+    learner.evaluate(after)
 
-    known = problem.grounding.network.image.state_dict()
+    known = learner.grounding.network.image.state_dict()
     kept = {name: tensor for name, tensor in after.network.image.state_dict().items() if not name.startswith("pool.")}
     assert kept
     assert all(torch.equal(tensor, known[name]) for name, tensor in kept.items())
     assert not torch.equal(after.network.image.places.ask.weight, ask)
 
 
-def test_agreement_counts_every_caption(problem: RewardProblem) -> None:
-    figures = agreement(problem.init(torch.Generator().manual_seed(0)).network, problem.validation)
+def test_agreement_counts_every_caption(learner: RewardLearner) -> None:
+    figures = agreement(learner.init(torch.Generator().manual_seed(0)).network, learner.validation)
     assert 0.0 <= figures["agreement"] <= 1.0
     assert {f"{relation.name.lower()}.{kind}" for relation in Relation for kind in ("precision", "recall")} < set(
         figures
@@ -162,5 +162,5 @@ def test_rivalry_counts_only_pairs_that_captions_tell_of() -> None:
     assert objectives.rivalry(scores, torch.full((2, 1), UNSAID)).item() == 0.0
 
 
-def test_a_problem_is_known_by_its_data_and_its_configuration(problem: RewardProblem) -> None:
-    assert replace(problem, fingerprint="other").identity != problem.identity
+def test_a_problem_is_known_by_its_data_and_its_configuration(learner: RewardLearner) -> None:
+    assert replace(learner, fingerprint="other").identity != learner.identity

@@ -10,7 +10,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files, weights
-from freerein.learning.exports import export
+from freerein.learning.model_files import save_model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
 from freerein_segmentation.model import network as network_module
 
@@ -111,7 +111,7 @@ def test_read_only_frames_are_labelled_as_they_come_from_the_wire() -> None:
 @SPECS
 def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_path: Path) -> None:
     network = make(spec)
-    export(network, tmp_path / "model", card={"seed": 3, "figures": {"validation_loss": 0.9}})
+    save_model(network, tmp_path / "model", card={"seed": 3, "figures": {"validation_loss": 0.9}})
     model = load(tmp_path / "model", "cpu")
     seen = trajectory(spec, 7)
     np.testing.assert_array_equal(model.probabilities(*seen), SegmentationModel(network).probabilities(*seen))
@@ -139,7 +139,7 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
     ],
 )
 def test_a_card_that_does_not_fit_the_weights_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    export(make(CONTINUOUS), tmp_path, card={})
+    save_model(make(CONTINUOUS), tmp_path, card={})
     card = json.loads((tmp_path / "card.json").read_text())
     card["spec"].update(change)
     (tmp_path / "card.json").write_text(json.dumps(card))
@@ -151,7 +151,7 @@ def test_a_card_that_does_not_fit_the_weights_is_refused(tmp_path: Path, change:
 @pytest.mark.parametrize("name", ["model.safetensors", "card.json"])
 @pytest.mark.parametrize("data", [None, b"", b"{}", b"[" * 100_000, b"\x80\x04\x95."])
 def test_a_file_that_is_missing_or_something_else_is_refused(tmp_path: Path, name: str, data: bytes | None) -> None:
-    export(make(CONTINUOUS), tmp_path, card={})
+    save_model(make(CONTINUOUS), tmp_path, card={})
     (tmp_path / name).unlink() if data is None else (tmp_path / name).write_bytes(data)
     with pytest.raises(InvalidInput) as error:
         load(tmp_path, "cpu")
@@ -160,7 +160,7 @@ def test_a_file_that_is_missing_or_something_else_is_refused(tmp_path: Path, nam
 
 def test_weights_of_another_dtype_are_refused(tmp_path: Path) -> None:
     network = make(CONTINUOUS)
-    export(network, tmp_path, card={})
+    save_model(network, tmp_path, card={})
     halves = {name: tensor.half() for name, tensor in network.state_dict().items()}
     (tmp_path / "model.safetensors").write_bytes(tensor_files.dump(halves))
     with pytest.raises(InvalidInput, match="weights"):

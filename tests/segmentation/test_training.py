@@ -14,7 +14,7 @@ from freerein.types.common import ActionSpec
 from freerein_segmentation import training
 from freerein_segmentation.model import Context, SegmentationModel
 from freerein_segmentation.objectives import ObjectiveName
-from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationProblem
+from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner
 
 SKILLS = ("blue", "green", "red")
 COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
@@ -22,9 +22,7 @@ FRAME = (12, 12, 3)
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 STEPS = ActionSpec(1, 5, ("step",), "", (1.0,))
 CPU = torch.device("cpu")
-FAST = SegmentationConfig(
-    steps=100, batch_size=8, learning_rate=5e-3, warmup_steps=10, hidden=16, features=16, evaluate_every=20
-)
+FAST = SegmentationConfig(steps=100, batch_size=8, lr=5e-3, warmup_steps=10, hidden=16, features=16, evaluate_every=20)
 
 
 def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, list[npt.NDArray[np.int64]]]:
@@ -42,11 +40,11 @@ def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, lis
     return Demonstrations(frames, actions, tags), labels
 
 
-def problem(config: SegmentationConfig = FAST) -> SegmentationProblem:
+def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
     learnt, _ = make(48, seed=0)
     held_out, _ = make(8, seed=1)
     spec = training.design(config, frame=FRAME, action=ACTION, skills=SKILLS)
-    return SegmentationProblem(config, spec, learnt, held_out, "fingerprint", CPU)
+    return SegmentationLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +55,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     tmp_path: Path, objective: ObjectiveName, context: Context
 ) -> None:
     config = replace(FAST, objective=objective, context=context)
-    fitted = fit(problem(config), config.plan, tmp_path)
+    fitted = fit(learner(config), config.plan, tmp_path)
     assert fitted is not None
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
     predicted = [
@@ -71,7 +69,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=5, seed=seed)
-        fitted = fit(problem(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), config.plan, tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 
@@ -79,7 +77,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 
 
 def test_the_loss_on_held_out_trajectories_is_their_mean_however_they_are_batched() -> None:
-    whole = problem()
+    whole = learner()
     state = whole.init(torch.Generator().manual_seed(0))
     one_by_one = replace(whole, config=replace(FAST, batch_size=1))
     assert one_by_one.evaluate(state) == pytest.approx(whole.evaluate(state), abs=1e-6)
@@ -100,7 +98,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
     for config in (FAST, replace(FAST, use_actions=False)):
         spec = training.design(config, frame=FRAME, action=STEPS, skills=SKILLS)
         assert (spec.action_size, spec.action_choices) == ((1, 5) if config.use_actions else (0, 0))
-        whole = SegmentationProblem(config, spec, discrete, discrete, "fingerprint", CPU)
+        whole = SegmentationLearner(config, spec, discrete, discrete, "fingerprint", CPU)
         state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
         assert state.step == 1
         assert np.isfinite(figures["train_loss"])

@@ -14,8 +14,8 @@ from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.metrics import Metrics
+from freerein.serving.model_cache import ModelCache
 from freerein_imitation import fit, model
 from freerein_imitation.acting import BatchActor, Policy
 from freerein_imitation.control import ControlStreams
@@ -44,7 +44,7 @@ def build(
     """
     torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
     store = open_store(NAME, settings)
-    models: LoadedModels[Policy] = LoadedModels(
+    models: ModelCache[Policy] = ModelCache(
         store,
         lambda folder: _warm(load(folder, settings.device)),
         fit_command="freerein fit imitation DATASET",

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.serving.batcher import Batcher, Done
-from freerein.serving.loaded import LoadedModels
+from freerein.serving.model_cache import ModelCache
 from freerein.types.common import Camera, Goal, ModelRef, Observation, Timing
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein_imitation import memory as memories
@@ -16,7 +16,7 @@ from freerein_imitation.acting import Answer, Item, Policy, Target
 from freerein_imitation.memory import Memory
 from freerein_imitation.observing import GOAL_FORMS, digest_of, elapsed_steps, read_frame, read_goal, read_previous
 
-Models = LoadedModels[Policy]
+Models = ModelCache[Policy]
 Acting = Batcher[Item, Answer]
 
 

@@ -21,10 +21,10 @@ from torch.nn import functional
 
 from freerein.learning import weights
 from freerein.learning.config import bounded
-from freerein.learning.descent import descend
 from freerein.learning.encoders import SpatialEncoder
-from freerein.learning.progress import Progress, TrainingState
+from freerein.learning.optimiser import optimiser_step
 from freerein.learning.shuffle import Shuffle
+from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCriticSpec
 from freerein_orchestrator.rejection import Rejected
 
@@ -40,7 +40,7 @@ class CuriosityConfig:
         scale: Of the reward (eta).
         epochs: Times that each transition is learnt from.
         batch_size: Transitions per update, at most.
-        learning_rate: Of Adam.
+        lr: Of Adam.
         hidden: Units of the hidden layer of each model.
         seed: Of every random draw.
     """
@@ -49,7 +49,7 @@ class CuriosityConfig:
     scale: float = bounded(0.01, least=1e-6, most=1e6)
     epochs: int = bounded(8, least=1, most=100)
     batch_size: int = bounded(64, least=2, most=65_536)
-    learning_rate: float = bounded(2e-3, least=1e-7, most=1.0)
+    lr: float = bounded(2e-3, least=1e-7, most=1.0)
     hidden: int = bounded(256, least=2, most=4096)
     seed: int = bounded(0, least=0, most=2**31 - 1)
 
@@ -129,7 +129,7 @@ class Curiosity(nn.Module):
 
 def begin(
     config: CuriosityConfig, spec: ActorCriticSpec, *, transitions: int, device: torch.device
-) -> Progress[Curiosity]:
+) -> FitLoopState[Curiosity]:
     """Returns curiosity that knows nothing yet; calibrate it before it is used.
 
     Args:
@@ -142,9 +142,9 @@ def begin(
     network = Curiosity(spec, hidden=config.hidden)
     weights.draw(network, generator=generator)
     network = network.to(device)
-    optimiser = torch.optim.Adam(network.parameters(), config.learning_rate, fused=True)
+    optimiser = torch.optim.Adam(network.parameters(), config.lr, fused=True)
     shuffle = Shuffle.begin(transitions, rng=np.random.default_rng(config.seed))
-    return Progress(TrainingState(network, optimiser, generator), shuffle)
+    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
 
 
 @torch.no_grad()
@@ -157,8 +157,8 @@ def surprise(network: Curiosity, transitions: Transitions, *, scale: float) -> T
 
 
 def learn(
-    progress: Progress[Curiosity], transitions: Transitions, config: CuriosityConfig
-) -> tuple[Progress[Curiosity], dict[str, float]]:
+    progress: FitLoopState[Curiosity], transitions: Transitions, config: CuriosityConfig
+) -> tuple[FitLoopState[Curiosity], dict[str, float]]:
     """Returns curiosity after some updates that lower (1 - beta) * inverse + beta * forward errors (eq. 7).
 
     Args:
@@ -178,7 +178,7 @@ def learn(
     for _ in range(config.epochs * (len(transitions) // size)):
         inverse, forward = state.network(transitions.pick(progress.shuffle.draw(size)).to(device))
         loss = (1 - config.forward_weight) * inverse.mean() + config.forward_weight * forward.mean()
-        state = descend(state, loss, rate=config.learning_rate)
+        state = optimiser_step(state, loss, lr=config.lr)
         metrics.append({"inverse_error": inverse.detach().mean(), "forward_error": forward.detach().mean()})
     if not all(parameter.isfinite().all() for parameter in state.network.parameters()):
         raise Rejected("Curiosity's weights must stay finite; some are not.", hint="Lower its learning rate.")

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning import progress as progresses
+from freerein.learning import train_state
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.progress import Progress
+from freerein.learning.train_state import FitLoopState
 from freerein.types.common import Trajectory
 from freerein_orchestrator import curiosity, ppo_training
 from freerein_orchestrator.curiosity import Curiosity, CuriosityConfig, Transitions
@@ -41,7 +41,7 @@ class Exploration:
 
     config: CuriosityConfig
     training: PPOTraining
-    curiosity: Progress[Curiosity]
+    curiosity: FitLoopState[Curiosity]
     scale: RewardScale
     recorded: int = 0
 
@@ -128,7 +128,7 @@ def stretches(rollout: Rollout) -> list[tuple[int, int, int]]:
 def snapshot(exploration: Exploration) -> Checkpoint:
     """Returns a copy of an exploration, which nothing that follows changes; to be saved."""
     made, identity = ppo_training.snapshot(exploration.training), cast(JSON, asdict(exploration.config))
-    known = progresses.to_checkpoint(exploration.curiosity, {"config": identity})
+    known = train_state.to_checkpoint(exploration.curiosity, {"config": identity})
     copies = {_CURIOSITY + name: tensor.detach().clone() for name, tensor in known.tensors.items()}
     document = {"step": known.step, "recorded": exploration.recorded, **known.document}
     scale = {_SCALE + each.name: getattr(exploration.scale, each.name).clone() for each in fields(RewardScale)}
@@ -149,7 +149,7 @@ def restore(training: PPOTraining, checkpoint: Checkpoint, config: CuriosityConf
     document = cast(Mapping[str, Any], checkpoint.document["curiosity"])
     fresh = _untaught(training, config)
     known = Checkpoint(document["step"], _under(_CURIOSITY, checkpoint.tensors), document)
-    learnt = progresses.from_checkpoint(known, fresh.curiosity, {"config": cast(JSON, asdict(config))})
+    learnt = train_state.from_checkpoint(known, fresh.curiosity, {"config": cast(JSON, asdict(config))})
     scale = RewardScale(**_under(_SCALE, checkpoint.tensors))
     return Exploration(config, training, learnt, scale, document["recorded"])
 

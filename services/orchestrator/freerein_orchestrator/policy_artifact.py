@@ -14,13 +14,13 @@ import numpy.typing as npt
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports, weights
+from freerein.learning import model_files, weights
 from freerein.learning.checkpoints import JSON
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rollout import Actions, Observations, checked_observations, executable
 
 KIND = "ppo"
-NAMES = exports.Names("policy.safetensors", "policy.json")
+NAMES = model_files.Names("policy.safetensors", "policy.json")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def save(network: ActorCritic, folder: Path, *, card: Mapping[str, JSON]) -> Non
         card: What to tell about the policy beside kind and spec.
     """
     told = {"kind": KIND, **card, "sha256": weights.sha256(network)}
-    exports.export(network, folder, card=told, names=NAMES)
+    model_files.save_model(network, folder, card=told, names=NAMES)
 
 
 def load(folder: Path, *, device: str) -> Policy:
@@ -70,8 +70,8 @@ def load(folder: Path, *, device: str) -> Policy:
     Raises:
         InvalidInput: A file is missing, or is not what `save` writes, or the card is of other weights.
     """
-    network = exports.load(folder, ActorCriticSpec, ActorCritic, device=device, names=NAMES)
-    card = exports.read_card(folder, names=NAMES)
+    network = model_files.load_model(folder, ActorCriticSpec, ActorCritic, device=device, names=NAMES)
+    card = model_files.read_card(folder, names=NAMES)
     if card.get("kind") != KIND or card.get("sha256") != weights.sha256(network):
         raise InvalidInput(
             "A policy's card must be of kind ppo and name the sha256 of its weights; it does not.",

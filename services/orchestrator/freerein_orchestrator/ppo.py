@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import Progress
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.hindsight import reconsider
 from freerein_orchestrator.networks import ActorCritic, Distribution
 from freerein_orchestrator.ppo_config import PPOConfig
@@ -31,12 +31,12 @@ _NOTHING = 1e-8
 
 
 def learn(
-    progress: Progress[ActorCritic],
+    progress: FitLoopState[ActorCritic],
     rollout: Rollout,
     config: PPOConfig,
     *,
     interrupt: Callable[[], None] = lambda: None,
-) -> tuple[Progress[ActorCritic], dict[str, float]]:
+) -> tuple[FitLoopState[ActorCritic], dict[str, float]]:
     """Returns the learner after one iteration's updates, and their metrics. The network is changed in place.
 
     Args:
@@ -55,8 +55,8 @@ def learn(
         interrupt()
         batch = samples.pick(shuffle.draw(config.batch_size // config.sequence))
         losses = evaluate(state.network, batch, clip=config.clip)
-        rate = learning_rate(config.learning_rate, state.step, warmup_steps=1, steps=config.iterations * config.updates)
-        state = descend(state, losses.total(config), rate=rate)
+        rate = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.updates)
+        state = optimiser_step(state, losses.total(config), lr=rate)
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}
     # the share of the targets' variance that the values explain, whose errors the advantages are

@@ -23,7 +23,7 @@ class PPOConfig:
         epochs: Times that each timestep is learnt from.
         batch_size: Timesteps per update. It divides `num_envs * steps`; with a memory, whole sequences are learnt from,
             and it is a multiple of `steps`.
-        learning_rate: Of Adam, before the first update; it falls to zero as half a cosine.
+        lr: Of Adam, before the first update; it falls to zero as half a cosine.
         discount: Of rewards, per timestep (gamma).
         trace_decay: Between one-step advantages, 0, and whole returns, 1 (lambda).
         clip: How far the probability of an action may move from 1, as a ratio, before its gradient is cut off.
@@ -48,7 +48,7 @@ class PPOConfig:
     steps: int = bounded(32, least=2, most=65_536)
     epochs: int = bounded(4, least=1, most=100)
     batch_size: int = bounded(256, least=2, most=1_048_576)
-    learning_rate: float = bounded(1e-3, least=1e-7, most=1.0)
+    lr: float = bounded(1e-3, least=1e-7, most=1.0)
     discount: float = bounded(0.98, least=0.0, most=1.0)
     trace_decay: float = bounded(0.95, least=0.0, most=1.0)
     clip: float = bounded(0.2, least=0.01, most=1.0)

@@ -14,12 +14,11 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning import progress as progresses
-from freerein.learning import weights
+from freerein.learning import train_state, weights
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.progress import Progress, TrainingState
 from freerein.learning.shuffle import Shuffle
+from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.ppo_config import PPOConfig
 from freerein_orchestrator.reward_scale import RewardScale
@@ -99,7 +98,7 @@ class PPOTraining:
     """
 
     config: PPOConfig
-    progress: Progress[ActorCritic]
+    progress: FitLoopState[ActorCritic]
     actor: ActorCritic
     outset: Outset
     terms: Mapping[str, JSON] = field(default_factory=dict)
@@ -185,7 +184,7 @@ def snapshot(training: PPOTraining) -> Checkpoint:
         training: Between two iterations.
     """
     identity = _identity(training.config, training.network, training.terms)
-    made = progresses.to_checkpoint(training.progress, identity)
+    made = train_state.to_checkpoint(training.progress, identity)
     tensors = {
         **made.tensors,
         **{f"actor/{name}": tensor for name, tensor in training.actor.state_dict().items()},
@@ -217,21 +216,21 @@ def restore(
     fresh = _untrained(config, parse(ActorCriticSpec, begun["network"]), device)
     network, terms = fresh.state.network, {**begun["terms"], **(terms or {})}
     actor = frozen(network)
-    progress = progresses.from_checkpoint(checkpoint, fresh, _identity(config, network, terms))
+    progress = train_state.from_checkpoint(checkpoint, fresh, _identity(config, network, terms))
     actor.load_state_dict(_under("actor/", checkpoint.tensors))
     outset = _from_tensors(_under("outset/", checkpoint.tensors))
     metrics = cast(Mapping[str, float], checkpoint.document["metrics"])
     return PPOTraining(config, progress, actor, outset, terms, metrics)
 
 
-def _untrained(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> Progress[ActorCritic]:
+def _untrained(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> FitLoopState[ActorCritic]:
     generator = torch.Generator().manual_seed(config.seed)
     network = ActorCritic(spec)
     weights.draw(network, generator=generator)
     network = network.to(device)
-    optimiser = torch.optim.Adam(network.parameters(), config.learning_rate, eps=_EPSILON, fused=True)
+    optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_EPSILON, fused=True)
     shuffle = Shuffle.begin(config.sequences, rng=np.random.default_rng(config.seed))
-    return Progress(TrainingState(network, optimiser, generator), shuffle)
+    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
 
 
 def _wander(environments: Environments, spec: ActorCriticSpec, generator: torch.Generator) -> Tensor:

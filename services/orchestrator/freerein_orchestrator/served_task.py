@@ -12,7 +12,7 @@ import numpy as np
 
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.exports import choose_device
+from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import Mode
 from freerein.types.sim import CreateSessionRequest, ListTasksRequest, ListTasksResponse, Task

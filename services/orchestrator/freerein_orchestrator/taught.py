@@ -5,9 +5,9 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound
-from freerein.serving.models import IN_A_CLONE, ModelStore
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator import policy_artifact
 from freerein_orchestrator.networks import ActorCriticSpec
@@ -63,7 +63,7 @@ def policy_folder(work: Work, name: str, *, field: str) -> Path:
 def pin(work: Work, names: Iterable[str]) -> None:
     """Notes, durably and once, which versions of models are active: later attempts at the work mean the same ones."""
     if not _pins(work).is_file():
-        write_durably(_pins(work), json.dumps({name: _active_version(work, name) for name in names}).encode())
+        write_atomic(_pins(work), json.dumps({name: _active_version(work, name) for name in names}).encode())
 
 
 def _active_version(work: Work, name: str) -> str:
@@ -82,5 +82,5 @@ def _pins(work: Work) -> Path:
 
 def _store(work: Work) -> ModelStore:
     told = work.environ.get("FREEREIN_SHIPPED_DIR", "")
-    shipped = Path(told) if told else IN_A_CLONE
+    shipped = Path(told) if told else CLONE_MODELS
     return ModelStore(work.data_dir / "models" / "orchestrator", shipped=shipped / "orchestrator")

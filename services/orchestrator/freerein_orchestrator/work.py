@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from freerein.atomic_files import write_atomic
 from freerein.clients import (
     Channel,
     FitClient,
@@ -19,7 +20,6 @@ from freerein.clients import (
     Synchronous,
 )
 from freerein.clients.client import Client
-from freerein.durable import write_durably
 from freerein.errors import InvalidInput
 from freerein.ports import address, addresses
 from freerein.types.common import ModelRef, check_name
@@ -102,7 +102,7 @@ class Work:
     def note_model(self, model: ModelRef) -> None:
         """Notes, durably, the model that this work, and so what it is a part of, has made for a service."""
         for folder in (self.folder, *self.around):
-            write_durably(folder / "model.json", json.dumps(asdict(model)).encode())
+            write_atomic(folder / "model.json", json.dumps(asdict(model)).encode())
 
     def say(self, text: str) -> None:
         """Writes a line to the run's log, where the disk is not full."""

@@ -16,9 +16,9 @@ from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.metrics import Metrics
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward import fit, model
 from freerein_reward.core import (
@@ -59,7 +59,7 @@ def build(
     """
     torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
     store = open_store(NAME, settings)
-    models = LoadedModels(
+    models = ModelCache(
         store,
         lambda folder: _warm(Loaded(*load(folder, settings.device))),
         fit_command=f"freerein fit reward DATASET; a grounding model: {_PRETRAIN}",

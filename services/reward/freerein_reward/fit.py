@@ -13,13 +13,13 @@ from typing import Any
 
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
-from freerein.learning.exports import choose_device, export
-from freerein.learning.fit import Fitted, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit, stop_on_sigterm
 from freerein.learning.metric_rows import MetricRows
+from freerein.learning.model_files import choose_device, save_model
 from freerein.serving import fit_child
 from freerein_reward.model import REWARD, DualEncoder, load_grounding
 from freerein_reward.relations import rivals
-from freerein_reward.training import RewardConfig, RewardProblem, agreement, describe, design, hold_out
+from freerein_reward.training import RewardConfig, RewardLearner, agreement, describe, design, hold_out
 
 _MAX_PHRASES = 32  # each is told from each
 
@@ -62,16 +62,16 @@ def main(folder: Path, data_dir: Path, device: str, grounding: Path) -> int:
 
 
 def _fit(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> bool:
-    problem = _problem(folder, dataset, config, device, grounding)
+    learner = _learner(folder, dataset, config, device, grounding)
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, config.plan, folder, stop=stop)
+        fitted = fit(learner, config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    export(fitted.network, folder / "model", card=_card(dataset, problem, fitted, grounding))
+    save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted, grounding))
     return True
 
 
-def _problem(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> RewardProblem:
+def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> RewardLearner:
     finder = load_grounding(grounding, device)
     captions = folder / f"captions-{grounding.name}.safetensors"
     spec = design(finder.network.spec, config)  # refuses before anything takes long
@@ -79,8 +79,8 @@ def _problem(folder: Path, dataset: Dataset, config: RewardConfig, device: str, 
     described = describe(
         dataset, finder, config, captions, on_share=lambda share: rows.append(0, {"captioned": share}) if rows else None
     )
-    training, validation = hold_out(described, dataset.lengths, share=config.validation_share, seed=config.seed)
-    return RewardProblem(
+    training, validation = hold_out(described, dataset.lengths, share=config.validation_fraction, seed=config.seed)
+    return RewardLearner(
         config=config,
         spec=spec,
         training=training,
@@ -91,18 +91,20 @@ def _problem(folder: Path, dataset: Dataset, config: RewardConfig, device: str, 
     )
 
 
-def _card(dataset: Dataset, problem: RewardProblem, fitted: Fitted[DualEncoder], grounding: Path) -> Mapping[str, Any]:
+def _card(
+    dataset: Dataset, learner: RewardLearner, fitted: FitResult[DualEncoder], grounding: Path
+) -> Mapping[str, Any]:
     return {
         "kind": REWARD,
         "command": "freerein fit reward DATASET",
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
         "grounding": grounding.name,
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {
             "validation_loss": fitted.validation_loss,
             "best_step": fitted.best_step,
-            **agreement(fitted.network, problem.validation),
+            **agreement(fitted.network, learner.validation),
         },
         "supervision": "noun phrases; captions are told from pixels by the grounding model",
     }

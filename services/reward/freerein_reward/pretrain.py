@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
-from freerein.learning.exports import choose_device, export
-from freerein.learning.fit import FitEvent, Fitted, fit, stop_on_sigterm
-from freerein.serving.models import ModelStore
+from freerein.learning.fit import FitEvent, FitResult, fit, stop_on_sigterm
+from freerein.learning.model_files import choose_device, save_model
+from freerein.serving.model_store import ModelStore
 from freerein_reward.model import GROUNDING, DualEncoder
-from freerein_reward.training import GroundingConfig, GroundingProblem, calibrate, measure
+from freerein_reward.training import GroundingConfig, GroundingLearner, calibrate, measure
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,18 +28,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     try:
         config = GroundingConfig.from_mapping(dict(_setting(each) for each in asked.settings))
-        return _pretrain(asked.folder, GroundingProblem(config, choose_device(asked.device)))
+        return _pretrain(asked.folder, GroundingLearner(config, choose_device(asked.device)))
     except ServiceError as error:
         parser.error(f"{error.detail} {error.hint}")
 
 
-def _pretrain(folder: Path, problem: GroundingProblem) -> int:
+def _pretrain(folder: Path, learner: GroundingLearner) -> int:
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, problem.config.plan, folder, stop=stop, on_event=_say)
+        fitted = fit(learner, learner.config.plan, folder, stop=stop, on_event=_say)
     if fitted is None:
         return 1
-    calibrate(fitted.network, problem)
-    export(fitted.network, folder / "model", card=_card(problem, fitted))
+    calibrate(fitted.network, learner)
+    save_model(fitted.network, folder / "model", card=_card(learner, fitted))
     store = ModelStore(folder / "models")
     ref = store.publish(GROUNDING, folder / "model")
     store.activate(ref)
@@ -57,16 +57,16 @@ def _setting(text: str) -> tuple[str, object]:
     return key, json.loads(value)
 
 
-def _card(problem: GroundingProblem, fitted: Fitted[DualEncoder]) -> Mapping[str, Any]:
+def _card(learner: GroundingLearner, fitted: FitResult[DualEncoder]) -> Mapping[str, Any]:
     return {
         "kind": GROUNDING,
         "data": "pictures of single objects, drawn by freerein_reward.training.objects",
         "command": "python -m freerein_reward.pretrain FOLDER",
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {
             "validation_loss": fitted.validation_loss,
             "best_step": fitted.best_step,
-            **measure(fitted.network, problem),
+            **measure(fitted.network, learner),
         },
         "supervision": "captions of single objects, which name no place and no relation",
     }

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.errors import InvalidInput, OutputNotFinite, ServiceError, TooLarge
 from freerein.serving.batcher import Batcher
-from freerein.serving.loaded import LoadedModels
+from freerein.serving.model_cache import ModelCache
 from freerein.types.common import Image, Timing
 from freerein.types.segmentation import (
     ListSkillsRequest,
@@ -76,7 +76,7 @@ class Segmenter:
     """
 
     def __init__(
-        self, models: LoadedModels[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
+        self, models: ModelCache[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
     ) -> None:
         self._models = models
         self._batcher = batcher

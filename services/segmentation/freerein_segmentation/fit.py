@@ -12,14 +12,14 @@ from typing import Any
 
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
-from freerein.learning.exports import choose_device, export
-from freerein.learning.fit import Fitted, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.model_files import choose_device, save_model
 from freerein.serving import fit_child
 from freerein_segmentation.model import ModelSpec
 from freerein_segmentation.training import (
     Demonstrations,
     SegmentationConfig,
-    SegmentationProblem,
+    SegmentationLearner,
     design,
     hold_out,
 )
@@ -70,19 +70,19 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
 
 
 def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> bool:
-    problem = _problem(dataset, config, device)
+    learner = _learner(dataset, config, device)
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, config.plan, folder, stop=stop)
+        fitted = fit(learner, config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    export(fitted.network, folder / "model", card=_card(dataset, problem, fitted))
+    save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted))
     return True
 
 
-def _problem(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationProblem:
+def _learner(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationLearner:
     demonstrations = Demonstrations(dataset.cached_frames(config.camera), dataset.cached_actions(), dataset.skills)
-    training, validation = hold_out(demonstrations, share=config.validation_share, seed=config.seed)
-    return SegmentationProblem(
+    training, validation = hold_out(demonstrations, share=config.validation_fraction, seed=config.seed)
+    return SegmentationLearner(
         config, _spec(dataset, config), training, validation, dataset.fingerprint, choose_device(device)
     )
 
@@ -92,12 +92,12 @@ def _spec(dataset: Dataset, config: SegmentationConfig) -> ModelSpec:
     return design(config, frame=spec.cameras[config.camera], action=spec.action, skills=spec.skills)
 
 
-def _card(dataset: Dataset, problem: SegmentationProblem, fitted: Fitted[Any]) -> dict[str, Any]:
+def _card(dataset: Dataset, learner: SegmentationLearner, fitted: FitResult[Any]) -> dict[str, Any]:
     return {
         "command": "freerein fit segmentation DATASET",
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {"validation_loss": fitted.validation_loss, "best_step": fitted.best_step},
         "supervision": "the set of skills of each trajectory",
     }

@@ -127,9 +127,9 @@ async def _artifacts(client: "OrchestratorClient", run_id: str) -> "tuple[Artifa
 
 async def _download(client: "OrchestratorClient", run_id: str, name: str, path: Path) -> int:
     """Writes an artifact to a file, whole or not at all; returns its size in bytes."""
-    from freerein.durable import UNFINISHED
+    from freerein.atomic_files import TEMP_SUFFIX
 
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}{UNFINISHED}")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}{TEMP_SUFFIX}")
     try:
         with unfinished.open("wb") as file:
             size = await _fetch(client, run_id, name, file)

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from freerein import wire
+from freerein.atomic_files import write_atomic
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
-from freerein.durable import write_durably
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
@@ -99,7 +99,7 @@ def open_recording(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> W
                 hint="Choose another name for the dataset, or ask for the same with a larger count.",
             )
         if begun != asked:
-            write_durably(root / _ASKED, json.dumps(asked).encode())
+            write_atomic(root / _ASKED, json.dumps(asked).encode())
     except BaseException:
         writer.close()
         raise

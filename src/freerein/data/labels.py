@@ -18,9 +18,9 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from freerein.atomic_files import write_atomic
 from freerein.data import layout
 from freerein.data.rows import refusing_corruption
-from freerein.durable import write_durably
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 
@@ -45,12 +45,12 @@ def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
     """Writes the labels of a trajectory, int64 (T,), durably; they count once `finish` was called."""
     sink = io.BytesIO()
     pq.write_table(pa.table({"label": pa.array(values, pa.int64())}), sink, write_page_checksum=True)
-    write_durably(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
+    write_atomic(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
 
 
 def finish(root: Path, info: LabelsInfo) -> None:
     """Says what the labels are, now that those of every trajectory are saved."""
-    write_durably(root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
+    write_atomic(root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
 
 
 def discard(root: Path) -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from freerein.atomic_files import write_atomic
 from freerein.data import episodes, layout
 from freerein.data.episodes import Row
 from freerein.data.lock import WriterLock
 from freerein.data.spec import DatasetSpec, dumps, loads
 from freerein.data.trajectory_file import read_footer
-from freerein.durable import write_durably
 from freerein.errors import FailedPrecondition, InvalidInput
 
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)
@@ -91,11 +91,11 @@ def save(root: Path, spec: DatasetSpec, table: pa.Table) -> None:
     stats = {feature: {name: each[name].tolist() for name in each} for feature, each in combined.items()}
     tasks = list(episodes.task_indices(table)) or [spec.task]
     counts = layout.info(spec, trajectories=table.num_rows, frames=episodes.frame_count(table), tasks=len(tasks))
-    write_durably(root / layout.SPEC_FILE, dumps(spec).encode())
-    write_durably(root / layout.TASKS_FILE, _parquet(_tasks(tasks)))
-    write_durably(root / layout.EPISODES_FILE, _parquet(table))
-    write_durably(root / layout.STATS_FILE, json.dumps(stats, indent=4).encode())
-    write_durably(root / layout.INFO_FILE, json.dumps(counts, indent=4).encode())
+    write_atomic(root / layout.SPEC_FILE, dumps(spec).encode())
+    write_atomic(root / layout.TASKS_FILE, _parquet(_tasks(tasks)))
+    write_atomic(root / layout.EPISODES_FILE, _parquet(table))
+    write_atomic(root / layout.STATS_FILE, json.dumps(stats, indent=4).encode())
+    write_atomic(root / layout.INFO_FILE, json.dumps(counts, indent=4).encode())
 
 
 def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:

@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 
 _FILE = "teachers.json"
 
 
 def save(root: Path, teachers: Sequence[Mapping[str, Any]]) -> None:
     """Writes, durably, what is told of the policies that acted."""
-    write_durably(root / _FILE, json.dumps(list(teachers), indent=2).encode() + b"\n")
+    write_atomic(root / _FILE, json.dumps(list(teachers), indent=2).encode() + b"\n")
 
 
 def read(root: Path) -> list[dict[str, Any]]:

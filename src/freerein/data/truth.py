@@ -13,9 +13,9 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from freerein.atomic_files import write_atomic
 from freerein.data import layout
 from freerein.data.rows import refusing_corruption
-from freerein.durable import write_durably
 from freerein.errors import NotFound
 
 _FOLDER = "truth"
@@ -52,7 +52,7 @@ def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
     """Writes the labels of a trajectory, int64 (T,), durably."""
     sink = io.BytesIO()
     pq.write_table(pa.table({"label": pa.array(values, pa.int64())}), sink, write_page_checksum=True)
-    write_durably(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
+    write_atomic(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
 
 
 def discard(root: Path, index: int) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
 from freerein.data import episodes, layout, meta, truth
 from freerein.data.episodes import Row
 from freerein.data.lock import WriterLock
 from freerein.data.rows import Actions
 from freerein.data.spec import DatasetSpec
 from freerein.data.trajectory_file import encode
-from freerein.durable import UNFINISHED, sync_folder, write_durably
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import MAX_TEXT, Trajectory
 
@@ -42,7 +42,7 @@ def create(root: Path, spec: DatasetSpec) -> "Writer":
                 "A new dataset needs a name that is not taken; this one is.",
                 hint="Append to it with open_writer, or choose another name.",
             ) from None
-    sync_folder(root.parent)
+    fsync_folder(root.parent)
     return open_writer(root)
 
 
@@ -116,7 +116,7 @@ class Writer:
         if labels is not None:
             _check_labels(labels, self.spec, length=len(trajectory.actions))
             truth.save(self._root, index, labels)  # before the data: what is on disk has all its labels
-        write_durably(layout.trajectory_path(self._root / "data", index), data)
+        write_atomic(layout.trajectory_path(self._root / "data", index), data)
         self._rows.append(episodes.describe(data, index=index, first_frame=self._frames))
         self._frames += len(trajectory.actions)
         self._tasks[task] = number
@@ -153,7 +153,7 @@ def _mended(root: Path, spec: DatasetSpec) -> pa.Table:
     That is unfinished files, labels whose trajectory was never finished, and a `meta/` behind `data/`.
     """
     for folder in ("data", "meta", "truth"):
-        for unfinished in (root / folder).rglob(f"*{UNFINISHED}"):
+        for unfinished in (root / folder).rglob(f"*{TEMP_SUFFIX}"):
             unfinished.unlink()
     table, is_fresh = meta.load(root, spec)
     for orphan in truth.labelled(root):

@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 from torch import Tensor
 
-from freerein.durable import UNFINISHED, sync_folder, write_durably
+from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files
 
@@ -54,16 +54,16 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
         OSError: The disk is full or broken; the checkpoints before are untouched.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    sync_folder(folder.parent)
+    fsync_folder(folder.parent)
     target = folder / f"step-{checkpoint.step:09d}"
-    unfinished = target.with_name(target.name + UNFINISHED)
+    unfinished = target.with_name(target.name + TEMP_SUFFIX)
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
         _write(unfinished, checkpoint)
         if target.exists():  # left there by a damaged save that was passed over
             shutil.rmtree(target)
         unfinished.rename(target)
-        sync_folder(folder)
+        fsync_folder(folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     for _, path in _newest_first(folder)[KEPT:]:
@@ -89,10 +89,10 @@ def _write(path: Path, checkpoint: Checkpoint) -> None:
     path.mkdir()
     document = json.dumps(dict(checkpoint.document), allow_nan=False).encode()
     tensors = tensor_files.dump(checkpoint.tensors)
-    write_durably(path / _DOCUMENT, document)
-    write_durably(path / _TENSORS, tensors)
+    write_atomic(path / _DOCUMENT, document)
+    write_atomic(path / _TENSORS, tensors)
     hashes = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
-    write_durably(path / _MANIFEST, json.dumps({"files": hashes}).encode())
+    write_atomic(path / _MANIFEST, json.dumps({"files": hashes}).encode())
 
 
 def _read(path: Path, step: int) -> Checkpoint:

@@ -3,8 +3,8 @@
     <folder>/checkpoints/step-...   the whole state, every `checkpoint_every` updates
              metrics.jsonl          a row per `log_every` updates and per evaluation
 
-What is to be learnt comes as a `Problem`. The loop keeps the weights that did best on held-out data, by the training's
-own signal, and returns them. Bits depend on the problem, the plan (threads among it), torch's version and the device,
+What is to be learnt comes as a `Learner`. The loop keeps the weights that did best on held-out data, by the training's
+own signal, and returns them. Bits depend on the learner, the plan (threads among it), torch's version and the device,
 which are written into each checkpoint and compared on resume; never on clocks, interruptions or logging. That much is
 tested on the CPU; on CUDA it holds as far as the kernels are deterministic, which cuDNN's LSTM does not promise.
 """
@@ -26,8 +26,8 @@ from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
 from freerein.learning.metric_rows import MetricRows
-from freerein.learning.progress import Best, N, Progress, TrainingState, from_checkpoint, to_checkpoint
 from freerein.learning.shuffle import Shuffle
+from freerein.learning.train_state import Best, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
 _SAVE_FAILURES = 3
 
@@ -55,7 +55,7 @@ class Plan:
     threads: int
 
 
-class Problem(Protocol[N]):
+class Learner(Protocol[N]):
     """Something to be learnt, as the loop knows it."""
 
     @property
@@ -66,15 +66,13 @@ class Problem(Protocol[N]):
     def identity(self) -> Mapping[str, JSON]:
         """What, besides the plan, the result depends on: the configuration, the fingerprint of the data."""
 
-    def init(self, generator: torch.Generator) -> TrainingState[N]:
+    def init(self, generator: torch.Generator) -> TrainState[N]:
         """Returns the state before the first update."""
 
-    def update(
-        self, state: TrainingState[N], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainingState[N], Mapping[str, float]]:
+    def update(self, state: TrainState[N], items: npt.NDArray[np.int64]) -> tuple[TrainState[N], Mapping[str, float]]:
         """Returns the state after one update on some items, and its metrics, by the same names each time."""
 
-    def evaluate(self, state: TrainingState[N]) -> float:
+    def evaluate(self, state: TrainState[N]) -> float:
         """Returns the loss on held-out data, by the training's own signal: never by labels of timesteps."""
 
 
@@ -94,7 +92,7 @@ class FitEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted(Generic[N]):
+class FitResult(Generic[N]):
     """What a training came to.
 
     Attributes:
@@ -120,19 +118,19 @@ def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
 
 
 def fit(
-    problem: Problem[N],
+    learner: Learner[N],
     plan: Plan,
     folder: Path,
     *,
     stop: Callable[[], bool] = lambda: False,
     on_event: Callable[[FitEvent], None] = lambda _: None,
-) -> Fitted[N] | None:
+) -> FitResult[N] | None:
     """Trains, or goes on training, and returns the best weights; None when it was stopped before the end.
 
     Sets torch's number of threads, and flushing of denormal numbers, for the whole process.
 
     Args:
-        problem: What to learn.
+        learner: What to learn.
         plan: How long.
         folder: Checkpoints and metrics; what is there already is gone on with.
         stop: Asked after each update; once it says True the state is saved and the loop ends.
@@ -143,13 +141,13 @@ def fit(
     """
     torch.set_num_threads(plan.threads)
     torch.set_flush_denormal(True)
-    progress = _begin(problem, plan)
-    identity = _identity(problem, plan, progress.state)
+    progress = _begin(learner, plan)
+    identity = _identity(learner, plan, progress.state)
     saver = _Saver(folder / "checkpoints", identity, on_event)
     progress = saver.resume(progress)
     rows = MetricRows(folder / "metrics.jsonl", last_step=progress.state.step)
     while progress.state.step < plan.steps and not stop():
-        progress = _advance(problem, plan, progress, rows, on_event)
+        progress = _advance(learner, plan, progress, rows, on_event)
         if progress.state.step % plan.checkpoint_every == 0:
             saver.save(progress)
     saver.save(progress)
@@ -158,25 +156,25 @@ def fit(
         return None
     network = progress.state.network.eval()  # however the last update, here or before a restart, left it
     network.load_state_dict(progress.best.weights)
-    return Fitted(network, progress.best.step, progress.best.loss)
+    return FitResult(network, progress.best.step, progress.best.loss)
 
 
-def _begin(problem: Problem[N], plan: Plan) -> Progress[N]:
+def _begin(learner: Learner[N], plan: Plan) -> FitLoopState[N]:
     """Weights and the order of the data come from streams of their own: changing one does not move the other."""
     generator = torch.Generator().manual_seed(plan.seed)
-    return Progress(problem.init(generator), Shuffle.begin(problem.size, rng=np.random.default_rng(plan.seed)))
+    return FitLoopState(learner.init(generator), Shuffle.begin(learner.size, rng=np.random.default_rng(plan.seed)))
 
 
-def _identity(problem: Problem[N], plan: Plan, state: TrainingState[N]) -> dict[str, JSON]:
+def _identity(learner: Learner[N], plan: Plan, state: TrainState[N]) -> dict[str, JSON]:
     device = next(state.network.parameters()).device
-    return {**problem.identity, "plan": asdict(plan), "torch": torch.__version__, "device": str(device)}
+    return {**learner.identity, "plan": asdict(plan), "torch": torch.__version__, "device": str(device)}
 
 
 def _advance(
-    problem: Problem[N], plan: Plan, progress: Progress[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
-) -> Progress[N]:
+    learner: Learner[N], plan: Plan, progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+) -> FitLoopState[N]:
     """Makes one update, and writes and evaluates when it is time to."""
-    state, metrics = problem.update(progress.state, progress.shuffle.draw(plan.batch_size))
+    state, metrics = learner.update(progress.state, progress.shuffle.draw(plan.batch_size))
     _check_finite(metrics, state.step)
     sums = {name: progress.sums.get(name, 0.0) + value for name, value in metrics.items()}
     progress = replace(progress, state=state, sums=sums, summed=progress.summed + 1)
@@ -185,7 +183,7 @@ def _advance(
         return progress
     row = {name: total / progress.summed for name, total in sums.items()}
     if is_evaluated:
-        row["validation_loss"] = problem.evaluate(state)
+        row["validation_loss"] = learner.evaluate(state)
         _check_finite(row, state.step)
         progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
@@ -193,7 +191,7 @@ def _advance(
     return replace(progress, sums={}, summed=0)
 
 
-def _better(best: Best, state: TrainingState[N], loss: float) -> Best:
+def _better(best: Best, state: TrainState[N], loss: float) -> Best:
     if loss >= best.loss:
         return best
     return Best(
@@ -220,7 +218,7 @@ class _Saver:
         self._saved_step = -1
         self._failures = 0
 
-    def resume(self, fresh: Progress[N]) -> Progress[N]:
+    def resume(self, fresh: FitLoopState[N]) -> FitLoopState[N]:
         """Returns the progress of the newest whole checkpoint, `fresh` when there is none."""
         checkpoint = checkpoints.newest(
             self._folder, on_corrupt=lambda step, why: self._on_event(FitEvent("checkpoint_corrupt", step, why))
@@ -232,7 +230,7 @@ class _Saver:
         self._on_event(FitEvent("resumed", checkpoint.step))
         return progress
 
-    def save(self, progress: Progress[N]) -> None:
+    def save(self, progress: FitLoopState[N]) -> None:
         """Writes a checkpoint unless this step has one. A full disk does not end the training until it stays full."""
         step = progress.state.step
         if step == self._saved_step:

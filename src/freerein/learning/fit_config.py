@@ -15,7 +15,7 @@ class FitConfig:
     Attributes:
         steps: Updates.
         batch_size: Items per update.
-        learning_rate: Of Adam, at its highest: it rises over `warmup_steps` and falls to zero as a cosine.
+        lr: Of Adam, at its highest: it rises over `warmup_steps` and falls to zero as a cosine.
         warmup_steps: Updates.
         evaluate_every: Updates between looks at what is held out.
         checkpoint_every: Updates between checkpoints.
@@ -26,7 +26,7 @@ class FitConfig:
 
     steps: int = bounded(1000, least=1, most=10_000_000)
     batch_size: int = bounded(64, least=1, most=4096)
-    learning_rate: float = bounded(2e-3, least=1e-7, most=1.0)
+    lr: float = bounded(2e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(30, least=1, most=1_000_000)
     evaluate_every: int = bounded(100, least=1, most=1_000_000)
     checkpoint_every: int = bounded(100, least=1, most=1_000_000)

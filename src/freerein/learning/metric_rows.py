@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 
 
 class MetricRows:
@@ -20,7 +20,7 @@ class MetricRows:
     def __init__(self, path: Path, *, last_step: int) -> None:
         self._path = path
         lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
-        write_durably(path, b"".join(line for line in lines if _is_kept(line, last_step)))
+        write_atomic(path, b"".join(line for line in lines if _is_kept(line, last_step)))
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
         """Adds a row, whole or not at all.

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein import wire
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import NotFound
 from freerein.serving.schemas import schema_of
 from freerein.types.common import check_id
@@ -77,8 +77,8 @@ class FitRecords:
     async def add(self, fit: Fit, request: StartFitRequest) -> None:
         """Records a new fit, durably, with what its child needs to know in `work/config.json`."""
         config = json.dumps({"dataset": fit.dataset, "config": fit.config}).encode()
-        write_durably(self.work(fit.id) / "config.json", config)
-        write_durably(self._root / fit.id / "request.json", json.dumps(wire.to_json(request)).encode())
+        write_atomic(self.work(fit.id) / "config.json", config)
+        write_atomic(self._root / fit.id / "request.json", json.dumps(wire.to_json(request)).encode())
         _append_durably(self._root / fit.id / "events.jsonl", fit)
         self._events[fit.id], self._requests[fit.id] = [fit], request
 

@@ -20,8 +20,8 @@ from typing import Any
 from freerein.errors import AlreadyExists, Overloaded, ServiceError
 from freerein.serving.fit_records import FitRecords
 from freerein.serving.health import Health
-from freerein.serving.loaded import LoadedModels
-from freerein.serving.models import DEFAULT_NAME, ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import DEFAULT_NAME, ModelStore
 from freerein.types.common import check_name
 from freerein.types.learning import (
     CancelFitRequest,
@@ -70,7 +70,7 @@ class Fits:
         module: str,
         arguments: Sequence[str] = (),
         store: ModelStore,
-        models: LoadedModels[Any],
+        models: ModelCache[Any],
         resolve: Resolve,
         health: Health,
     ) -> None:

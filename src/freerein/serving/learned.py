@@ -11,9 +11,9 @@ from freerein.api.learning.v1 import learning_pb2
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import Fits
 from freerein.serving.lifecycle import Service
-from freerein.serving.loaded import LoadedModels
 from freerein.serving.methods import methods_of
-from freerein.serving.models import IN_A_CLONE, ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.serving.settings import ServiceSettings
 
 M = TypeVar("M")
@@ -35,14 +35,14 @@ class LearnedSettings(ServiceSettings):
 
 def open_store(name: str, settings: LearnedSettings) -> ModelStore:
     """Returns the models of a service: its own in the data directory, and those shipped."""
-    return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or IN_A_CLONE) / name)
+    return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or CLONE_MODELS) / name)
 
 
 def learned_service(
     name: str,
     contract: ServiceDescriptor,
     *cores: object,
-    models: LoadedModels[M],
+    models: ModelCache[M],
     batchers: Sequence[Batcher[Any, Any]],
     fits: Fits,
 ) -> Service:

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
-from freerein.learning.exports import choose_device, export
-from freerein.learning.fit import Fitted, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.model_files import choose_device, save_model
 from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedPolicy, Handshake
 from freerein_imitation.training import goal_conditioned
 from freerein_imitation.training.exploration import Exploration, hold_out
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedProblem
+from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
 
 
 def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,31 +31,33 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) -> bool:
     """Writes the model into the fit's folder and returns True, or returns False when it was stopped before."""
-    problem = _problem(source.dataset, GoalConditionedConfig.from_mapping(values), device)
+    learner = _learner(source.dataset, GoalConditionedConfig.from_mapping(values), device)
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, problem.config.plan, folder, stop=stop)
+        fitted = fit(learner, learner.config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    export(fitted.network, folder / "model", card=_card(source.dataset, problem, fitted))
+    save_model(fitted.network, folder / "model", card=_card(source.dataset, learner, fitted))
     return True
 
 
-def _problem(dataset: Dataset, config: GoalConditionedConfig, device: str) -> GoalConditionedProblem:
+def _learner(dataset: Dataset, config: GoalConditionedConfig, device: str) -> GoalConditionedLearner:
     exploration = Exploration(dataset.cached_frames(config.camera), dataset.cached_actions())
     training, validation = hold_out(
-        exploration, share=config.validation_share, seed=config.seed, shortest=config.shortest_slice + 1
+        exploration, share=config.validation_fraction, seed=config.seed, shortest=config.shortest_slice + 1
     )
     spec = goal_conditioned.design(config, training, action_choices=dataset.spec.action.choices)
-    return GoalConditionedProblem(config, spec, training, validation, dataset.fingerprint, choose_device(device))
+    return GoalConditionedLearner(config, spec, training, validation, dataset.fingerprint, choose_device(device))
 
 
-def _card(dataset: Dataset, problem: GoalConditionedProblem, fitted: Fitted[GoalConditionedNetwork]) -> dict[str, Any]:
-    held_out = goal_conditioned.evaluate(fitted.network, problem.validation, config=problem.config)
+def _card(
+    dataset: Dataset, learner: GoalConditionedLearner, fitted: FitResult[GoalConditionedNetwork]
+) -> dict[str, Any]:
+    held_out = goal_conditioned.evaluate(fitted.network, learner.validation, config=learner.config)
     handshake = Handshake(
         action=dataset.spec.action,
         control_dt_s=1 / dataset.spec.fps,
-        reached_threshold=goal_conditioned.reached_threshold(fitted.network, problem.validation),
-        max_steps_per_goal=2 * problem.config.longest_slice,
+        reached_threshold=goal_conditioned.reached_threshold(fitted.network, learner.validation),
+        max_steps_per_goal=2 * learner.config.longest_slice,
     )
     return {
         "kind": GoalConditionedPolicy.kind,
@@ -63,7 +65,7 @@ def _card(dataset: Dataset, problem: GoalConditionedProblem, fitted: Fitted[Goal
         "command": "freerein fit imitation DATASET",
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {
             "validation_loss": fitted.validation_loss,
             "best_step": fitted.best_step,

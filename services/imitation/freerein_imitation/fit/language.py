@@ -10,15 +10,15 @@ import torch
 
 from freerein.data import Dataset, teachers
 from freerein.errors import InvalidInput
-from freerein.learning.exports import choose_device
-from freerein.learning.fit import Fitted, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.model_files import choose_device
 from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import Handshake, LanguageNetwork, LanguagePolicy, language_policy
 from freerein_imitation.model.text_tower import TextTower
 from freerein_imitation.training import language
 from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.language import LanguageConfig, LanguageProblem, minilm
+from freerein_imitation.training.language import LanguageConfig, LanguageLearner, minilm
 
 _TEXTS_IN_CARD = 64
 
@@ -48,17 +48,17 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
 def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) -> bool:
     """Writes the model into the fit's folder and returns True, or returns False when it was stopped before."""
     tower = minilm.read()
-    problem = _problem(source.dataset, tower, LanguageConfig.from_mapping(values), device)
+    learner = _learner(source.dataset, tower, LanguageConfig.from_mapping(values), device)
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, problem.config.plan, folder, stop=stop)
+        fitted = fit(learner, learner.config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    card = {**_card(source.dataset, problem, fitted), **supervision_of(teachers.read(source.root))}
+    card = {**_card(source.dataset, learner, fitted), **supervision_of(teachers.read(source.root))}
     language_policy.save(fitted.network, tower, folder / "model", name=minilm.NAME, card=card)
     return True
 
 
-def _problem(dataset: Dataset, tower: bytes, config: LanguageConfig, device: str) -> LanguageProblem:
+def _learner(dataset: Dataset, tower: bytes, config: LanguageConfig, device: str) -> LanguageLearner:
     torch.set_num_threads(config.threads)
     return language.prepare(
         config,
@@ -71,12 +71,12 @@ def _problem(dataset: Dataset, tower: bytes, config: LanguageConfig, device: str
     )
 
 
-def _card(dataset: Dataset, problem: LanguageProblem, fitted: Fitted[LanguageNetwork]) -> dict[str, Any]:
+def _card(dataset: Dataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
     handshake = Handshake(
         action=dataset.spec.action,
         control_dt_s=1 / dataset.spec.fps,
         reached_threshold=LanguagePolicy.reached_threshold,
-        max_steps_per_goal=problem.config.max_steps_per_goal,
+        max_steps_per_goal=learner.config.max_steps_per_goal,
     )
     different = sorted(set(dataset.goal_texts))
     return {
@@ -86,7 +86,7 @@ def _card(dataset: Dataset, problem: LanguageProblem, fitted: Fitted[LanguageNet
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
         "goal_texts": {"count": len(different), "first": different[:_TEXTS_IN_CARD]},
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {
             "validation_loss": fitted.validation_loss,
             "best_step": fitted.best_step,

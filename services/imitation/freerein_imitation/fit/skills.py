@@ -8,14 +8,14 @@ from typing import Any
 import torch
 
 from freerein.data import labels
-from freerein.learning.exports import choose_device, export
-from freerein.learning.fit import Fitted, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.model_files import choose_device, save_model
 from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import Handshake, SkillsNetwork, SkillsPolicy
 from freerein_imitation.training import skills
 from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.skills import SkillsConfig, SkillsProblem
+from freerein_imitation.training.skills import SkillsConfig, SkillsLearner
 
 
 def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -34,16 +34,16 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) -> bool:
     """Writes the model into the fit's folder and returns True, or returns False when it was stopped before."""
-    problem = _problem(source, SkillsConfig.from_mapping(values), device)
+    learner = _learner(source, SkillsConfig.from_mapping(values), device)
     with stop_on_sigterm() as stop:
-        fitted = fit(problem, problem.config.plan, folder, stop=stop)
+        fitted = fit(learner, learner.config.plan, folder, stop=stop)
     if fitted is None:
         return False
-    export(fitted.network, folder / "model", card=_card(source, problem, fitted))
+    save_model(fitted.network, folder / "model", card=_card(source, learner, fitted))
     return True
 
 
-def _problem(source: Source, config: SkillsConfig, device: str) -> SkillsProblem:
+def _learner(source: Source, config: SkillsConfig, device: str) -> SkillsLearner:
     dataset = source.dataset
     labelled = labels.all_labels(source.root, dataset.lengths)
     torch.set_num_threads(config.threads)
@@ -58,28 +58,28 @@ def _problem(source: Source, config: SkillsConfig, device: str) -> SkillsProblem
     )
 
 
-def _card(source: Source, problem: SkillsProblem, fitted: Fitted[SkillsNetwork]) -> dict[str, Any]:
-    held_out = skills.evaluate(fitted.network, problem.validation, config=problem.config)
+def _card(source: Source, learner: SkillsLearner, fitted: FitResult[SkillsNetwork]) -> dict[str, Any]:
+    held_out = skills.evaluate(fitted.network, learner.validation, config=learner.config)
     handshake = Handshake(
         action=source.dataset.spec.action,
         control_dt_s=1 / source.dataset.spec.fps,
         reached_threshold=skills.END_THRESHOLD,
-        max_steps_per_goal=problem.max_steps_per_skill,
+        max_steps_per_goal=learner.max_steps_per_skill,
     )
     return {
         "kind": SkillsPolicy.kind,
         **handshake.to_card(),
         "command": "freerein fit imitation DATASET --set policy=skills",
         "task": source.dataset.spec.task,
-        "data": {"trajectories": len(source.dataset), "fingerprint": problem.fingerprint},
+        "data": {"trajectories": len(source.dataset), "fingerprint": learner.fingerprint},
         "labels": asdict(labels.info(source.root)),
-        "config": asdict(problem.config),
+        "config": asdict(learner.config),
         "figures": {
             "validation_loss": fitted.validation_loss,
             "best_step": fitted.best_step,
             "action_loss": held_out.action.item(),
             "end_loss": held_out.end.item(),
-            "segments": len(problem.training) + len(problem.validation),
+            "segments": len(learner.training) + len(learner.validation),
         },
         "supervision": "images and executed actions of demonstrations, and skills predicted from tags",
     }

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.learning import exports
+from freerein.learning import model_files
 from freerein_imitation.model import action_code
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.handshake import Handshake
@@ -124,5 +124,5 @@ def load(folder: Path, device: str) -> GoalConditionedPolicy:
     Raises:
         InvalidInput: A file is missing, or is not what a fit writes.
     """
-    network = exports.load(folder, GoalConditionedSpec, GoalConditionedNetwork, device=device)
-    return GoalConditionedPolicy(network, Handshake.from_card(exports.read_card(folder)))
+    network = model_files.load_model(folder, GoalConditionedSpec, GoalConditionedNetwork, device=device)
+    return GoalConditionedPolicy(network, Handshake.from_card(model_files.read_card(folder)))

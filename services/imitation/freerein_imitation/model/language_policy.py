@@ -10,9 +10,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
-from freerein.learning import exports
+from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein_imitation.model.handshake import Handshake
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec
@@ -115,8 +115,10 @@ def save(network: LanguageNetwork, tower: bytes, folder: Path, *, name: str, car
         card: What to tell about the model beside its `spec` and its text tower.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_durably(folder / _TOWER_FILE, tower)
-    exports.export(network, folder, card={**card, _KEY: {"name": name, "sha256": hashlib.sha256(tower).hexdigest()}})
+    write_atomic(folder / _TOWER_FILE, tower)
+    model_files.save_model(
+        network, folder, card={**card, _KEY: {"name": name, "sha256": hashlib.sha256(tower).hexdigest()}}
+    )
 
 
 def load(folder: Path, device: str) -> LanguagePolicy:
@@ -129,8 +131,8 @@ def load(folder: Path, device: str) -> LanguagePolicy:
     Raises:
         InvalidInput: A file is missing, or is not what a fit writes; the text tower is not the one of the card.
     """
-    card = exports.read_card(folder)
-    network = exports.load(folder, LanguageSpec, LanguageNetwork, device=device)
+    card = model_files.read_card(folder)
+    network = model_files.load_model(folder, LanguageSpec, LanguageNetwork, device=device)
     return LanguagePolicy(network, _load_tower(folder, card), Handshake.from_card(card))
 
 

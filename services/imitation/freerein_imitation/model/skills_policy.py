@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports
+from freerein.learning import model_files
 from freerein_imitation.model.handshake import Handshake
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
 from freerein_imitation.model.step import Step
@@ -110,11 +110,11 @@ def load(folder: Path, device: str) -> SkillsPolicy:
     """Returns the skills in a folder.
 
     Args:
-        folder: Written by `freerein.learning.exports.export`; read as untrusted.
+        folder: Written by `freerein.learning.model_files.export`; read as untrusted.
         device: `auto`, `cpu` or `cuda:N`.
 
     Raises:
         InvalidInput: A file is missing, or is not what a fit writes.
     """
-    network = exports.load(folder, SkillsSpec, SkillsNetwork, device=device)
-    return SkillsPolicy(network, Handshake.from_card(exports.read_card(folder)))
+    network = model_files.load_model(folder, SkillsSpec, SkillsNetwork, device=device)
+    return SkillsPolicy(network, Handshake.from_card(model_files.read_card(folder)))

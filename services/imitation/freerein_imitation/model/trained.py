@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from freerein.errors import InvalidInput
-from freerein.learning import exports
+from freerein.learning import model_files
 from freerein_imitation.model import goal_conditioned_policy, language_policy, skills_policy
 from freerein_imitation.model.goal_conditioned_policy import GoalConditionedPolicy
 from freerein_imitation.model.language_policy import LanguagePolicy
@@ -33,7 +33,7 @@ def load(folder: Path, device: str) -> TrainedPolicy:
     Raises:
         InvalidInput: A file is missing, or is not what a fit writes.
     """
-    kind = exports.read_card(folder).get("kind")
+    kind = model_files.read_card(folder).get("kind")
     if not isinstance(kind, str) or kind not in _LOADERS:
         raise InvalidInput(
             f"A policy's card must name its `kind`, {' or '.join(_LOADERS)}; it names another or none.",

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein.learning.holding_out import draw
+from freerein.learning.split import train_validation_split
 
 D_co = TypeVar("D_co", bound=np.generic, covariant=True)
 
@@ -71,5 +71,5 @@ def hold_out(exploration: Exploration, *, share: float, seed: int, shortest: int
             field="dataset",
             hint="Record more, or longer ones: freerein sim demonstrate TASK --behaviour random --out NAME.",
         )
-    learnt, held_out = draw(usable, share=share, seed=seed)
+    learnt, held_out = train_validation_split(usable, share=share, seed=seed)
     return exploration.subset(learnt), exploration.subset(held_out)

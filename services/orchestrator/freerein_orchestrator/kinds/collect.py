@@ -10,8 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from freerein.atomic_files import write_atomic
 from freerein.data import Dataset, dataset_path
-from freerein.durable import write_durably
 from freerein.learning.config import parse
 from freerein_orchestrator.kinds.collect_config import CollectConfig
 from freerein_orchestrator.kinds.collect_curiosity import explore
@@ -69,4 +69,4 @@ def _note_dataset(work: Work, config: CollectConfig, root: Path) -> None:
         "timesteps": int(dataset.lengths.sum()),
         "fingerprint": dataset.fingerprint,
     }
-    write_durably(work.artifacts / CARD, json.dumps(card, indent=2).encode())
+    write_atomic(work.artifacts / CARD, json.dumps(card, indent=2).encode())

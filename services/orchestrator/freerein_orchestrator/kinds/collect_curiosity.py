@@ -21,7 +21,7 @@ from freerein.data import Writer
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
-from freerein.learning.exports import choose_device
+from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
 from freerein.types.sim import CreateSessionRequest, ListTasksRequest, Task
 from freerein_orchestrator import exploration as explorations
@@ -207,7 +207,7 @@ def _policy_config(config: CollectConfig) -> PPOConfig:
         num_envs=config.num_envs,
         steps=config.length,
         batch_size=config.num_envs * config.length // _minibatches(config.num_envs),
-        learning_rate=1e-3,
+        lr=1e-3,
         discount=0.99,
         entropy_weight=0.01,
         overlap=False,

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.data import Dataset, dataset_path, teachers
-from freerein.durable import sync_folder, write_durably
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
@@ -168,7 +168,7 @@ def _note(work: Work, name: str, policies: Sequence[Policy]) -> None:
         "fingerprint": dataset.fingerprint,
         "teachers": told,
     }
-    write_durably(work.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
+    write_atomic(work.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
 
 
 def _publish(work: Work, name: str) -> None:
@@ -182,7 +182,7 @@ def _publish(work: Work, name: str) -> None:
         if error.errno in (errno.EEXIST, errno.ENOTEMPTY):
             raise _taken() from None
         raise
-    sync_folder(place.parent)
+    fsync_folder(place.parent)
 
 
 def _fit(work: Work, config: DistillConfig, dataset: str) -> Work:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import Goal, ModelRef
@@ -135,7 +135,7 @@ class _Evaluation:
         self.told = pilot.told
         self.outcomes += [Outcome(float(each.rewards.sum()), len(each.rewards), each.is_success) for each in episodes]
         document = {"told": self.told, "outcomes": [asdict(outcome) for outcome in self.outcomes]}
-        write_durably(self._path, json.dumps(document).encode())
+        write_atomic(self._path, json.dumps(document).encode())
         self._show(range(begun, len(self.outcomes)))
 
     def conclude(self, task: Task) -> None:
@@ -151,7 +151,7 @@ class _Evaluation:
             "lengths": [outcome.length for outcome in self.outcomes],
             "successes": [outcome.is_success for outcome in self.outcomes],
         }
-        write_durably(self._work.artifacts / RESULT, json.dumps(result, indent=2).encode() + b"\n")
+        write_atomic(self._work.artifacts / RESULT, json.dumps(result, indent=2).encode() + b"\n")
 
     def _show(self, indices: range) -> None:
         for index in indices:

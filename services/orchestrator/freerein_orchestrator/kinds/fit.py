@@ -11,8 +11,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from freerein.atomic_files import write_atomic
 from freerein.clients import Synchronous
-from freerein.durable import write_durably
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
@@ -174,4 +174,4 @@ def _given_up(work: Work) -> int:
 
 
 def _give_up(work: Work) -> None:
-    write_durably(work.folder / "fit.json", json.dumps({"given_up": _given_up(work) + 1}).encode())
+    write_atomic(work.folder / "fit.json", json.dumps({"given_up": _given_up(work) + 1}).encode())

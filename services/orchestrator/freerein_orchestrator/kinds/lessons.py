@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 
+from freerein.atomic_files import write_atomic
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
-from freerein.durable import write_durably
 from freerein.errors import FailedPrecondition
 from freerein.types.common import ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
@@ -159,4 +159,4 @@ class _Recording:
                 field="config.keep",
                 hint="Train it longer, or keep all.",
             )
-        write_durably(self._path, json.dumps(self._kept).encode())
+        write_atomic(self._path, json.dumps(self._kept).encode())

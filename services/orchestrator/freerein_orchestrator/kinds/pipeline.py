@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from freerein.durable import sync_folder, write_durably
+from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.errors import InvalidInput, ServiceError
 from freerein.learning.config import parse
 from freerein.types.common import check_name
@@ -159,6 +159,6 @@ def _finish(work: Work, part: Work, name: str) -> None:
         shown = work.artifacts / f"{name}.{artifact.name}"
         shown.unlink(missing_ok=True)
         os.link(artifact, shown)
-    sync_folder(work.artifacts)
+    fsync_folder(work.artifacts)
     made = max(0, last_step(work.run) - part.first_step)
-    write_durably(part.folder / _DONE, json.dumps({"steps": made}).encode())
+    write_atomic(part.folder / _DONE, json.dumps({"steps": made}).encode())

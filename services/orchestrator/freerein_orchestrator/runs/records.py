@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, NotFound
 from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.orchestrator import ENDED, Artifact, RunState, StartRunRequest
@@ -92,8 +92,8 @@ class RunRecords:
                 _append(file, {"state": "queued"})
             if self.started_by(request) is None:
                 body = {"kind": request.kind, "config": dict(config), "steps": steps}
-                write_durably(folder / "config.json", json.dumps(body).encode())
-                write_durably(folder / "request.json", json.dumps(asdict(request)).encode())
+                write_atomic(folder / "config.json", json.dumps(body).encode())
+                write_atomic(folder / "request.json", json.dumps(asdict(request)).encode())
         return run_id
 
     def started_by(self, request: StartRunRequest) -> str | None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.serving.batcher import Batcher
-from freerein.serving.loaded import LoadedModels
+from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import (
     DescribeRequest,
@@ -56,7 +56,7 @@ class Finder:
         timeout_s: How long images may wait for the model, in seconds.
     """
 
-    def __init__(self, models: LoadedModels[Loaded], batcher: Batcher[Item, Output], *, timeout_s: float) -> None:
+    def __init__(self, models: ModelCache[Loaded], batcher: Batcher[Item, Output], *, timeout_s: float) -> None:
         self._models = models
         self._batcher = batcher
         self._timeout_s = timeout_s

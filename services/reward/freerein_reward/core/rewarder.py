@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.serving.batcher import Batcher
-from freerein.serving.loaded import LoadedModels
+from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import (
     EmbedGoalRequest,
@@ -49,7 +49,7 @@ class Rewarder:
     """
 
     def __init__(
-        self, models: LoadedModels[Loaded], batcher: Batcher[Item, Output], goals: GoalCache, *, timeout_s: float
+        self, models: ModelCache[Loaded], batcher: Batcher[Item, Output], goals: GoalCache, *, timeout_s: float
     ) -> None:
         self._models = models
         self._batcher = batcher

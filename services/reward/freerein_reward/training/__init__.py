@@ -5,15 +5,15 @@ from freerein_reward.training.calibration import calibrate, measure
 from freerein_reward.training.captions import describe
 from freerein_reward.training.config import GroundingConfig, RewardConfig
 from freerein_reward.training.described import Described, hold_out
-from freerein_reward.training.grounding import GroundingProblem
-from freerein_reward.training.reward import RewardProblem, design
+from freerein_reward.training.grounding import GroundingLearner
+from freerein_reward.training.reward import RewardLearner, design
 
 __all__ = [
     "Described",
     "GroundingConfig",
-    "GroundingProblem",
+    "GroundingLearner",
     "RewardConfig",
-    "RewardProblem",
+    "RewardLearner",
     "agreement",
     "calibrate",
     "describe",

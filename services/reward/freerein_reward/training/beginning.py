@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from freerein.learning.progress import TrainingState
+from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, GroundingModel, channels_last
 
 _STEEPNESS = 16.0
@@ -14,11 +14,11 @@ _NEARLY = 0.75
 
 def begin(
     network: DualEncoder, highest_rate: float, *, generator: torch.Generator, device: torch.device
-) -> TrainingState[DualEncoder]:
+) -> TrainState[DualEncoder]:
     """Returns the state before the first update of a network whose weights are drawn; frozen weights stay."""
     channels_last(network.to(device))
     learnt = [parameter for parameter in network.parameters() if parameter.requires_grad]
-    return TrainingState(network, torch.optim.Adam(learnt, highest_rate, fused=True), generator)
+    return TrainState(network, torch.optim.Adam(learnt, highest_rate, fused=True), generator)
 
 
 @torch.no_grad()

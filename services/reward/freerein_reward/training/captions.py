@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freerein.atomic_files import write_atomic
 from freerein.data import Dataset
-from freerein.durable import write_durably
 from freerein.learning import tensor_files
 from freerein_reward.model import GroundingModel, Preprocess
 from freerein_reward.training.config import RewardConfig
@@ -42,7 +42,7 @@ def describe(
     else:
         relations, sides = _told(views[0], finder, config, on_share)
         told = {"relations": torch.from_numpy(relations), "sides": torch.from_numpy(sides)}
-        write_durably(path, tensor_files.dump(told))
+        write_atomic(path, tensor_files.dump(told))
     return Described(views, config.phrases, relations, sides)
 
 

@@ -23,7 +23,7 @@ class GroundingConfig(FitConfig):
     held_out: int = bounded(512, least=2, most=100_000)
     steps: int = bounded(1200, least=1, most=10_000_000)
     batch_size: int = bounded(64, least=2, most=4096)
-    learning_rate: float = bounded(3e-3, least=1e-7, most=1.0)
+    lr: float = bounded(3e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(50, least=1, most=1_000_000)
     width: int = bounded(8, least=8, most=128)
     depth: int = bounded(1, least=1, most=8)
@@ -44,7 +44,7 @@ class RewardConfig(FitConfig):
         further_heads: How many things the image tower asks the places of, beside those that the phrases name.
         hidden: Units of each of the two layers after it has places.
         features: How many numbers an embedding has.
-        validation_share: The share of trajectories held out to choose the best weights, by their captions alone.
+        validation_fraction: The share of trajectories held out to choose the best weights, by their captions alone.
     """
 
     cameras: tuple[str, ...] = ()
@@ -52,9 +52,9 @@ class RewardConfig(FitConfig):
     epsilon: float = bounded(0.1, least=0.001, most=0.5)
     presence: float = bounded(0.95, least=0.0, most=1.0)
     batch_size: int = bounded(128, least=2, most=4096)
-    learning_rate: float = bounded(3e-3, least=1e-7, most=1.0)
+    lr: float = bounded(3e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(50, least=1, most=1_000_000)
     further_heads: int = bounded(12, least=0, most=256)
     hidden: int = bounded(256, least=1, most=4096)
     features: int = bounded(64, least=8, most=1024)
-    validation_share: float = bounded(0.1, least=0.01, most=0.5)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein.learning.holding_out import draw
+from freerein.learning.split import train_validation_split
 from freerein_reward.relations import WORDINGS, Relation, caption, judge
 
 UNSAID = -1
@@ -139,7 +139,7 @@ def hold_out(
     has_caption = (described.relations != UNSAID).any(axis=(1, 2))
     training, validation = (
         np.flatnonzero(has_caption & np.isin(trajectories, side))
-        for side in draw(np.arange(len(lengths)), share=share, seed=seed)
+        for side in train_validation_split(np.arange(len(lengths)), share=share, seed=seed)
     )
     if not len(training) or not len(validation):
         raise InvalidInput(

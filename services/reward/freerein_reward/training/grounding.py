@@ -12,15 +12,15 @@ from torch.nn import functional
 
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec
 from freerein_reward.objectives import contrastive
 from freerein_reward.training import objects
 from freerein_reward.training.beginning import begin
 from freerein_reward.training.config import GroundingConfig
 
-State = TrainingState[DualEncoder]
+State = TrainState[DualEncoder]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Captioned:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundingProblem:
+class GroundingLearner:
     """A dual encoder to fit to pictures of single objects.
 
     Attributes:
@@ -80,7 +80,7 @@ class GroundingProblem:
         )
         network = DualEncoder(spec)
         weights.draw(network, generator=generator)
-        return begin(network, self.config.learning_rate, generator=generator, device=self.device)
+        return begin(network, self.config.lr, generator=generator, device=self.device)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some pictures, and its `train_loss`."""
@@ -88,8 +88,8 @@ class GroundingProblem:
         batch = self._captioned(items.tolist(), np.random.default_rng(seed))
         loss = _loss(state.network.train(), batch)
         config = self.config
-        rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return descend(state, loss, rate=rate), {"train_loss": loss.item()}
+        rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+        return optimiser_step(state, loss, lr=rate), {"train_loss": loss.item()}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

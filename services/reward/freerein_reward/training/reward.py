@@ -11,8 +11,8 @@ from torch import Tensor
 
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel
 from freerein_reward.model.tokenizer import words
 from freerein_reward.objectives import contrastive, rivalry
@@ -21,7 +21,7 @@ from freerein_reward.training.beginning import adopt, begin
 from freerein_reward.training.config import RewardConfig
 from freerein_reward.training.described import UNSAID, Described, pairs_of, sentences, told_of
 
-State = TrainingState[DualEncoder]
+State = TrainState[DualEncoder]
 
 SIDES = ("further left than", "further right than")
 """Table 4.1's first two criteria, which hold for things however far apart: what tells left from right when near."""
@@ -31,7 +31,7 @@ _IMAGES_AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
-class RewardProblem:
+class RewardLearner:
     """A dual encoder to fit to captions of images, and other images to choose the best weights by.
 
     Attributes:
@@ -68,7 +68,7 @@ class RewardProblem:
         network = DualEncoder(self.spec)
         weights.draw(network, generator=generator)
         adopt(network, self.grounding, self.config.phrases)
-        return begin(network, self.config.learning_rate, generator=generator, device=self.device)
+        return begin(network, self.config.lr, generator=generator, device=self.device)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some images, and its `train_loss`."""
@@ -76,8 +76,8 @@ class RewardProblem:
         batch = _augmented(self.training.subset(items), rng)
         loss = _loss(state.network, batch, rng)
         config = self.config
-        rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return descend(state, loss, rate=rate), {"train_loss": loss.item()}
+        rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+        return optimiser_step(state, loss, lr=rate), {"train_loss": loss.item()}
 
     def evaluate(self, state: State) -> float:
         """Returns how badly the held-out images' captions win over their rivals."""

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.learning import exports
+from freerein.learning import model_files
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 
 _FRAMES_AT_ONCE = 256
@@ -71,10 +71,10 @@ def load(folder: Path, device: str) -> SegmentationModel:
     """Returns the model in a folder.
 
     Args:
-        folder: Written by `freerein.learning.exports.export`; read as untrusted.
+        folder: Written by `freerein.learning.model_files.export`; read as untrusted.
         device: `auto`, `cpu` or `cuda:N`.
 
     Raises:
         InvalidInput: A file is missing, or is not what `export` writes.
     """
-    return SegmentationModel(exports.load(folder, ModelSpec, SegmentationNetwork, device=device))
+    return SegmentationModel(model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device))

@@ -2,14 +2,14 @@
 
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.demonstrations import Batch, Demonstrations, Trajectories, gather, hold_out
-from freerein_segmentation.training.problem import SegmentationProblem, design
+from freerein_segmentation.training.learner import SegmentationLearner, design
 from freerein_segmentation.training.updates import State, evaluate, init, update
 
 __all__ = [
     "Batch",
     "Demonstrations",
     "SegmentationConfig",
-    "SegmentationProblem",
+    "SegmentationLearner",
     "State",
     "Trajectories",
     "design",

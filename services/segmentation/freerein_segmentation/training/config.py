@@ -22,7 +22,7 @@ class SegmentationConfig(FitConfig):
         batch_size: Trajectories per update.
         features: Image features.
         hidden: Units of the LSTM, in each direction.
-        validation_share: The share of trajectories held out to choose the best weights, by their tags alone.
+        validation_fraction: The share of trajectories held out to choose the best weights, by their tags alone.
     """
 
     camera: str = ""
@@ -34,5 +34,5 @@ class SegmentationConfig(FitConfig):
     batch_size: int = bounded(8, least=1, most=1024)
     features: int = bounded(64, least=8, most=1024)
     hidden: int = bounded(100, least=8, most=1024)
-    validation_share: float = bounded(0.1, least=0.01, most=0.5)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(50, least=1, most=1_000_000)

@@ -6,14 +6,14 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, ObjectiveName
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.demonstrations import Batch, Demonstrations, gather
 
-State = TrainingState[SegmentationNetwork]
+State = TrainState[SegmentationNetwork]
 
 _CALIBRATION_FRAMES = 2000
 
@@ -31,14 +31,14 @@ def init(
     weights.draw(network, generator=generator)
     network.image.calibrate(torch.from_numpy(_spread(demonstrations, _CALIBRATION_FRAMES)))
     network = network.to(device)
-    return TrainingState(network, torch.optim.Adam(network.parameters(), config.learning_rate, fused=True), generator)
+    return TrainState(network, torch.optim.Adam(network.parameters(), config.lr, fused=True), generator)
 
 
 def update(state: State, batch: Batch, *, config: SegmentationConfig) -> tuple[State, dict[str, float]]:
     """Returns the state after one update, and its `train_loss`."""
     loss = _losses(state.network, batch, config.objective).mean()
-    rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-    return descend(state, loss, rate=rate), {"train_loss": loss.item()}
+    rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+    return optimiser_step(state, loss, lr=rate), {"train_loss": loss.item()}
 
 
 @torch.no_grad()

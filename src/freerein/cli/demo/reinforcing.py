@@ -29,7 +29,7 @@ _LEARNING = {
     "iterations": 40,
     "num_envs": 16,
     "steps": 32,
-    "learning_rate": 3e-4,
+    "lr": 3e-4,
     "entropy_weight": 0.0,
     "scale_rewards": True,
 }
@@ -69,7 +69,7 @@ class Reinforced:
 
 async def start_baselines(context: Context, tasks: Sequence[str]) -> str:
     """Starts to measure random actions in tasks, and policies as they are before they learn; returns the run."""
-    config = {**_LEARNING, "iterations": 1, "learning_rate": 1e-7, "seed": context.seed}
+    config = {**_LEARNING, "iterations": 1, "lr": 1e-7, "seed": context.seed}
     starts = {_FIRST: "", _BEGUN: STARTS_FROM}
     unchanged = [
         {"name": f"{name}-policy", "kind": "ppo", "config": {**config, "start_from": start}}

@@ -25,7 +25,7 @@ class GoalConditionedConfig(FitConfig):
         features: Image features of the policy.
         hidden: Units of its LSTM.
         embedding: Dimensions of the recognizer's embedding.
-        validation_share: The share of trajectories held out, to choose the best weights and the recognizer's threshold.
+        validation_fraction: Fraction of trajectories held out to choose weights and the reached threshold.
 
     Raises:
         InvalidInput: The shortest slice is longer than the longest, or close frames may be far.
@@ -41,11 +41,11 @@ class GoalConditionedConfig(FitConfig):
     far_steps: int = bounded(15, least=1, most=10_000)
     steps: int = bounded(300, least=1, most=10_000_000)
     batch_size: int = bounded(24, least=1, most=1024)
-    learning_rate: float = bounded(6e-3, least=1e-7, most=1.0)
+    lr: float = bounded(6e-3, least=1e-7, most=1.0)
     features: int = bounded(128, least=8, most=1024)
     hidden: int = bounded(128, least=8, most=1024)
     embedding: int = bounded(64, least=2, most=1024)
-    validation_share: float = bounded(0.1, least=0.01, most=0.5)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(50, least=1, most=1_000_000)
 
     def __post_init__(self) -> None:

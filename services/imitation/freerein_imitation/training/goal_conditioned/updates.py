@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_imitation.model import action_code
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.recognizer import closeness
@@ -20,7 +20,7 @@ from freerein_imitation.training.exploration import Exploration
 from freerein_imitation.training.goal_conditioned.config import GoalConditionedConfig
 from freerein_imitation.training.goal_conditioned.slices import Moments, Slices, draw_moments, draw_slices
 
-State = TrainingState[GoalConditionedNetwork]
+State = TrainState[GoalConditionedNetwork]
 
 _CALIBRATION_FRAMES = 2000
 _EVALUATED_WINDOWS = 192
@@ -56,7 +56,7 @@ def init(
     weights.draw(network, generator=generator)
     network.calibrate(torch.from_numpy(exploration.spread(_CALIBRATION_FRAMES)))
     network = network.to(device)
-    return TrainingState(network, torch.optim.Adam(network.parameters(), config.learning_rate, fused=True), generator)
+    return TrainState(network, torch.optim.Adam(network.parameters(), config.lr, fused=True), generator)
 
 
 def update(
@@ -66,9 +66,9 @@ def update(
     rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
     parts = losses(state.network, *draw(exploration, items, rng, config=config, device=_device(state.network)))
     loss = parts.action + parts.forward + config.forward_consistency * parts.consistency + parts.recognition
-    rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+    rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
     metrics = {"train_loss": loss.item(), "action_loss": parts.action.item(), "goal_loss": parts.recognition.item()}
-    return descend(state, loss, rate=rate), metrics
+    return optimiser_step(state, loss, lr=rate), metrics
 
 
 @torch.no_grad()

@@ -20,7 +20,7 @@ class LanguageConfig(FitConfig):
         words: Features of the sentence.
         hidden: Units of its two layers.
         max_steps_per_goal: Control steps after which a goal is given up; 0 for as many as the longest trajectory has.
-        validation_share: The share of each goal text's trajectories held out, to choose the best weights.
+        validation_fraction: The share of each goal text's trajectories held out, to choose the best weights.
     """
 
     policy: Literal["language"] = "language"
@@ -31,4 +31,4 @@ class LanguageConfig(FitConfig):
     words: int = bounded(32, least=1, most=1024)
     hidden: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
-    validation_share: float = bounded(0.1, least=0.01, most=0.5)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)

@@ -7,15 +7,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_imitation.model import action_code
 from freerein_imitation.model.language import LanguageNetwork
 from freerein_imitation.objectives import action_cross_entropy, action_squared_error
 from freerein_imitation.training.language.config import LanguageConfig
 from freerein_imitation.training.language.rollouts import Batch, Rollouts, random_crop
 
-State = TrainingState[LanguageNetwork]
+State = TrainState[LanguageNetwork]
 
 _EVALUATED_TIMESTEPS = 1024
 _AT_ONCE = 128
@@ -30,8 +30,8 @@ def update(
     if config.smallest_crop < 1:
         frames = random_crop(frames, smallest=config.smallest_crop, generator=state.generator)
     loss = action_loss(state.network, Batch(frames, batch.codes, batch.actions)).mean()
-    rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-    return descend(state, loss, rate=rate), {"train_loss": loss.item()}
+    rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+    return optimiser_step(state, loss, lr=rate), {"train_loss": loss.item()}
 
 
 @torch.no_grad()

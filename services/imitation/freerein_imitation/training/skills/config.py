@@ -24,7 +24,7 @@ class SkillsConfig(FitConfig):
         colours: Colours that the policy tells from one another.
         hidden: Units of its layers.
         memory: Units of its LSTM.
-        validation_share: The share of trajectories held out, to choose the best weights and the end head's threshold.
+        validation_fraction: Fraction of trajectories held out, to choose the best weights and the end head's threshold.
     """
 
     policy: Literal["skills"] = "skills"
@@ -40,7 +40,7 @@ class SkillsConfig(FitConfig):
     colours: int = bounded(32, least=2, most=256)
     hidden: int = bounded(128, least=8, most=1024)
     memory: int = bounded(64, least=8, most=1024)
-    validation_share: float = bounded(0.1, least=0.01, most=0.5)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(200, least=1, most=1_000_000)
     checkpoint_every: int = bounded(500, least=1, most=1_000_000)
     log_every: int = bounded(20, least=1, most=1_000_000)

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
-from freerein.learning.holding_out import draw
+from freerein.learning.split import train_validation_split
 from freerein_imitation.model.codebook import ColourCodebook
 from freerein_imitation.training.exploration import Trajectories
 
@@ -89,7 +89,7 @@ def hold_out(segments: Segments, *, share: float, seed: int) -> tuple[Segments, 
             field="dataset",
             hint="Record more demonstrations, and label them.",
         )
-    sides = [set(side) for side in draw(trajectories, share=share, seed=seed)]
+    sides = [set(side) for side in train_validation_split(trajectories, share=share, seed=seed)]
     parts = [[item for item in segments.items if item.trajectory in side] for side in sides]
     training, validation = (Segments(part, segments.places, segments.actions) for part in parts)
     return training, validation

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.learning.descent import descend, learning_rate
-from freerein.learning.progress import TrainingState
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
 from freerein_imitation.model import action_code
 from freerein_imitation.model.codebook import moved
 from freerein_imitation.model.skills import SkillsNetwork
@@ -17,7 +17,7 @@ from freerein_imitation.objectives import absolute_error, action_cross_entropy, 
 from freerein_imitation.training.skills.config import SkillsConfig
 from freerein_imitation.training.skills.segments import Batch, Segment, Segments, gather
 
-State = TrainingState[SkillsNetwork]
+State = TrainState[SkillsNetwork]
 
 END_THRESHOLD = 0.5
 """From which probability on a skill has ended: the end head is trained with as much weight on ends as on the rest."""
@@ -49,9 +49,9 @@ def update(
     shift = config.shift * torch.tensor(rng.uniform(-1, 1, len(items)), dtype=torch.float32)
     parts = losses(state.network, replace(batch, places=moved(batch.places, shift.to(batch.places.device))))
     loss = parts.action + config.end_weight * parts.end
-    rate = learning_rate(config.learning_rate, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+    rate = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
     metrics = {"train_loss": loss.item(), "action_loss": parts.action.item(), "end_loss": parts.end.item()}
-    return descend(state, loss, rate=rate), metrics
+    return optimiser_step(state, loss, lr=rate), metrics
 
 
 @torch.no_grad()

@@ -9,7 +9,7 @@ import torch
 
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
-from freerein.learning.progress import TrainingState
+from freerein.learning.train_state import TrainState
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, differences
 from freerein_imitation.model.text_tower import TextTower
 from freerein_imitation.training.exploration import Exploration
@@ -21,7 +21,7 @@ _CALIBRATION_FRAMES = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class LanguageProblem:
+class LanguageLearner:
     """A network to fit to rollouts, and more of them to choose the best weights by.
 
     Attributes:
@@ -57,8 +57,8 @@ class LanguageProblem:
         frames = torch.from_numpy(self.training.exploration.spread(_CALIBRATION_FRAMES))
         network.calibrate(frames, self.training.different_codes())
         network = network.to(self.device)
-        optimiser = torch.optim.Adam(network.parameters(), self.config.learning_rate, fused=True)
-        return TrainingState(network, optimiser, generator)
+        optimiser = torch.optim.Adam(network.parameters(), self.config.lr, fused=True)
+        return TrainState(network, optimiser, generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some timesteps, and its metrics."""
@@ -78,8 +78,8 @@ def prepare(
     action_choices: int,
     fingerprint: str,
     device: torch.device,
-) -> LanguageProblem:
-    """Returns the problem of distilling policies; reads every goal text once.
+) -> LanguageLearner:
+    """Returns the learner of distilling policies; reads every goal text once.
 
     Args:
         config: What was chosen.
@@ -96,11 +96,11 @@ def prepare(
     different = sorted(set(texts))
     codes = dict(zip(different, tower(different), strict=True))
     training, validation = hold_out(
-        Rollouts(exploration, tuple(texts), codes), share=config.validation_share, seed=config.seed
+        Rollouts(exploration, tuple(texts), codes), share=config.validation_fraction, seed=config.seed
     )
     directions = differences(training.different_codes()).shape[1]
     spec = design(config, exploration, action_choices=action_choices, text_width=tower.width, directions=directions)
-    return LanguageProblem(config, spec, training, validation, fingerprint, device)
+    return LanguageLearner(config, spec, training, validation, fingerprint, device)
 
 
 def design(

@@ -15,7 +15,7 @@ N = TypeVar("N", bound=nn.Module)
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingState(Generic[N]):
+class TrainState(Generic[N]):
     """What an update changes.
 
     Attributes:
@@ -47,7 +47,7 @@ class Best:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress(Generic[N]):
+class FitLoopState(Generic[N]):
     """The whole state of a training between two updates.
 
     Attributes:
@@ -58,14 +58,14 @@ class Progress(Generic[N]):
         summed: How many updates are in `sums`.
     """
 
-    state: TrainingState[N]
+    state: TrainState[N]
     shuffle: Shuffle
     best: Best = Best()
     sums: Mapping[str, float] = field(default_factory=dict)
     summed: int = 0
 
 
-def to_checkpoint(progress: Progress[N], identity: Mapping[str, JSON]) -> Checkpoint:
+def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Checkpoint:
     """Returns all of a training's progress, and what it was made from."""
     state, best = progress.state, progress.best
     tensors = {
@@ -86,7 +86,7 @@ def to_checkpoint(progress: Progress[N], identity: Mapping[str, JSON]) -> Checkp
     return Checkpoint(state.step, tensors, document)
 
 
-def from_checkpoint(checkpoint: Checkpoint, fresh: Progress[N], identity: Mapping[str, JSON]) -> Progress[N]:
+def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Mapping[str, JSON]) -> FitLoopState[N]:
     """Returns the progress that a checkpoint holds, in the objects of a training just begun.
 
     Raises:
@@ -100,8 +100,8 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: Progress[N], identity: Mappin
     state.generator.set_state(checkpoint.tensors["generator"])
     rng.bit_generator.state = cast(Mapping[str, object], document["rng"])
     best = cast(Mapping[str, float] | None, document["best"])
-    return Progress(
-        TrainingState(state.network, state.optimiser, state.generator, checkpoint.step),
+    return FitLoopState(
+        TrainState(state.network, state.optimiser, state.generator, checkpoint.step),
         Shuffle(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
         Best(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else Best(),
         cast(Mapping[str, float], document["sums"]),

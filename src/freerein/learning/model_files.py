@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 import torch
 from torch import nn
 
-from freerein.durable import write_durably
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files
 from freerein.learning.checkpoints import JSON
@@ -53,7 +53,7 @@ class Specified(Protocol):
 N = TypeVar("N", bound=nn.Module)
 
 
-def export(network: Specified, folder: Path, *, card: Mapping[str, JSON], names: Names = MODEL) -> None:
+def save_model(network: Specified, folder: Path, *, card: Mapping[str, JSON], names: Names = MODEL) -> None:
     """Writes a trained network as a folder that `load` reads.
 
     Args:
@@ -62,12 +62,12 @@ def export(network: Specified, folder: Path, *, card: Mapping[str, JSON], names:
         card: What to tell about the model beside its `spec`: kind, configuration, seed, data, figures.
         names: What the files are called.
     """
-    write_durably(folder / names.weights, tensor_files.dump(dict(network.state_dict())))
+    write_atomic(folder / names.weights, tensor_files.dump(dict(network.state_dict())))
     document = {**card, "spec": asdict(network.spec)}
-    write_durably(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
+    write_atomic(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def load(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: Names = MODEL) -> N:
+def load_model(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: Names = MODEL) -> N:
     """Returns the network in a folder, in evaluation mode.
 
     Args:

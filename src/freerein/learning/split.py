@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 
-def draw(items: npt.ArrayLike, *, share: float, seed: int) -> tuple[list[int], list[int]]:
+def train_validation_split(items: npt.ArrayLike, *, share: float, seed: int) -> tuple[list[int], list[int]]:
     """Returns the items to learn from and those held out, in order, at least one of each.
 
     Args:

@@ -11,7 +11,7 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
-from freerein.learning.progress import TrainingState
+from freerein.learning.train_state import TrainState
 from freerein_imitation.model.codebook import ColourCodebook
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
 from freerein_imitation.training.exploration import Exploration
@@ -25,7 +25,7 @@ _LONG = 95
 
 
 @dataclass(frozen=True, eq=False)
-class SkillsProblem:
+class SkillsLearner:
     """A network to fit to some segments, and others to choose the best weights by.
 
     Attributes:
@@ -68,8 +68,8 @@ class SkillsProblem:
         network.image.load_state_dict(self.codebook.state_dict())
         network.calibrate(torch.cat(list(self.training.places)), generator=generator)
         network = network.to(self.device)
-        optimiser = torch.optim.Adam(network.parameters(), self.config.learning_rate, fused=True)
-        return TrainingState(network, optimiser, generator)
+        optimiser = torch.optim.Adam(network.parameters(), self.config.lr, fused=True)
+        return TrainState(network, optimiser, generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some segments, and its metrics."""
@@ -90,8 +90,8 @@ def prepare(
     action_choices: int,
     fingerprint: str,
     device: torch.device,
-) -> SkillsProblem:
-    """Returns the problem of cloning skills; looks at every frame once.
+) -> SkillsLearner:
+    """Returns the learner of cloning skills; looks at every frame once.
 
     Args:
         config: What was chosen.
@@ -111,7 +111,7 @@ def prepare(
     codebook.calibrate(frames, generator=torch.Generator().manual_seed(config.seed))
     places = see(codebook, demonstrations.frames)
     segments = Segments(cut(labels, shortest=config.shortest_segment), places, demonstrations.actions)
-    training, validation = hold_out(segments, share=config.validation_share, seed=config.seed)
+    training, validation = hold_out(segments, share=config.validation_fraction, seed=config.seed)
     shown = sorted({item.skill for item in training.items})
     training, validation = _only(shown, training), _only(shown, validation)
     if not validation.items:
@@ -121,7 +121,7 @@ def prepare(
             hint="Record more demonstrations, and label them.",
         )
     spec = replace(spec, skills=tuple(skills[skill] for skill in shown))
-    return SkillsProblem(config, spec, codebook, training, validation, fingerprint, device)
+    return SkillsLearner(config, spec, codebook, training, validation, fingerprint, device)
 
 
 def _only(skills: Sequence[int], segments: Segments) -> Segments:

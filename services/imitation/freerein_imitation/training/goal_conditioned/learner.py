@@ -40,7 +40,7 @@ def design(config: GoalConditionedConfig, exploration: Exploration, *, action_ch
 
 
 @dataclass(frozen=True, eq=False)
-class GoalConditionedProblem:
+class GoalConditionedLearner:
     """Networks to fit to some exploration, and more of it to choose the best weights by.
 
     Attributes:

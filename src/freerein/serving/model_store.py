@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from freerein.durable import UNFINISHED, sync_folder, write_durably
+from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
 from freerein.errors import FailedPrecondition, NotFound
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import Model
@@ -19,7 +19,7 @@ from freerein.types.learning import Model
 DEFAULT_NAME = "default"
 MANIFEST = "manifest.json"
 CARD = "card.json"
-IN_A_CLONE = Path(__file__).parents[3] / "models"
+CLONE_MODELS = Path(__file__).parents[3] / "models"
 """Where the models lie that came with freerein, unless told otherwise."""
 
 
@@ -43,18 +43,18 @@ class ModelStore:
             folder: Files, among them `card.json`; gone afterwards.
         """
         name = check_name(name or DEFAULT_NAME, field="model_name")
-        theirs = (path for path in sorted(folder.iterdir()) if path.name.removesuffix(UNFINISHED) != MANIFEST)
+        theirs = (path for path in sorted(folder.iterdir()) if path.name.removesuffix(TEMP_SUFFIX) != MANIFEST)
         files = {path.name: _sha256(path) for path in theirs}
         manifest = json.dumps({"files": files}, sort_keys=True).encode()
         version = hashlib.sha256(manifest).hexdigest()[:12]
-        write_durably(folder / MANIFEST, manifest)
+        write_atomic(folder / MANIFEST, manifest)
         target = self._root / name / version
         if target.exists():
             shutil.rmtree(folder)
         else:
             target.parent.mkdir(parents=True, exist_ok=True)
             folder.rename(target)
-            sync_folder(target.parent)
+            fsync_folder(target.parent)
         return ModelRef(name, version)
 
     def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:
@@ -72,7 +72,7 @@ class ModelStore:
                 field="expected_current",
                 hint="List the models, decide again, and send the version that is active now.",
             )
-        write_durably(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
+        write_atomic(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
 
     def active_version(self, name: str) -> str:
         """Returns the version that answers for a name, empty when there is none."""

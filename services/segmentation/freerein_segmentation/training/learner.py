@@ -46,7 +46,7 @@ def design(
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentationProblem:
+class SegmentationLearner:
     """A network to fit to some demonstrations, and others to choose the best weights by.
 
     Attributes:

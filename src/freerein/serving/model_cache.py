@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from freerein.errors import FailedPrecondition
-from freerein.serving.models import DEFAULT_NAME, ModelStore, card
+from freerein.serving.model_store import DEFAULT_NAME, ModelStore, card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,
@@ -22,7 +22,7 @@ M = TypeVar("M")
 _KEPT = 4
 
 
-class LoadedModels(Generic[M]):
+class ModelCache(Generic[M]):
     """Models of one learned service, loaded on first use, the active ones before the service is ready.
 
     Args:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.serving.loaded import LoadedModels
-from freerein.serving.models import ModelStore
+from freerein.serving.model_cache import ModelCache
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest
 
@@ -49,8 +49,8 @@ def loader() -> Loader:
 
 
 @pytest.fixture
-def models(store: ModelStore, loader: Loader) -> LoadedModels[str]:
-    return LoadedModels(store, loader, fit_command="freerein fit toy")
+def models(store: ModelStore, loader: Loader) -> ModelCache[str]:
+    return ModelCache(store, loader, fit_command="freerein fit toy")
 
 
 # --- on disk
@@ -146,7 +146,7 @@ def test_another_version_than_expected_is_not_replaced(store: ModelStore, publis
 
 
 async def test_the_active_model_is_loaded_before_it_is_ready_and_once(
-    store: ModelStore, publish: Publish, models: LoadedModels[str], loader: Loader
+    store: ModelStore, publish: Publish, models: ModelCache[str], loader: Loader
 ) -> None:
     ref = publish("a")
     publish("b")
@@ -159,7 +159,7 @@ async def test_the_active_model_is_loaded_before_it_is_ready_and_once(
     assert loader.loaded == ["a"]
 
 
-async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: LoadedModels[str]) -> None:
+async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: ModelCache[str]) -> None:
     await models.start()
     assert not models.not_ready()
     with pytest.raises(FailedPrecondition) as error:
@@ -167,14 +167,14 @@ async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: Loade
     assert error.value.hint == "Fit one: freerein fit toy"
 
 
-async def test_any_version_can_be_asked_for_by_name(publish: Publish, models: LoadedModels[str]) -> None:
+async def test_any_version_can_be_asked_for_by_name(publish: Publish, models: ModelCache[str]) -> None:
     first, second = publish("a", "x"), publish("b", "x")
     assert [(await models.resolve(ref))[1] for ref in (first, second)] == ["a", "b"]
     with pytest.raises(NotFound):
         await models.resolve(ModelRef("x", "0" * 12))
 
 
-async def test_activating_swaps_what_answers_and_returns_it(publish: Publish, models: LoadedModels[str]) -> None:
+async def test_activating_swaps_what_answers_and_returns_it(publish: Publish, models: ModelCache[str]) -> None:
     first, second = publish("a"), publish("b")
     await models.activate_model(ActivateModelRequest("", first.version))
     assert (await models.resolve(ModelRef()))[1] == "a"
@@ -185,7 +185,7 @@ async def test_activating_swaps_what_answers_and_returns_it(publish: Publish, mo
 
 
 async def test_a_damaged_model_is_not_activated_and_the_old_one_stays(
-    store: ModelStore, publish: Publish, models: LoadedModels[str]
+    store: ModelStore, publish: Publish, models: ModelCache[str]
 ) -> None:
     first, second, third = publish("a"), publish("b"), publish("c")
     await models.activate_model(ActivateModelRequest("", first.version))
@@ -201,7 +201,7 @@ async def test_a_damaged_model_is_not_activated_and_the_old_one_stays(
 
 
 async def test_a_damaged_active_model_stops_the_start(
-    store: ModelStore, publish: Publish, models: LoadedModels[str]
+    store: ModelStore, publish: Publish, models: ModelCache[str]
 ) -> None:
     ref = publish("a")
     store.activate(ref)
@@ -214,14 +214,14 @@ async def test_a_damaged_active_model_stops_the_start(
     ("name", "version", "field"), [("", "", "version"), ("", "../x", "version"), ("../x", "0" * 12, "name")]
 )
 async def test_a_wrong_request_is_refused_by_its_field(
-    models: LoadedModels[str], name: str, version: str, field: str
+    models: ModelCache[str], name: str, version: str, field: str
 ) -> None:
     with pytest.raises(InvalidInput) as error:
         await models.activate_model(ActivateModelRequest(name, version))
     assert error.value.field == field
 
 
-async def test_only_the_models_used_last_are_kept(publish: Publish, models: LoadedModels[str], loader: Loader) -> None:
+async def test_only_the_models_used_last_are_kept(publish: Publish, models: ModelCache[str], loader: Loader) -> None:
     refs = [publish(text) for text in "abcde"]
     for ref in (*refs, refs[4], refs[0]):
         await models.resolve(ref)
