@@ -5,8 +5,7 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from freerein.cli.services import choose, free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import Stack, choose, free_ports
 
 _START_S = 60.0
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from freerein.cli.terminal_plot import plot
 from freerein.cli.course import Course, by_telling
 from freerein.cli.course_picture import draw
+from freerein.cli.terminal_plot import plot
 from freerein.types.orchestrator import Run
 
 _RUN = Run("0" * 32, "ppo", "running", {}, step=0, steps=10)

@@ -1,4 +1,4 @@
-"""The command line and a service whose doors speak TLS."""
+"""The command line and a service with TLS."""
 
 import os
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 
 from freerein.cli.demo.context import Context
 from freerein.cli.demo.report import Reporter
-from freerein.cli.doctor import doors
-from freerein.cli.services import running_endpoints
+from freerein.cli.doctor import services
+from freerein.cli.services.endpoints import running_endpoints
 from freerein.cli.settings import CliSettings
 from freerein.errors import Unavailable
 from freerein.ports import PORTS, Ports
@@ -33,7 +33,7 @@ async def test_the_doctor_and_the_demo_speak_tls_and_say_when_the_connection_is_
         running_endpoints(["sim"], os.environ), CliSettings(), tmp_path, tmp_path, 0, Reporter(as_json=True)
     )
 
-    while (found := doors.service("sim")).state == "warning":
+    while (found := services.check_service("sim")).state == "warning":
         pass  # its workers start
     assert found.state == "ok", found
     async with context.rest("sim") as rest, context.sim() as client:

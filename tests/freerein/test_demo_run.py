@@ -9,7 +9,7 @@ from freerein.cli.demo.language_policies import TASKS, DistillationResult, Retur
 from freerein.cli.demo.output_folder import MARKER, prepare
 from freerein.cli.demo.pipeline import isolated_environ, run
 from freerein.cli.demo.report import Figure, Reporter, summary, write
-from freerein.cli.services import running_endpoints
+from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
 
 

@@ -1,4 +1,4 @@
-"""The command line's connections to services."""
+"""Connections of the command line to services."""
 
 import os
 from typing import TypeVar
@@ -12,16 +12,16 @@ C = TypeVar("C", bound=Client)
 
 
 def connect(client: type[C], service: str) -> C:
-    """Returns a client of a service, where the environment says that it is, or where `freerein up` puts it.
+    """Returns a client of a service at its address in the environment, by default that of `freerein up`.
 
     Raises:
-        InvalidInput: There is no such service, or its address is none.
+        InvalidInput: The service or its address is invalid.
     """
     return client(channel_to(address(service, os.environ), CliSettings()))
 
 
 def channel_to(target: str, settings: CliSettings) -> Channel:
-    """Returns a channel to the service at `target`, `host:port`."""
+    """Returns a channel to `host:port`."""
     return Channel(
         target,
         token=settings.token_text,

@@ -7,8 +7,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from freerein.cli.terminal_plot import plot
 from freerein.cli.course import Course
+from freerein.cli.terminal_plot import plot
 from freerein.cli.underway import Underway, steps_of
 
 _CURVES, _CURVE_LINES, _BAR_WIDTH = 4, 2, 30

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from freerein.cli import following
+from freerein.cli.commands.sim import record
 from freerein.cli.connection import channel_to
 from freerein.cli.course import Course
 from freerein.cli.demo.report import Reporter
 from freerein.cli.demo.rest_client import RestClient
-from freerein.cli.recording import record
-from freerein.cli.services import Endpoints
+from freerein.cli.services.endpoints import Endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, FitClient, OrchestratorClient, SimClient
 from freerein.data import dataset_path

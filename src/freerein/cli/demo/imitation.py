@@ -160,7 +160,7 @@ def figures(result: GoalImageResult) -> tuple[Figure, ...]:
         ),
         Figure(
             "imitation.landmarks_reached.no_block_moves",
-            "landmarks reached that need no block moved",
+            "landmarks reached, no block to move",
             ours.no_block_moves,
             random.no_block_moves,
             guess,
@@ -168,7 +168,7 @@ def figures(result: GoalImageResult) -> tuple[Figure, ...]:
         ),
         Figure(
             "imitation.landmarks_reached.block_moves",
-            "landmarks reached that need a block moved",
+            "landmarks reached, a block to move",
             ours.block_moves,
             random.block_moves,
             guess,
@@ -176,20 +176,20 @@ def figures(result: GoalImageResult) -> tuple[Figure, ...]:
         ),
         Figure(
             "imitation.landmarks_recognized",
-            "landmarks at which the robot was when it went on to the next",
+            "landmarks reached at the moment the policy left them",
             result.recognized,
         ),
         Figure(
             "imitation.goal_auroc",
-            "goal recognizer on visited states: AUROC",
+            "goal recognizer, visited states: AUROC",
             recognizer.auroc,
             0.5,
-            "a coin",
+            "chance",
             beats_baseline=True,
         ),
         Figure(
             "imitation.goal_calibration_error",
-            f"goal recognizer on visited states: ECE, where {recognizer.at_landmark:.0%} are at the landmark",
+            f"goal recognizer, visited states: ECE; {recognizer.at_landmark:.0%} are at the landmark",
             recognizer.calibration_error,
             0.0,
             "always the base rate",

@@ -211,6 +211,11 @@ def _evaluation(context: Context, task: str, policy: str | dict[str, Any]) -> di
     }
 
 
+def _side(name: str) -> str:
+    """Returns the side that a task's name or a goal text mentions."""
+    return "left" if "left" in name else "right"
+
+
 def _joined(parts: list[Returns]) -> Returns:
     return Returns(tuple(value for part in parts for value in part.episodes))
 
@@ -220,14 +225,14 @@ def bars(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -> d
     own, other = TASKS[_TASK], TASKS[_OTHER_TASK]
     told = student.returns
     return {
-        "left of: steps at the goal": [
+        "left-of: steps at the goal": [
             baselines.random[_TASK].bar("random"),
             baselines.checkpoint.bar("checkpoint"),
             ppo.returns.bar("ppo"),
             told[_TASK][own].bar('student,\ntold "left"'),
             told[_TASK][other].bar('student,\ntold "right"'),
         ],
-        "right of: steps at the goal": [
+        "right-of: steps at the goal": [
             baselines.random[_OTHER_TASK].bar("random"),
             told[_OTHER_TASK][other].bar('student,\ntold "right"'),
             told[_OTHER_TASK][own].bar('student,\ntold "left"'),
@@ -243,8 +248,8 @@ def figures(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -
     heard = right.minus(blind)
     by_sentence = [
         Figure(
-            f"distill.{task.partition('.')[2]}.told_{'right' if text == own else 'wrong'}",
-            f"{task.partition('.')[2]}: student's return, told {'its own' if text == own else 'the other'} sentence",
+            f"distill.{_side(task)}_of.told_{_side(text)}",
+            f"{_side(task)}-of: student's return, told '{_side(text)}'",
             student.returns[task][text].mean,
             baselines.random[task].mean,
             "random actions",
@@ -256,7 +261,7 @@ def figures(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -
     return (
         Figure(
             "ppo.checkpoint_return",
-            "left of: return of the shipped checkpoint that PPO starts from",
+            "left-of: return of the shipped checkpoint that PPO starts from",
             checkpoint.mean,
             random.mean,
             "random actions",
@@ -264,7 +269,7 @@ def figures(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -
         ),
         Figure(
             "ppo.return",
-            "left of: return after PPO",
+            "left-of: return after PPO",
             ppo.returns.mean,
             checkpoint.mean,
             "the checkpoint",
@@ -272,31 +277,31 @@ def figures(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -
         ),
         Figure(
             "ppo.gain",
-            "left of: gained by PPO since the checkpoint, by episode",
+            "left-of: return after PPO minus checkpoint's, per episode",
             gain.mean,
             0.0,
-            "nothing learned",
+            "no gain",
             gain.interval,
             beats_baseline=True,
         ),
         *by_sentence,
         Figure(
             "distill.return",
-            "both tasks: student's return, told each its own sentence",
+            "both tasks: student's return, told the right sentence",
             right.mean,
             blind.mean,
-            "always the same sentence",
+            "one constant sentence",
             right.interval,
         ),
         Figure(
             "distill.gain_by_words",
-            "both tasks: gained by telling it the right sentence, by episode",
+            "both tasks: right minus constant sentence, per episode",
             heard.mean,
             0.0,
-            "deaf to words",
+            "word-blind",
             heard.interval,
             beats_baseline=True,
         ),
-        Figure("ppo.training_s", "PPO, seconds", ppo.training_s),
-        Figure("distill.training_s", "distillation, seconds", student.training_s),
+        Figure("ppo.training_s", "PPO: training, seconds", ppo.training_s),
+        Figure("distill.training_s", "distillation: rollouts and fit, seconds", student.training_s),
     )

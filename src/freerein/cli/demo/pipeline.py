@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from freerein.cli import services
 from freerein.cli.demo import (
     imitation,
     language_policies,
@@ -26,9 +25,9 @@ from freerein.cli.demo.report import Figure, Reporter
 from freerein.cli.demo.reward import RewardResult, Scenes
 from freerein.cli.demo.segmentation import BLOCKS, GRID, SegmentationResult
 from freerein.cli.demo.skill_policies import RecipeResult
-from freerein.cli.services import Endpoints, choose, free_ports, is_free
+from freerein.cli.services import Endpoints, Stack, choose, free_ports
+from freerein.cli.services.endpoints import is_free, running_endpoints
 from freerein.cli.settings import CliSettings
-from freerein.cli.supervisor import Stack
 from freerein.ports import PORTS, Ports
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
@@ -71,7 +70,7 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     data_dir = settings.data_dir if running else out / "data"
     is_own = not running and data_dir.resolve() == settings.data_dir.resolve()
     output_folder.prepare(out, keep=None if is_own else settings.data_dir)
-    stack = nullcontext(services.running_endpoints(_SERVICES, os.environ)) if running else _start(data_dir, reporter)
+    stack = nullcontext(running_endpoints(_SERVICES, os.environ)) if running else _start(data_dir, reporter)
     async with stack as endpoints:
         for name, url in endpoints.urls.items():
             reporter.line(f"{name:<13} {url}/docs   gRPC {endpoints.addresses[name]}")

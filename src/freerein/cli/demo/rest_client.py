@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from freerein import tensors
 from freerein.cli.demo.report import Reporter
-from freerein.cli.services import trust
+from freerein.cli.services.endpoints import tls_context
 from freerein.cli.settings import CliSettings
 from freerein.errors import Internal, Unavailable, by_code
 
@@ -37,7 +37,7 @@ class RestClient:
         self._reporter = reporter
         self._shown: set[str] = set()
         headers = {"authorization": f"Bearer {settings.token_text}"} if settings.token else {}
-        verify = trust(str(settings.tls_cert) if settings.tls_cert else None)
+        verify = tls_context(str(settings.tls_cert) if settings.tls_cert else None)
         self._client = httpx.AsyncClient(
             base_url=url, headers=headers, timeout=_TIMEOUT_S, trust_env=False, verify=verify
         )

@@ -161,27 +161,26 @@ def figures(two_blocks: RewardResult, four_blocks: RewardResult) -> tuple[Figure
     """Returns accuracy and balanced accuracy on scenes of two blocks, as in training, and of four."""
     found = []
     for name, text, result in (
-        ("two_blocks", "two blocks, as in training", two_blocks),
-        ("four_blocks", "four blocks", four_blocks),
+        ("two_blocks", "reward, two blocks as in training", two_blocks),
+        ("four_blocks", "reward, four blocks", four_blocks),
     ):
-        right = f"images of which the true one of five sentences wins, {text}"
         majority = majority_accuracy(result.truth)
         classes = len(np.unique(result.truth))
         found += [
             Figure(
                 f"reward.{name}.accuracy",
-                right,
+                f"{text}: accuracy among five sentences",
                 frame_accuracy(result.predicted, result.truth),
                 majority,
-                "always the commonest",
+                "majority guess",
                 beats_baseline=True,
             ),
             Figure(
                 f"reward.{name}.balanced_accuracy",
-                f"{right}: mean over relations",
+                f"{text}: balanced accuracy",
                 balanced_accuracy(result.predicted, result.truth),
                 1 / classes,
-                "always the same",
+                "constant guess",
                 beats_baseline=True,
             ),
         ]

@@ -128,7 +128,7 @@ def figures(blocks: SegmentationResult, grid: SegmentationResult) -> tuple[Figur
     return (
         Figure(
             "segmentation.frame_accuracy",
-            "blocks: timesteps labelled right, four skills where training saw two or three",
+            "blocks: frame accuracy, four skills where training saw two or three",
             blocks.frame_accuracy,
             blocks.majority_accuracy,
             guess,
@@ -137,7 +137,7 @@ def figures(blocks: SegmentationResult, grid: SegmentationResult) -> tuple[Figur
         Figure("segmentation.random_cls_accuracy", "blocks: Random-Cls", blocks.random_cls_accuracy),
         Figure(
             "grid.frame_accuracy",
-            "grid: timesteps labelled right, five skills where training saw two to four",
+            "grid: frame accuracy, five skills where training saw two to four",
             grid.frame_accuracy,
             grid.majority_accuracy,
             guess,

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from freerein.cli.commands.segment import label_all
 from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
 from freerein.cli.demo.evaluation import recipes
 from freerein.cli.demo.evaluation.recipes import SkillOutcome
 from freerein.cli.demo.report import Figure
 from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
 from freerein.cli.demo.segmentation import BLOCKS
-from freerein.cli.labelling import label_all
 from freerein.clients import ImitationClient, SegmentationClient
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecRequest
@@ -100,7 +100,7 @@ def figures(result: RecipeResult) -> tuple[Figure, ...]:
     return (
         Figure(
             "recipe.skills_completed",
-            "skills completed, in recipes of an order and a length never shown",
+            "recipes of an order and length never shown: skills completed",
             result.completed,
             result.random_completed,
             "random actions",
@@ -108,7 +108,7 @@ def figures(result: RecipeResult) -> tuple[Figure, ...]:
         ),
         Figure(
             "recipe.blocks_lifted",
-            "skills of these whose block was lifted",
+            "recipes: skills whose block was lifted",
             result.lifted,
             result.random_lifted,
             "random actions",

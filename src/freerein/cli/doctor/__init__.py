@@ -1,3 +1,3 @@
-"""`freerein doctor`: what is missing on this machine, and how to mend it."""
+"""`freerein doctor`: checks this machine and the services."""
 
-from freerein.cli.doctor.verb import doctor as doctor
+from freerein.cli.doctor.command import doctor as doctor
