@@ -9,7 +9,7 @@ import typer
 
 from freerein.cli import watching
 from freerein.cli.configuring import Settings, configuration
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.cli.underway import steps_of
 from freerein.errors import ServiceError, Unavailable
 
@@ -37,7 +37,7 @@ def _add_start(service: str, explanation: str) -> None:
     """Adds the verb that starts a fit of a service: the same call to each of them."""
 
     @app.command(service, help=explanation)
-    @verb
+    @command
     def start(
         dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
         model_name: Annotated[str, typer.Option(help="Name for the model; `default` when empty.")] = "",
@@ -64,7 +64,7 @@ for _service, _explanation in _LEARN.items():
 
 
 @app.command("list")
-@verb
+@command
 def list_fits(service: _Services = "", as_json: AsJson = False) -> None:
     """List all fits, the newest first."""
 
@@ -78,14 +78,14 @@ def list_fits(service: _Services = "", as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def watch(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """Follow a fit to its end."""
     _watch(_service_of(fit, service), fit, as_json=as_json)
 
 
 @app.command()
-@verb
+@command
 def cancel(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """End a fit; its last checkpoint stays."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from freerein.cli.fit import Service
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 
 if TYPE_CHECKING:
     from freerein.clients import ModelClient
@@ -19,7 +19,7 @@ app = typer.Typer(help="Models: which there are, and which one answers.", no_arg
 
 
 @app.command("list")
-@verb
+@command
 def list_models(service: Service = "segmentation", as_json: AsJson = False) -> None:
     """List every version of every model, the newest first."""
 
@@ -32,7 +32,7 @@ def list_models(service: Service = "segmentation", as_json: AsJson = False) -> N
 
 
 @app.command()
-@verb
+@command
 def activate(
     name: Annotated[str, typer.Argument(help="The model's name.")],
     version: Annotated[str, typer.Argument(help="The version that is to answer.")],

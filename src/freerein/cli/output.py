@@ -19,7 +19,7 @@ _UNLIMITED_WIDTH = 1000
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
 
 
-def verb(run: Callable[P, None]) -> Callable[P, None]:
+def command(run: Callable[P, None]) -> Callable[P, None]:
     """Decorates a command: prints a `ServiceError` or `OSError` with its hint and exits with code 1."""
 
     @functools.wraps(run)

@@ -12,7 +12,7 @@ import typer
 
 from freerein.cli import watching
 from freerein.cli.configuring import Settings, configuration
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.cli.underway import steps_of
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _STDOUT = Path("-")
 
 
 @app.command()
-@verb
+@command
 def start(
     kind: _Kind,
     *,
@@ -63,7 +63,7 @@ def start(
 
 
 @app.command("list")
-@verb
+@command
 def list_runs(as_json: AsJson = False) -> None:
     """List all runs, the newest first."""
     from freerein.types.orchestrator import ListRunsRequest
@@ -75,14 +75,14 @@ def list_runs(as_json: AsJson = False) -> None:
 
 
 @app.command("watch")
-@verb
+@command
 def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
     """Follow a run to its end, with its curves."""
     _watch(run, metrics=metrics or None, as_json=as_json)
 
 
 @app.command()
-@verb
+@command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
     """End a run; its last checkpoint stays."""
     from freerein.types.orchestrator import CancelRunRequest
@@ -94,7 +94,7 @@ def cancel(run: _Id, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
     """Go on with a run that failed or was cancelled, from its last checkpoint."""
     from freerein.types.orchestrator import ResumeRunRequest
@@ -106,7 +106,7 @@ def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
     """List the files that a run has left behind, or fetch one."""
     if not name:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from freerein.cli.commands.image_files import FILES, read_images
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _GoalText = Annotated[str, typer.Option(metavar="TEXT", help="Goal text.")]
 
 
 @app.callback()
-@verb
+@command
 def act(
     context: typer.Context,
     *,
@@ -58,7 +58,7 @@ def act(
 
 
 @app.command()
-@verb
+@command
 def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> None:
     """Show the observations and actions of a model."""
     from freerein import wire

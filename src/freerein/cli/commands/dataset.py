@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput, NotFound
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data direct
 
 
 @app.command("list")
-@verb
+@command
 def list_datasets(as_json: AsJson = False) -> None:
     """List the datasets in the data directory."""
     from freerein.cli.settings import CliSettings
@@ -35,7 +35,7 @@ def list_datasets(as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def inspect(name: _Name, as_json: AsJson = False) -> None:
     """Show the contents of a dataset."""
     from freerein import data
@@ -48,7 +48,7 @@ def inspect(name: _Name, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def verify(name: _Name, as_json: AsJson = False) -> None:
     """Read every file of a dataset and list damage; exit code 1 where there is any."""
     from freerein import data
@@ -57,7 +57,7 @@ def verify(name: _Name, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def check(name: _Name, as_json: AsJson = False) -> None:
     """List what prevents learning skills from a dataset; exit code 1 where there is anything."""
     from freerein import data

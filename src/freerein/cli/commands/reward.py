@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from freerein.cli.commands.image_files import FILES, read_images
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _Heatmap = Annotated[
 _Phrases = Annotated[list[str] | None, typer.Option(help="Noun phrase to find, such as `a red block`; repeatable.")]
 
 
-@verb
+@command
 def reward(
     image: _Images = None,
     *,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, progress_bar, verb
+from freerein.cli.output import AsJson, command, print_json, progress_bar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ _COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", 
 _WIDEST_BAR = 100
 
 
-@verb
+@command
 def segment(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
     *,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, progress_bar, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
 
 if TYPE_CHECKING:
     from freerein.clients import SimClient
@@ -19,7 +19,7 @@ app = typer.Typer(help="List simulated tasks and record demonstrations.", no_arg
 
 
 @app.command()
-@verb
+@command
 def tasks(as_json: AsJson = False) -> None:
     """List the tasks."""
     from freerein import wire
@@ -33,7 +33,7 @@ def tasks(as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def demonstrate(
     task: Annotated[str, typer.Argument(help="Name of the task; see `freerein sim tasks`.")],
     *,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, verb
+from freerein.cli.output import AsJson, command
 from freerein.errors import FailedPrecondition
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on free p
 _Show = Callable[[tuple["ServiceStatus", ...]], None]
 
 
-@verb
+@command
 def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
     """Run the services until Ctrl-C; restart them when they crash."""
     from freerein.cli.services import Stack, choose

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, verb
+from freerein.cli.output import AsJson, command, print_json
 
 if TYPE_CHECKING:
     from freerein.cli.doctor.check_result import CheckResult
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _MARKS = {"ok": ("ok", "green"), "warning": ("note", "yellow"), "problem": ("problem", "bold red")}
 
 
-@verb
+@command
 def doctor(as_json: AsJson = False) -> None:
     """Check this machine and the services; exit code 1 where something required is missing."""
     results = _check_all()
