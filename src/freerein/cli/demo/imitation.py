@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
+from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import landmarks
 from freerein.cli.demo.evaluation.landmarks import Pursuit, ReachedRates
 from freerein.cli.demo.pictures import FilmstripGoal
@@ -16,6 +16,7 @@ from freerein.clients import ImitationClient
 from freerein.metrics import auroc, expected_calibration_error
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecRequest
+from freerein.types.learning import Fit
 from freerein.types.sim import DemonstrateRequest
 
 _TASK, _DATASET, _CAMERA = "blocks", "exploration", "front"
@@ -68,7 +69,7 @@ async def record(context: Context) -> None:
     await context.record(_DATASET, request)
 
 
-async def start_fit(context: Context) -> RunningFit:
+async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to learn the policy and its goal recognizer."""
     config = {"policy": "goal_conditioned"}
     return await context.start_fit("imitation", _DATASET, model_name=_MODEL.name, config=config)
@@ -152,46 +153,19 @@ def _filmstrip(
 
 def figures(result: GoalImageResult) -> tuple[Figure, ...]:
     """Returns the figures of following goal images."""
-    ours, random, recognizer = result.reached, result.reached_at_random, result.recognizer
-    guess = "random actions"
+    recognizer = result.recognizer
+    reached = (
+        ("landmarks_reached", result.reached.overall, result.reached_at_random.overall),
+        ("no_block_moves.landmarks_reached", result.reached.no_block_moves, result.reached_at_random.no_block_moves),
+        ("block_moves.landmarks_reached", result.reached.block_moves, result.reached_at_random.block_moves),
+    )
     return (
-        Figure(
-            "imitation.landmarks_reached", "landmarks reached", ours.overall, random.overall, guess, beats_baseline=True
+        *(
+            Figure(f"imitation.{name}", value, random, "random actions", beats_baseline=True)
+            for name, value, random in reached
         ),
-        Figure(
-            "imitation.landmarks_reached.no_block_moves",
-            "landmarks reached, no block to move",
-            ours.no_block_moves,
-            random.no_block_moves,
-            guess,
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.landmarks_reached.block_moves",
-            "landmarks reached, a block to move",
-            ours.block_moves,
-            random.block_moves,
-            guess,
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.landmarks_recognized",
-            "landmarks reached at the moment the policy left them",
-            result.recognized,
-        ),
-        Figure(
-            "imitation.goal_auroc",
-            "goal recognizer, visited states: AUROC",
-            recognizer.auroc,
-            0.5,
-            "chance",
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.goal_calibration_error",
-            f"goal recognizer, visited states: ECE; {recognizer.at_landmark:.0%} are at the landmark",
-            recognizer.calibration_error,
-            0.0,
-            "always the base rate",
-        ),
+        Figure("imitation.landmarks_recognized", result.recognized),
+        Figure("imitation.visited.at_landmark", recognizer.at_landmark),
+        Figure("imitation.visited.goal_auroc", recognizer.auroc, 0.5, "chance", beats_baseline=True),
+        Figure("imitation.visited.goal_ece", recognizer.calibration_error, 0.0, "always the base rate"),
     )

@@ -19,7 +19,7 @@ from freerein.cli.demo import (
 )
 from freerein.cli.demo.context import Context
 from freerein.cli.demo.imitation import GoalImageResult
-from freerein.cli.demo.language_policies import Baselines, DistillationResult, PPOResult
+from freerein.cli.demo.language_policies import PPOResult, Returns, Student
 from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import Figure, Reporter
 from freerein.cli.demo.reward import RewardResult, Scenes
@@ -47,9 +47,9 @@ class _Results:
     four_blocks: RewardResult
     reward_examples: tuple[RewardExample, ...]
     recipes: RecipeResult
-    baselines: Baselines
+    baselines: Mapping[str, Returns]
     ppo: PPOResult
-    student: DistillationResult
+    student: Student
     training_s: float
 
 
@@ -74,7 +74,7 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     async with stack as endpoints:
         for name, url in endpoints.urls.items():
             reporter.line(f"{name:<13} {url}/docs   gRPC {endpoints.addresses[name]}")
-        results = await _learn_and_measure(Context(endpoints, settings, data_dir, out, seed, reporter))
+        results = await _learn_and_measure(Context(endpoints, settings, data_dir, seed, reporter))
     with reporter.stage("Draw"):
         _draw(results, out)
     figures = _figures(results, total_s=time.perf_counter() - started_s)
@@ -195,8 +195,8 @@ def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
         *imitation.figures(results.goal_images),
         *skill_policies.figures(results.recipes),
         *language_policies.figures(results.baselines, results.ppo, results.student),
-        Figure("training_s", "fits, seconds", results.training_s),
-        Figure("total_s", "whole demo, seconds", total_s, at_most=_LONGEST_S),
+        Figure("training_s", results.training_s),
+        Figure("total_s", total_s, at_most=_LONGEST_S),
     )
 
 
