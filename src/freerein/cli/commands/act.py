@@ -1,8 +1,6 @@
 """`freerein act`: asks a policy for the next actions, or for its observation and action spec."""
 
-import asyncio
-from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,11 +9,8 @@ from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from freerein.clients import ImitationClient
     from freerein.types.common import ModelRef
     from freerein.types.imitation import ActResponse, GetSpecResponse
-
-T = TypeVar("T")
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -44,6 +39,8 @@ def act(
     if context.invoked_subcommand:
         return
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import ImitationClient
     from freerein.types.common import Goal, ModelRef, Observation
     from freerein.types.imitation import ActRequest
 
@@ -53,7 +50,7 @@ def act(
         goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
     )
-    answer = asyncio.run(_call(lambda client: client.act(request)))
+    answer = call(ImitationClient, "imitation", lambda client: client.act(request))
     print_json(wire.to_json(answer)) if as_json else _show_answer(answer)
 
 
@@ -62,20 +59,14 @@ def act(
 def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> None:
     """Show the observations and actions of a model."""
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import ImitationClient
     from freerein.types.common import ModelRef
     from freerein.types.imitation import GetSpecRequest
 
     request = GetSpecRequest(ModelRef(model, version))
-    answer = asyncio.run(_call(lambda client: client.get_spec(request)))
+    answer = call(ImitationClient, "imitation", lambda client: client.get_spec(request))
     print_json(wire.to_json(answer)) if as_json else _show_spec(answer)
-
-
-async def _call(ask: "Callable[[ImitationClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import connect
-    from freerein.clients import ImitationClient
-
-    async with connect(ImitationClient, "imitation") as client:
-        return await ask(client)
 
 
 def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | None, goal_text: str) -> None:

@@ -1,6 +1,5 @@
 """`freerein reward`: rewards images against a goal text, and finds noun phrases in them."""
 
-import asyncio
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from freerein.clients import RewardClient
     from freerein.types.common import Image
     from freerein.types.reward import Grounding, RewardRequest, RewardResponse
 
@@ -49,6 +49,8 @@ def reward(
 ) -> None:
     """Reward images against a goal text."""
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import RewardClient
     from freerein.types.common import ModelRef
     from freerein.types.reward import RewardRequest
 
@@ -57,8 +59,7 @@ def reward(
         goal_text=goal, rivals=tuple(rival or ()), mode="raw" if raw else "binary", model=ModelRef(model, version)
     )
     parts = list(_from_dataset(asked, dataset, index) if dataset else _from_files(asked, image or ()))
-    answers = asyncio.run(_ask(parts))
-    answer = _joined(answers)
+    answer = _joined(call(RewardClient, "reward", lambda client: _ask(client, parts)))
     print_json(wire.to_json(answer)) if as_json else _show(answer)
     if heatmap:
         groundings = _draw(parts[0], tuple(phrase or ()), heatmap)
@@ -113,20 +114,19 @@ def _from_dataset(asked: "RewardRequest", name: str, index: int) -> "Iterator[Re
         yield replace(asked, frames={camera: array[start : start + per_request] for camera, array in frames.items()})
 
 
-async def _ask(parts: "Sequence[RewardRequest]") -> "list[RewardResponse]":
-    from freerein.cli.connection import connect
-    from freerein.clients import RewardClient
-
-    async with connect(RewardClient, "reward") as client:
-        return [await client.reward(part) for part in parts]
+async def _ask(client: "RewardClient", parts: "Sequence[RewardRequest]") -> "list[RewardResponse]":
+    return [await client.reward(part) for part in parts]
 
 
 def _draw(first: "RewardRequest", phrases: tuple[str, ...], path: Path) -> "tuple[Grounding, ...]":
     """Writes the heatmaps of phrases in the first image; returns the groundings."""
     from freerein import images
+    from freerein.cli.connection import call
+    from freerein.clients import RewardClient
+    from freerein.types.reward import GroundRequest
 
     image = first.images[0] if first.images else images.encode(next(iter(first.frames.values()))[0])
-    groundings = asyncio.run(_ground(image, phrases))
+    groundings = call(RewardClient, "reward", lambda client: client.ground(GroundRequest(image, phrases))).groundings
     path.write_bytes(images.encode(_heatmaps(images.decode(image), groundings)).data)
     return groundings
 
@@ -153,15 +153,6 @@ def _lit(image: "npt.NDArray[np.uint8]", grounding: "Grounding") -> "npt.NDArray
     lit[y, max(0, x - arm) : x + arm + 1] = 255
     lit[max(0, y - arm) : y + arm + 1, x] = 255
     return lit.astype(np.uint8)
-
-
-async def _ground(image: "Image", phrases: tuple[str, ...]) -> "tuple[Grounding, ...]":
-    from freerein.cli.connection import connect
-    from freerein.clients import RewardClient
-    from freerein.types.reward import GroundRequest
-
-    async with connect(RewardClient, "reward") as client:
-        return (await client.ground(GroundRequest(image, phrases))).groundings
 
 
 def _joined(answers: "Sequence[RewardResponse]") -> "RewardResponse":

@@ -1,6 +1,5 @@
 """`freerein segment`: labels the timesteps of one trajectory, or of a whole dataset, with skills."""
 
-import asyncio
 from collections.abc import Callable, Sequence
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Annotated
@@ -38,6 +37,8 @@ def segment(
 ) -> None:
     """Label every timestep of a trajectory with a skill; with --save, of the whole dataset."""
     from freerein.cli.commands.dataset import choose_camera, dataset_root
+    from freerein.cli.connection import call
+    from freerein.clients import SegmentationClient
     from freerein.data import Dataset
     from freerein.types.common import ModelRef
     from freerein.types.segmentation import SegmentRequest
@@ -47,7 +48,11 @@ def segment(
     request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing)
     if save:
         with progress_bar(f"labelling {dataset}", total=len(opened), is_shown=not as_json) as on_count:
-            info = asyncio.run(_save(dataset_root(dataset), request, chosen, on_count))
+            info = call(
+                SegmentationClient,
+                "segmentation",
+                lambda client: label_all(client, dataset_root(dataset), request, camera=chosen, on_count=on_count),
+            )
         _show_saved(dataset, len(opened), info, as_json=as_json)
     else:
         _segment_one(opened, index, request, chosen, as_json=as_json)
@@ -58,26 +63,13 @@ def _segment_one(dataset: "Dataset", index: int, request: "SegmentRequest", came
 
     from freerein import wire
     from freerein.cli.commands.dataset import read_trajectory
+    from freerein.cli.connection import call
+    from freerein.clients import SegmentationClient
 
     trajectory = read_trajectory(dataset, index)
-    answer = asyncio.run(_ask(replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)))
+    filled = replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)
+    answer = call(SegmentationClient, "segmentation", lambda client: client.segment(filled))
     print_json(wire.to_json(answer)) if as_json else _show(answer)
-
-
-async def _ask(request: "SegmentRequest") -> "SegmentResponse":
-    from freerein.cli.connection import connect
-    from freerein.clients import SegmentationClient
-
-    async with connect(SegmentationClient, "segmentation") as client:
-        return await client.segment(request)
-
-
-async def _save(root: "Path", request: "SegmentRequest", camera: str, on_count: Callable[[int], None]) -> "LabelsInfo":
-    from freerein.cli.connection import connect
-    from freerein.clients import SegmentationClient
-
-    async with connect(SegmentationClient, "segmentation") as client:
-        return await label_all(client, root, request, camera=camera, on_count=on_count)
 
 
 def _show_saved(dataset: str, count: int, info: "LabelsInfo", *, as_json: bool) -> None:

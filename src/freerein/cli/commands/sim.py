@@ -1,6 +1,5 @@
 """`freerein sim`: lists simulated tasks and records demonstrations into datasets."""
 
-import asyncio
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from pathlib import Path
@@ -13,7 +12,7 @@ from freerein.cli.output import AsJson, command, print_json, progress_bar, show_
 if TYPE_CHECKING:
     from freerein.clients import SimClient
     from freerein.clients.recording import Recording
-    from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
+    from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, Task
 
 app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True)
 
@@ -23,8 +22,11 @@ app = typer.Typer(help="List simulated tasks and record demonstrations.", no_arg
 def tasks(as_json: AsJson = False) -> None:
     """List the tasks."""
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import SimClient
+    from freerein.types.sim import ListTasksRequest
 
-    found = asyncio.run(_list_tasks())
+    found = call(SimClient, "sim", lambda client: client.list_tasks(ListTasksRequest()))
     if as_json:
         print_json(wire.to_json(found))
         return
@@ -51,6 +53,9 @@ def demonstrate(
     as_json: AsJson = False,
 ) -> None:
     """Record demonstrations of a task into a dataset."""
+    from freerein.cli.commands.dataset import dataset_root
+    from freerein.cli.connection import call
+    from freerein.clients import SimClient
     from freerein.types.sim import DemonstrateRequest
 
     request = DemonstrateRequest(
@@ -67,29 +72,11 @@ def demonstrate(
         privileged=truth,
     )
     with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
-        held = asyncio.run(_record(request, out, on_count))
+        held = call(SimClient, "sim", lambda client: record(client, request, dataset_root(out), on_count=on_count))
     if as_json:
         print_json({"dataset": out, "trajectories": held})
     else:
         typer.echo(f"The dataset {out} holds {held} trajectories.")
-
-
-async def _list_tasks() -> "ListTasksResponse":
-    from freerein.cli.connection import connect
-    from freerein.clients import SimClient
-    from freerein.types.sim import ListTasksRequest
-
-    async with connect(SimClient, "sim") as client:
-        return await client.list_tasks(ListTasksRequest())
-
-
-async def _record(request: "DemonstrateRequest", dataset: str, on_count: Callable[[int], None]) -> int:
-    from freerein.cli.commands.dataset import dataset_root
-    from freerein.cli.connection import connect
-    from freerein.clients import SimClient
-
-    async with connect(SimClient, "sim") as client:
-        return await record(client, request, dataset_root(dataset), on_count=on_count)
 
 
 async def record(
