@@ -30,7 +30,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     data_dir = tmp_path_factory.mktemp("data")
     network = SegmentationNetwork(SPEC)
     weights.draw(network, generator=torch.Generator().manual_seed(0))
-    network.image.calibrate(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
+    network.image.fit_normalisation(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
     save_model(network, data_dir / "unpublished", card={})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish("", data_dir / "unpublished"))

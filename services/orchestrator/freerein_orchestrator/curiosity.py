@@ -102,8 +102,8 @@ class Curiosity(nn.Module):
     @torch.no_grad()
     def calibrate(self, image: SpatialEncoder) -> None:
         """Takes the mean image, and the deviation from it, of another encoder of the same frames."""
-        self.image.background.copy_(image.background)
-        self.image.contrast.copy_(image.contrast)
+        self.image.mean_image.copy_(image.mean_image)
+        self.image.pixel_std.copy_(image.pixel_std)
 
     def forward(self, transitions: Transitions) -> tuple[Tensor, Tensor]:
         """Returns, for each of M transitions, the errors of both models: float32 (M,) each.

@@ -102,7 +102,7 @@ class ActorCritic(nn.Module):
     def calibrate(self, observations: Tensor) -> None:
         """Takes the mean image, and the deviation from it, from frames uint8 (N, H, W, C); vectors stay as they are."""
         if self.image is not None:
-            self.image.calibrate(observations)
+            self.image.fit_normalisation(observations)
 
     def forward(self, observations: Tensor, starts: Tensor, memory: Tensor) -> Outputs:
         """Returns what to do at T timesteps of B environments, one after the other, and what it is worth.

@@ -29,7 +29,7 @@ def init(
     """Returns the state before the first update; the encoder's background is that of the demonstrations."""
     network = SegmentationNetwork(spec)
     weights.draw(network, generator=generator)
-    network.image.calibrate(torch.from_numpy(_spread(demonstrations, _CALIBRATION_FRAMES)))
+    network.image.fit_normalisation(torch.from_numpy(_spread(demonstrations, _CALIBRATION_FRAMES)))
     network = network.to(device)
     return TrainState(network, torch.optim.Adam(network.parameters(), config.lr, fused=True), generator)
 
