@@ -133,7 +133,7 @@ def _publish(case: _Case, data_dir: Path) -> SegmentationModel:
             action_choices=spec.action.choices,
         )
     )
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     network.image.fit_normalisation(torch.from_numpy(case.frames))
     folder = data_dir / f"{case.task}.new"
     folder.mkdir()

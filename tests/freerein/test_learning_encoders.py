@@ -12,7 +12,7 @@ Kind = type[PatchEncoder] | type[SpatialEncoder]
 
 def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder:
     encoder = kind(height=height, width=width, channels=channels, features=16)
-    weights.draw(encoder, generator=torch.Generator().manual_seed(0))
+    weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
     encoder.fit_normalisation(frames(height, width, channels))
     return encoder
 
@@ -61,10 +61,10 @@ def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
     first = make(kind, 33, 30, 3)
     torch.manual_seed(6)
     assert weights.sha256(make(kind, 33, 30, 3)) == weights.sha256(first)
-    weights.draw(first, generator=torch.Generator().manual_seed(1))
+    weights.initialise(first, generator=torch.Generator().manual_seed(1))
     assert weights.sha256(make(kind, 33, 30, 3)) != weights.sha256(first)
 
 
 def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:
     with pytest.raises(TypeError, match="Bilinear"):
-        weights.draw(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())
+        weights.initialise(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())

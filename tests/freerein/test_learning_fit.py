@@ -34,7 +34,7 @@ class Line:
 
     def init(self, generator: torch.Generator) -> TrainState[nn.Linear]:
         network = nn.Linear(1, 1)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(
@@ -81,7 +81,7 @@ class NormalisedLine:
 
     def init(self, generator: torch.Generator) -> TrainState[Normalised]:
         network = Normalised()
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(

@@ -45,7 +45,7 @@ def blocks(count: int, *, seed: int) -> Described:
 @pytest.fixture(scope="module")
 def learner() -> RewardLearner:
     grounding = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "blue", "block")))
-    weights.draw(grounding, generator=torch.Generator().manual_seed(0))
+    weights.initialise(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
     return RewardLearner(FAST, design(grounding.spec, FAST), training, validation, GroundingModel(grounding), "", CPU)
 

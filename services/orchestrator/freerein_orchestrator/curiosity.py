@@ -140,7 +140,7 @@ def begin(
     """
     generator = torch.Generator().manual_seed(config.seed)
     network = Curiosity(spec, hidden=config.hidden)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network = network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, fused=True)
     shuffle = Shuffle.begin(transitions, rng=np.random.default_rng(config.seed))

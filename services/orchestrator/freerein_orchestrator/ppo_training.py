@@ -226,7 +226,7 @@ def restore(
 def _untrained(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> FitLoopState[ActorCritic]:
     generator = torch.Generator().manual_seed(config.seed)
     network = ActorCritic(spec)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network = network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_EPSILON, fused=True)
     shuffle = Shuffle.begin(config.sequences, rng=np.random.default_rng(config.seed))

@@ -10,14 +10,14 @@ from freerein.learning import tensor_files
 
 
 @runtime_checkable
-class SelfDrawn(Protocol):
+class CustomInitialisation(Protocol):
     """A layer with a rule of its own for its first weights."""
 
-    def draw(self, generator: torch.Generator) -> None:
+    def initialise(self, generator: torch.Generator) -> None:
         """Overwrites the weights that are the layer's own, not its children's."""
 
 
-def draw(network: nn.Module, *, generator: torch.Generator) -> None:
+def initialise(network: nn.Module, *, generator: torch.Generator) -> None:
     """Overwrites every weight of a network with a fresh draw: uniform in ±1/sqrt(fan-in), as torch's layers default to.
 
     An embedding's fan-in is its number of features: unlike torch's, so that it is as large as what it is added to.
@@ -30,8 +30,8 @@ def draw(network: nn.Module, *, generator: torch.Generator) -> None:
         TypeError: The network has weights in another kind of layer.
     """
     for layer in network.modules():
-        if isinstance(layer, SelfDrawn):
-            layer.draw(generator)
+        if isinstance(layer, CustomInitialisation):
+            layer.initialise(generator)
         elif isinstance(layer, nn.LayerNorm | nn.BatchNorm2d):
             layer.reset_parameters()
         elif isinstance(layer, nn.LSTM):

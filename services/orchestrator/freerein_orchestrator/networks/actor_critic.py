@@ -158,7 +158,7 @@ class _Orthogonal(nn.Linear):
         super().__init__(inputs, outputs)
         self._gain = gain
 
-    def draw(self, generator: torch.Generator) -> None:
+    def initialise(self, generator: torch.Generator) -> None:
         """Draws the first weights."""
         nn.init.orthogonal_(self.weight, self._gain, generator=generator)
         nn.init.zeros_(self.bias)
@@ -172,7 +172,7 @@ class _Spread(nn.Module):
         self._first = log_std
         self.log_std = nn.Parameter(torch.empty(size))
 
-    def draw(self, generator: torch.Generator) -> None:  # nothing is left to chance here
+    def initialise(self, generator: torch.Generator) -> None:  # nothing is left to chance here
         """Sets the first spread."""
         nn.init.constant_(self.log_std, self._first)
 

@@ -28,7 +28,7 @@ def init(
 ) -> State:
     """Returns the state before the first update; the encoder's background is that of the demonstrations."""
     network = SegmentationNetwork(spec)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network.image.fit_normalisation(torch.from_numpy(_spread(demonstrations, _CALIBRATION_FRAMES)))
     network = network.to(device)
     return TrainState(network, torch.optim.Adam(network.parameters(), config.lr, fused=True), generator)
