@@ -23,7 +23,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
-from freerein.learning.shuffle import Shuffle
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCriticSpec
 from freerein_orchestrator.rejection import Rejected
@@ -143,8 +143,8 @@ def begin(
     weights.initialise(network, generator=generator)
     network = network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, fused=True)
-    shuffle = Shuffle.begin(transitions, rng=np.random.default_rng(config.seed))
-    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
+    sampler = BatchSampler.start(transitions, rng=np.random.default_rng(config.seed))
+    return FitLoopState(TrainState(network, optimiser, generator), sampler)
 
 
 @torch.no_grad()
@@ -176,7 +176,7 @@ def learn(
     device = next(state.network.parameters()).device
     size = min(config.batch_size, len(transitions))
     for _ in range(config.epochs * (len(transitions) // size)):
-        inverse, forward = state.network(transitions.pick(progress.shuffle.draw(size)).to(device))
+        inverse, forward = state.network(transitions.pick(progress.sampler.next_batch(size)).to(device))
         loss = (1 - config.forward_weight) * inverse.mean() + config.forward_weight * forward.mean()
         state = optimiser_step(state, loss, lr=config.lr)
         metrics.append({"inverse_error": inverse.detach().mean(), "forward_error": forward.detach().mean()})

@@ -40,7 +40,7 @@ def learn(
     """Returns the learner after one iteration's updates, and their metrics. The network is changed in place.
 
     Args:
-        progress: Before them; its shuffle is over `config.sequences`.
+        progress: Before them; its sampler is over `config.sequences`.
         rollout: What to learn from.
         config: What was chosen.
         interrupt: Called before each update; what it raises ends them.
@@ -48,12 +48,12 @@ def learn(
     Raises:
         Rejected: A metric or a weight is not finite.
     """
-    state, shuffle = progress.state, progress.shuffle
+    state, sampler = progress.state, progress.sampler
     samples = prepare(rollout, config, state.network)
     metrics: list[Mapping[str, Tensor]] = []
     for _ in range(config.updates):
         interrupt()
-        batch = samples.pick(shuffle.draw(config.batch_size // config.sequence))
+        batch = samples.pick(sampler.next_batch(config.batch_size // config.sequence))
         losses = evaluate(state.network, batch, clip=config.clip)
         rate = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.updates)
         state = optimiser_step(state, losses.total(config), lr=rate)

@@ -17,7 +17,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.shuffle import Shuffle
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.ppo_config import PPOConfig
@@ -229,8 +229,8 @@ def _untrained(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -
     weights.initialise(network, generator=generator)
     network = network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_EPSILON, fused=True)
-    shuffle = Shuffle.begin(config.sequences, rng=np.random.default_rng(config.seed))
-    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
+    sampler = BatchSampler.start(config.sequences, rng=np.random.default_rng(config.seed))
+    return FitLoopState(TrainState(network, optimiser, generator), sampler)
 
 
 def _wander(environments: Environments, spec: ActorCriticSpec, generator: torch.Generator) -> Tensor:

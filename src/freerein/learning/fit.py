@@ -26,7 +26,7 @@ from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
 from freerein.learning.metric_rows import MetricRows
-from freerein.learning.shuffle import Shuffle
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.train_state import Best, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
 _SAVE_FAILURES = 3
@@ -162,7 +162,7 @@ def fit(
 def _begin(learner: Learner[N], plan: Plan) -> FitLoopState[N]:
     """Weights and the order of the data come from streams of their own: changing one does not move the other."""
     generator = torch.Generator().manual_seed(plan.seed)
-    return FitLoopState(learner.init(generator), Shuffle.begin(learner.size, rng=np.random.default_rng(plan.seed)))
+    return FitLoopState(learner.init(generator), BatchSampler.start(learner.size, rng=np.random.default_rng(plan.seed)))
 
 
 def _identity(learner: Learner[N], plan: Plan, state: TrainState[N]) -> dict[str, JSON]:
@@ -174,7 +174,7 @@ def _advance(
     learner: Learner[N], plan: Plan, progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
 ) -> FitLoopState[N]:
     """Makes one update, and writes and evaluates when it is time to."""
-    state, metrics = learner.update(progress.state, progress.shuffle.draw(plan.batch_size))
+    state, metrics = learner.update(progress.state, progress.sampler.next_batch(plan.batch_size))
     _check_finite(metrics, state.step)
     sums = {name: progress.sums.get(name, 0.0) + value for name, value in metrics.items()}
     progress = replace(progress, state=state, sums=sums, summed=progress.summed + 1)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.shuffle import Shuffle
+from freerein.learning.batch_sampler import BatchSampler
 
 N = TypeVar("N", bound=nn.Module)
 
@@ -52,14 +52,14 @@ class FitLoopState(Generic[N]):
 
     Attributes:
         state: Network, optimiser, generator, step.
-        shuffle: The order of the data.
+        sampler: The order of the data.
         best: The best weights so far.
         sums: By metric, its sum since the last row of metrics.
         summed: How many updates are in `sums`.
     """
 
     state: TrainState[N]
-    shuffle: Shuffle
+    sampler: BatchSampler
     best: Best = Best()
     sums: Mapping[str, float] = field(default_factory=dict)
     summed: int = 0
@@ -73,12 +73,12 @@ def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Ch
         **{f"best/{name}": tensor for name, tensor in best.weights.items()},
         **_moments(state.optimiser),
         "generator": state.generator.get_state(),
-        "order": torch.from_numpy(progress.shuffle.order),
+        "order": torch.from_numpy(progress.sampler.order),
     }
     document: dict[str, JSON] = {
         "identity": dict(identity),
-        "rng": cast(JSON, progress.shuffle.rng.bit_generator.state),
-        "position": progress.shuffle.position,
+        "rng": cast(JSON, progress.sampler.rng.bit_generator.state),
+        "position": progress.sampler.position,
         "best": {"step": best.step, "loss": best.loss} if best.weights else None,
         "sums": dict(progress.sums),
         "summed": progress.summed,
@@ -94,7 +94,7 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Ma
     """
     document = checkpoint.document
     _check_identity(cast(Mapping[str, JSON], document["identity"]), identity)
-    state, rng = fresh.state, fresh.shuffle.rng
+    state, rng = fresh.state, fresh.sampler.rng
     state.network.load_state_dict(_under("network/", checkpoint.tensors))
     _load_moments(state.optimiser, checkpoint.tensors)
     state.generator.set_state(checkpoint.tensors["generator"])
@@ -102,7 +102,7 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Ma
     best = cast(Mapping[str, float] | None, document["best"])
     return FitLoopState(
         TrainState(state.network, state.optimiser, state.generator, checkpoint.step),
-        Shuffle(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
+        BatchSampler(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
         Best(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else Best(),
         cast(Mapping[str, float], document["sums"]),
         cast(int, document["summed"]),

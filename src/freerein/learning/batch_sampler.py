@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 
 @dataclass(eq=False)
-class Shuffle:
+class BatchSampler:
     """Draws batches without replacement, epoch after epoch; what does not fill a batch at an epoch's end is left out.
 
     Attributes:
@@ -21,11 +21,11 @@ class Shuffle:
     position: int
 
     @classmethod
-    def begin(cls, count: int, *, rng: np.random.Generator) -> "Shuffle":
+    def start(cls, count: int, *, rng: np.random.Generator) -> "BatchSampler":
         """Returns the state before the first batch of `count` items."""
         return cls(rng, rng.permutation(count), 0)
 
-    def draw(self, batch_size: int) -> npt.NDArray[np.int64]:
+    def next_batch(self, batch_size: int) -> npt.NDArray[np.int64]:
         """Returns the items of the next batch, int64 (min(batch_size, n),)."""
         size = min(batch_size, len(self.order))
         if self.position + size > len(self.order):
