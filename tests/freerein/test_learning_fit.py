@@ -16,11 +16,11 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, weights
-from freerein.learning.fit import FitEvent, FitResult, Plan, fit, stop_on_sigterm
+from freerein.learning.fit import FitEvent, FitPlan, FitResult, fit, stop_on_sigterm
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import TrainState
 
-PLAN = Plan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
+PLAN = FitPlan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
 CUT = 7
 
 
@@ -98,7 +98,7 @@ class NormalisedLine:
         return loss
 
 
-def run(folder: Path, plan: Plan = PLAN, problem: Line | None = None) -> tuple[str, list[FitEvent]]:
+def run(folder: Path, plan: FitPlan = PLAN, problem: Line | None = None) -> tuple[str, list[FitEvent]]:
     """Trains to the end; returns the sha256 of the weights and what happened."""
     events: list[FitEvent] = []
     fitted = fit(problem or Line(), plan, folder, on_event=events.append)
@@ -196,7 +196,7 @@ def test_a_network_is_returned_in_evaluation_mode_whether_or_not_an_update_was_l
     [(replace(PLAN, threads=2), "plan.threads was 1 and is 2"), (replace(PLAN, seed=2), "plan.seed was 1 and is 2")],
 )
 def test_a_training_is_resumed_as_it_was_begun_or_not_at_all(
-    tmp_path: Path, undisturbed: tuple[str, str], plan: Plan, changed: str
+    tmp_path: Path, undisturbed: tuple[str, str], plan: FitPlan, changed: str
 ) -> None:
     with pytest.raises(FailedPrecondition, match=changed):
         run(tmp_path / "undisturbed", plan)

@@ -20,7 +20,7 @@ from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rollout import Actions, Observations, checked_observations, executable
 
 KIND = "ppo"
-NAMES = model_files.Names("policy.safetensors", "policy.json")
+NAMES = model_files.ModelFileNames("policy.safetensors", "policy.json")
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,16 +24,16 @@ import torch
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON
 from freerein.learning.metric_rows import MetricRows
-from freerein.learning.batch_sampler import BatchSampler
-from freerein.learning.train_state import Best, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
+from freerein.learning.train_state import BestWeights, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
 _SAVE_FAILURES = 3
 
 
 @dataclass(frozen=True)
-class Plan:
+class FitPlan:
     """How long to train, and how often to look.
 
     Attributes:
@@ -119,7 +119,7 @@ def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
 
 def fit(
     learner: Learner[N],
-    plan: Plan,
+    plan: FitPlan,
     folder: Path,
     *,
     stop: Callable[[], bool] = lambda: False,
@@ -159,19 +159,23 @@ def fit(
     return FitResult(network, progress.best.step, progress.best.loss)
 
 
-def _begin(learner: Learner[N], plan: Plan) -> FitLoopState[N]:
+def _begin(learner: Learner[N], plan: FitPlan) -> FitLoopState[N]:
     """Weights and the order of the data come from streams of their own: changing one does not move the other."""
     generator = torch.Generator().manual_seed(plan.seed)
     return FitLoopState(learner.init(generator), BatchSampler.start(learner.size, rng=np.random.default_rng(plan.seed)))
 
 
-def _identity(learner: Learner[N], plan: Plan, state: TrainState[N]) -> dict[str, JSON]:
+def _identity(learner: Learner[N], plan: FitPlan, state: TrainState[N]) -> dict[str, JSON]:
     device = next(state.network.parameters()).device
     return {**learner.identity, "plan": asdict(plan), "torch": torch.__version__, "device": str(device)}
 
 
 def _advance(
-    learner: Learner[N], plan: Plan, progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+    learner: Learner[N],
+    plan: FitPlan,
+    progress: FitLoopState[N],
+    rows: MetricRows,
+    on_event: Callable[[FitEvent], None],
 ) -> FitLoopState[N]:
     """Makes one update, and writes and evaluates when it is time to."""
     state, metrics = learner.update(progress.state, progress.sampler.next_batch(plan.batch_size))
@@ -191,10 +195,10 @@ def _advance(
     return replace(progress, sums={}, summed=0)
 
 
-def _better(best: Best, state: TrainState[N], loss: float) -> Best:
+def _better(best: BestWeights, state: TrainState[N], loss: float) -> BestWeights:
     if loss >= best.loss:
         return best
-    return Best(
+    return BestWeights(
         state.step, loss, {name: tensor.detach().clone() for name, tensor in state.network.state_dict().items()}
     )
 

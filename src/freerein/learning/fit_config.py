@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from freerein.learning.config import bounded, parse
-from freerein.learning.fit import Plan
+from freerein.learning.fit import FitPlan
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class FitConfig:
         return parse(cls, values)
 
     @property
-    def plan(self) -> Plan:
+    def plan(self) -> FitPlan:
         """How long to train, and how often to look."""
-        return Plan(
+        return FitPlan(
             steps=self.steps,
             batch_size=self.batch_size,
             evaluate_every=self.evaluate_every,

@@ -24,7 +24,7 @@ _MAX_CARD_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
-class Names:
+class ModelFileNames:
     """What the two files are called.
 
     Attributes:
@@ -36,10 +36,10 @@ class Names:
     card: str = CARD
 
 
-MODEL = Names()
+MODEL = ModelFileNames()
 
 
-class Specified(Protocol):
+class HasSpec(Protocol):
     """A network that knows what it is: `spec`, a frozen dataclass from which another like it can be made."""
 
     @property
@@ -53,7 +53,7 @@ class Specified(Protocol):
 N = TypeVar("N", bound=nn.Module)
 
 
-def save_model(network: Specified, folder: Path, *, card: Mapping[str, JSON], names: Names = MODEL) -> None:
+def save_model(network: HasSpec, folder: Path, *, card: Mapping[str, JSON], names: ModelFileNames = MODEL) -> None:
     """Writes a trained network as a folder that `load` reads.
 
     Args:
@@ -67,7 +67,9 @@ def save_model(network: Specified, folder: Path, *, card: Mapping[str, JSON], na
     write_atomic(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def load_model(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: Names = MODEL) -> N:
+def load_model(
+    folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: ModelFileNames = MODEL
+) -> N:
     """Returns the network in a folder, in evaluation mode.
 
     Args:
@@ -97,7 +99,7 @@ def load_model(folder: Path, spec_class: type[C], make: Callable[[C], N], *, dev
     return network.to(choose_device(device)).eval()
 
 
-def read_card(folder: Path, *, names: Names = MODEL) -> dict[str, Any]:
+def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
     """Returns what the card in a folder says.
 
     Raises:

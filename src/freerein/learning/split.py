@@ -4,14 +4,14 @@ import numpy as np
 import numpy.typing as npt
 
 
-def train_validation_split(items: npt.ArrayLike, *, share: float, seed: int) -> tuple[list[int], list[int]]:
+def train_validation_split(items: npt.ArrayLike, *, fraction: float, seed: int) -> tuple[list[int], list[int]]:
     """Returns the items to learn from and those held out, in order, at least one of each.
 
     Args:
         items: int (n,), 2 or more.
-        share: Of the items, to hold out.
+        fraction: Of the items, to hold out.
         seed: Of the draw.
     """
     order = np.random.default_rng(seed).permutation(np.asarray(items, np.int64)).tolist()
-    count = min(max(1, round(share * len(order))), len(order) - 1)
+    count = min(max(1, round(fraction * len(order))), len(order) - 1)
     return sorted(order[count:]), sorted(order[:count])

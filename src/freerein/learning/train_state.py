@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from freerein.errors import FailedPrecondition
-from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.batch_sampler import BatchSampler
+from freerein.learning.checkpoints import JSON, Checkpoint
 
 N = TypeVar("N", bound=nn.Module)
 
@@ -32,7 +32,7 @@ class TrainState(Generic[N]):
 
 
 @dataclass(frozen=True, eq=False)
-class Best:
+class BestWeights:
     """The weights that did best on held-out data so far.
 
     Attributes:
@@ -60,7 +60,7 @@ class FitLoopState(Generic[N]):
 
     state: TrainState[N]
     sampler: BatchSampler
-    best: Best = Best()
+    best: BestWeights = BestWeights()
     sums: Mapping[str, float] = field(default_factory=dict)
     summed: int = 0
 
@@ -103,7 +103,7 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Ma
     return FitLoopState(
         TrainState(state.network, state.optimiser, state.generator, checkpoint.step),
         BatchSampler(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
-        Best(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else Best(),
+        BestWeights(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else BestWeights(),
         cast(Mapping[str, float], document["sums"]),
         cast(int, document["summed"]),
     )

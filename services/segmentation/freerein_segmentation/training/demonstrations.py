@@ -71,7 +71,7 @@ def hold_out(demonstrations: Demonstrations, *, share: float, seed: int) -> tupl
     """
     if len(demonstrations) < 2:
         raise InvalidInput("A fit needs at least 2 trajectories, one of them to hold out; got 1.")
-    learnt, held_out = train_validation_split(np.arange(len(demonstrations)), share=share, seed=seed)
+    learnt, held_out = train_validation_split(np.arange(len(demonstrations)), fraction=share, seed=seed)
     return demonstrations.subset(learnt), demonstrations.subset(held_out)
 
 
