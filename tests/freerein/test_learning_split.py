@@ -1,5 +1,6 @@
 import pytest
 
+from freerein.errors import InvalidInput
 from freerein.learning.split import train_validation_split
 
 
@@ -16,3 +17,8 @@ def test_there_is_something_on_both_sides(share: float, held_out: int) -> None:
     sides = train_validation_split([4, 7, 9], fraction=share, seed=0)
     assert len(sides[1]) == held_out
     assert sorted(sides[0] + sides[1]) == [4, 7, 9]
+
+
+def test_a_single_item_cannot_be_split() -> None:
+    with pytest.raises(InvalidInput, match="at least 2 labelled trajectories"):
+        train_validation_split([3], fraction=0.1, seed=0, unit="labelled trajectories")

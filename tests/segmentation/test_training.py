@@ -55,7 +55,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     tmp_path: Path, objective: ObjectiveName, context: Context
 ) -> None:
     config = replace(FAST, objective=objective, context=context)
-    fitted = fit(learner(config), config.plan, tmp_path)
+    fitted = fit(learner(config), tmp_path)
     assert fitted is not None
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
     predicted = [
@@ -69,7 +69,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=5, seed=seed)
-        fitted = fit(learner(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 

@@ -72,7 +72,7 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
 def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> bool:
     learner = _learner(dataset, config, device)
     with stop_on_sigterm() as stop:
-        fitted = fit(learner, config.plan, folder, stop=stop)
+        fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
     save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted))

@@ -1,4 +1,4 @@
-"""The order in which a training sees its items, as a state that can be saved."""
+"""Minibatch sampling without replacement, with a state that can be saved."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ import numpy.typing as npt
 
 @dataclass(eq=False)
 class BatchSampler:
-    """Draws batches without replacement, epoch after epoch; what does not fill a batch at an epoch's end is left out.
+    """Draws minibatches without replacement, epoch after epoch; the last, incomplete batch of an epoch is dropped.
 
     Attributes:
-        rng: Draws each epoch's order.
-        order: int64 (n,), the present epoch's order.
-        position: How many of `order` have been drawn.
+        rng: Generator of each epoch's permutation.
+        order: int64 (n,), the permutation of the current epoch.
+        position: Number of items of `order` already drawn.
     """
 
     rng: np.random.Generator
@@ -22,11 +22,11 @@ class BatchSampler:
 
     @classmethod
     def start(cls, count: int, *, rng: np.random.Generator) -> "BatchSampler":
-        """Returns the state before the first batch of `count` items."""
+        """Returns the sampler of `count` items before its first batch."""
         return cls(rng, rng.permutation(count), 0)
 
     def next_batch(self, batch_size: int) -> npt.NDArray[np.int64]:
-        """Returns the items of the next batch, int64 (min(batch_size, n),)."""
+        """Returns the indices of the next batch, int64 (min(batch_size, n),)."""
         size = min(batch_size, len(self.order))
         if self.position + size > len(self.order):
             self.order, self.position = self.rng.permutation(len(self.order)), 0
