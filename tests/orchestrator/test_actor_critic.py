@@ -10,7 +10,7 @@ from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec, Categor
 
 def make(**values: Any) -> ActorCritic:
     network = ActorCritic(ActorCriticSpec(**values))
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     return network
 
 

@@ -102,7 +102,7 @@ def curious(seen: Transitions, *, is_discrete: bool, updates: int) -> FitLoopSta
     choices = 2 if is_discrete else 0
     spec = ActorCriticSpec(action_choices=choices, height=height, width=width, channels=channels, features=32)
     progress = curiosity.begin(SMALL, spec, transitions=len(seen), device=CPU)
-    progress.state.network.image.calibrate(seen.before)
+    progress.state.network.image.fit_normalisation(seen.before)
     while progress.state.step < updates:
         progress, _ = curiosity.learn(progress, seen, SMALL)
     return progress

@@ -33,7 +33,7 @@ def sim(start_module_service: Callable[..., Any]) -> str:
 
 def teach(data_dir: Path, run_id: str, *, spec: ActorCriticSpec = SPEC, **card: Any) -> None:
     network, generator = ActorCritic(spec), torch.Generator().manual_seed(int(run_id[:4], 16))
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
     told = {"task": "grid", "camera": "top", "goal_text": TEACHERS.get(run_id, ""), **card}
     policy_artifact.save(network, data_dir / "runs" / run_id / "artifacts", card=told)

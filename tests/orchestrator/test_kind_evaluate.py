@@ -89,7 +89,7 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
 ) -> None:
     spec = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, features=8, hidden=8, is_recurrent=True)
     network, generator = ActorCritic(spec), torch.Generator().manual_seed(0)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
     policy_artifact.save(network, tmp_path / "runs" / "taught" / "artifacts", card={"task": "grid", "camera": "top"})
     runs = [evaluation(RANDOM | {"policy": {"run": "taught", "is_stochastic": is_stochastic}}) for _ in range(2)]

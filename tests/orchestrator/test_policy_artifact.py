@@ -18,7 +18,7 @@ START, GO_ON = np.ones(2, np.bool_), np.zeros(2, np.bool_)
 def make(*, is_recurrent: bool = False) -> ActorCritic:
     spec = ActorCriticSpec(height=12, width=12, channels=1, features=8, hidden=8, is_recurrent=is_recurrent)
     network = ActorCritic(spec)
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     network.calibrate(torch.from_numpy(FRAMES).flatten(end_dim=1))
     return network
 

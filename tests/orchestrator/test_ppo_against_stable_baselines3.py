@@ -75,7 +75,7 @@ LAYERS = {
 def test_loss_and_gradient_are_those_of_stable_baselines3(task: str, spec: ActorCriticSpec) -> None:
     generator, count = torch.Generator().manual_seed(0), 256
     network = ActorCritic(spec)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     for parameter in network.parameters():  # away from the first policy, which is indifferent
         parameter.data += 0.1 * torch.randn(parameter.shape, generator=generator)
     observations = torch.randn(1, count, spec.vector_size, generator=generator)

@@ -264,7 +264,7 @@ def test_every_value_is_the_learners_also_at_the_end_of_a_rollout_and_where_an_e
     environments, generator = ScriptedEnvironments(), torch.Generator().manual_seed(0)
     actor, learner = (ActorCritic(ActorCriticSpec(vector_size=2, is_recurrent=is_recurrent)) for _ in range(2))
     for network in (actor, learner):
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
     standing = Standing.begin(environments.reset(), actor.spec, Tally.begin(3, scale=None))
     rollout, after = collect(actor, environments, standing, steps=400, discount=0.9, generator=generator)
     made = reconsider(rollout, learner)
@@ -292,7 +292,7 @@ def test_every_value_is_the_learners_also_at_the_end_of_a_rollout_and_where_an_e
 def test_episodes_end_where_they_end_and_are_told_apart_from_those_cut_off() -> None:
     network, environments = ActorCritic(ActorCriticSpec(vector_size=2)), ScriptedEnvironments()
     generator = torch.Generator().manual_seed(0)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     standing = Standing.begin(environments.reset(), network.spec, Tally.begin(3, scale=None))
     rollout, after = collect(network, environments, standing, steps=5, discount=0.9, generator=generator)
     assert rollout.ends.tolist() == [[t == 2] * 3 for t in range(5)]

@@ -15,7 +15,7 @@ from freerein_orchestrator.work import Work
 
 def save_policy(folder: Path, seed: int) -> Path:
     network = ActorCritic(ActorCriticSpec(vector_size=2, hidden=2))
-    weights.draw(network, generator=torch.Generator().manual_seed(seed))
+    weights.initialise(network, generator=torch.Generator().manual_seed(seed))
     policy_artifact.save(network, folder, card={})
     return folder
 

@@ -1,4 +1,4 @@
-"""A trained network as the service knows it: numpy in, numpy out, and a folder on disk."""
+"""Inference with a trained segmentation network: numpy in, numpy out."""
 
 from pathlib import Path
 from typing import Any
@@ -14,20 +14,7 @@ _FRAMES_AT_ONCE = 256
 
 
 class SegmentationModel:
-    """Labels trajectories. The network's device is where it computes; arrays are on the CPU.
-
-    Args:
-        network: Trained.
-
-    Attributes:
-        skills: What it labels.
-        camera: Which camera's frames it was trained on.
-        height: Of the frames, in pixels.
-        width: In pixels.
-        channels: 1 or 3.
-        action_size: Numbers per action; 0 without actions.
-        action_choices: How many different actions there are when discrete, else 0.
-    """
+    """Runs a trained network on its own device; see `freerein_segmentation.core.SkillModel` for the attributes."""
 
     def __init__(self, network: SegmentationNetwork) -> None:
         spec = network.spec
@@ -41,29 +28,33 @@ class SegmentationModel:
 
     @torch.inference_mode()
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in memory that hardly grows with T.
+        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in bounded working memory.
 
         Args:
             frames: uint8 (T, H, W, C), T at least 1.
-            actions: float32 (T, A) or int64 (T, 1); not looked at by a model without actions.
+            actions: float32 (T, A) or int64 (T, 1); ignored by a model without actions.
         """
-        done = np.zeros((len(frames), 0), np.float32) if actions is None else actions
+        if actions is None:
+            actions = np.zeros((len(frames), 0), np.float32)
         probabilities = np.empty((len(frames), len(self.skills)), np.float32)
         for phase in range(min(self._stride, len(frames))):
-            probabilities[phase :: self._stride] = self._pass(
-                frames[phase :: self._stride], done[phase :: self._stride]
-            )
+            timesteps = slice(phase, None, self._stride)
+            probabilities[timesteps] = self._strided_probabilities(frames[timesteps], actions[timesteps])
         return probabilities
 
-    def _pass(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Returns the probabilities of timesteps as far apart as they were in training."""
+    def _strided_probabilities(
+        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]
+    ) -> npt.NDArray[np.float32]:
+        """Returns the probabilities of timesteps that are one stride apart, as in training."""
         windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
-        features = torch.cat([self._network.features(*self._load(frames[at], actions[at])) for at in windows])  # (T, D)
+        features = torch.cat(
+            [self._network.features(*self._tensors(frames[at], actions[at])) for at in windows]
+        )  # (T, D)
         probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
         return probabilities
 
-    def _load(self, *arrays: npt.NDArray[Any]) -> tuple[torch.Tensor, ...]:
-        """Returns copies on the network's device: arrays that came over a wire cannot be written to."""
+    def _tensors(self, *arrays: npt.NDArray[Any]) -> tuple[torch.Tensor, ...]:
+        """Returns copies on the network's device: arrays from the wire are read-only."""
         return tuple(torch.tensor(array, device=self._device) for array in arrays)
 
 
@@ -71,10 +62,10 @@ def load(folder: Path, device: str) -> SegmentationModel:
     """Returns the model in a folder.
 
     Args:
-        folder: Written by `freerein.learning.model_files.export`; read as untrusted.
+        folder: Written by `freerein.learning.model_files.save_model`; read as untrusted.
         device: `auto`, `cpu` or `cuda:N`.
 
     Raises:
-        InvalidInput: A file is missing, or is not what `export` writes.
+        InvalidInput: A file is missing or malformed.
     """
     return SegmentationModel(model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device))
