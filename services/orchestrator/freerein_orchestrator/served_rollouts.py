@@ -10,12 +10,12 @@ from typing import TypeVar
 from freerein.errors import (
     Cancelled,
     DeadlineExceeded,
-    FailedPrecondition,
     Internal,
-    NotFound,
     OutputNotFinite,
     Overloaded,
     ServiceError,
+    SessionNotFound,
+    StepOutOfOrder,
     Unavailable,
     WorkerLost,
 )
@@ -30,8 +30,8 @@ from freerein_orchestrator.served import ServedEnvironments
 T = TypeVar("T")
 
 _AWAY = (Unavailable, DeadlineExceeded, Overloaded, WorkerLost, Cancelled)
-_LOST = {NotFound: "session", FailedPrecondition: "step_id"}
-"""By error, the field that it names when a session is gone or has not made the step that we believe it has."""
+_LOST = (SessionNotFound, StepOutOfOrder)
+"""The session is gone, or has not made the step that we believe it has."""
 
 
 def persist(work: Callable[[], T], patience: Patience, *, on_failure: Callable[[], None] = lambda: None) -> T:
@@ -66,9 +66,7 @@ def persist(work: Callable[[], T], patience: Patience, *, on_failure: Callable[[
 
 def is_passing(error: ServiceError) -> bool:
     """Returns whether an error is one of those that end when a service is back and sessions are made anew."""
-    return isinstance(error, _AWAY) or any(
-        type(error) is kind and error.field == field for kind, field in _LOST.items()
-    )
+    return isinstance(error, _AWAY + _LOST)
 
 
 def _final(error: ServiceError) -> ServiceError:
