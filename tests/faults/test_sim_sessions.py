@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
-from freerein.clients import Channel, SimClient, Synchronous
+from freerein.clients import Channel, SimClient, SyncClient
 from freerein.errors import InvalidInput, Overloaded, SessionNotFound, StepOutOfOrder, WorkerLost
 from freerein.types.sim import (
     CloseSessionRequest,
@@ -38,7 +38,7 @@ def service(start_module_service: Callable[..., Any]) -> Any:
 
 @pytest.fixture
 def sim(service: Any) -> Iterator[Any]:
-    with Synchronous(SimClient(Channel(service.address))) as client:
+    with SyncClient(SimClient(Channel(service.address))) as client:
         yield client
 
 

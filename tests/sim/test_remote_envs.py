@@ -9,7 +9,7 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from gymnasium.utils.env_checker import check_env
 
-from freerein.clients import Channel, SimClient, Synchronous
+from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
 from freerein.errors import InvalidInput, NotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
@@ -108,7 +108,7 @@ def test_errors_of_the_service_say_what_to_mend(address: str) -> None:
 
 
 def test_a_session_is_made_once_per_key_and_ends_when_it_is_closed(address: str) -> None:
-    with Synchronous(SimClient(Channel(address, token=TOKEN))) as sim:
+    with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
         made = sim.create_session(CreateSessionRequest("grid", idempotency_key="mine"))
         assert sim.create_session(CreateSessionRequest("grid", idempotency_key="mine")).session == made.session
         sim.reset(ResetRequest(made.session))

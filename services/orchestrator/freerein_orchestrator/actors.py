@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 
 from freerein import images
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import InvalidInput
 from freerein.learning.config import parse
 from freerein.types.common import ActionSpec, Encoding, Goal, ModelRef, Observation
@@ -119,7 +119,7 @@ def of_policy(policy: Policy, task: Task, *, is_stochastic: bool) -> Pilot:
     return Pilot(begin, told, bearing.camera, bearing.height, bearing.width)
 
 
-def of_model(imitation: Synchronous, model: ModelRef, goal: Goal, task: Task, *, closing: ExitStack) -> Pilot:
+def of_model(imitation: SyncClient, model: ModelRef, goal: Goal, task: Task, *, closing: ExitStack) -> Pilot:
     """Returns who acts by a model of the imitation service, always the same version of it.
 
     Args:
@@ -167,7 +167,7 @@ class _Served:
     """Acts by the imitation service: one call for each environment, all at once, so that it takes them as a batch."""
 
     def __init__(
-        self, imitation: Synchronous, blank: ActRequest, action: ActionSpec, camera: str, pool: ThreadPoolExecutor
+        self, imitation: SyncClient, blank: ActRequest, action: ActionSpec, camera: str, pool: ThreadPoolExecutor
     ) -> None:
         self._imitation = imitation
         self._blank = blank

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import InvalidInput, ServiceError
 from freerein.types.sim import (
     CloseSessionRequest,
@@ -44,7 +44,7 @@ class Episode:
     is_success: bool
 
 
-def find_task(sim: Synchronous, name: str) -> Task:
+def find_task(sim: SyncClient, name: str) -> Task:
     """Returns the task of a name.
 
     Raises:
@@ -66,7 +66,7 @@ def seed_of(*numbers: int) -> int:
 
 
 def play(
-    sim: Synchronous, request: CreateSessionRequest, pilot: Pilot, interrupt: Callable[[], None]
+    sim: SyncClient, request: CreateSessionRequest, pilot: Pilot, interrupt: Callable[[], None]
 ) -> tuple[Episode, ...]:
     """Returns one episode of each environment of a new session: the same for the same seed and pilot.
 

@@ -7,7 +7,7 @@ from typing import TypeAlias, cast
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import FailedPrecondition
 from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
@@ -31,14 +31,14 @@ class LearnedReward:
     """The reward service's: what a model sees of a goal text in frames.
 
     Attributes:
-        reward: The service, `Synchronous`.
+        reward: The service, `SyncClient`.
         goal_text: What is to be seen.
         camera: Whose frames the environments show.
         model: Which model judges; with a version, so that it stays the same.
         mode: `binary`, 1 where the goal text beats its rivals, else 0; or `raw`, the similarity.
     """
 
-    reward: Synchronous
+    reward: SyncClient
     goal_text: str
     camera: str
     model: ModelRef = ModelRef()

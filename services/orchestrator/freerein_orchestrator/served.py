@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import ServiceError
 from freerein.types.sim import (
     CloseSessionRequest,
@@ -43,7 +43,7 @@ class ServedEnvironments:
     A session is lost with the process that hosts it: others, made with the last snapshots, go on from there.
 
     Args:
-        sims: The services, `Synchronous`; at most N. Each hosts its share, with a seed of its own.
+        sims: The services, `SyncClient`; at most N. Each hosts its share, with a seed of its own.
         request: The session, as if it were one.
         camera: Whose frames are observed; of the task's own size unless the session says otherwise.
         judge: Where rewards come from; called on a thread of its own.
@@ -56,7 +56,7 @@ class ServedEnvironments:
 
     def __init__(
         self,
-        sims: Sequence[Synchronous],
+        sims: Sequence[SyncClient],
         request: CreateSessionRequest,
         *,
         camera: str,
@@ -144,7 +144,7 @@ class _Part:
 class _Session:
     """A session on one sim."""
 
-    def __init__(self, sim: Synchronous, session: str, *, num_envs: int, camera: str) -> None:
+    def __init__(self, sim: SyncClient, session: str, *, num_envs: int, camera: str) -> None:
         self._sim = sim
         self._session = session
         self._num_envs = num_envs
@@ -152,7 +152,7 @@ class _Session:
         self._steps = 0
 
     @classmethod
-    def open(cls, sim: Synchronous, request: CreateSessionRequest, *, camera: str) -> "_Session":
+    def open(cls, sim: SyncClient, request: CreateSessionRequest, *, camera: str) -> "_Session":
         session: str = sim.create_session(request).session
         return cls(sim, session, num_envs=request.num_envs, camera=camera)
 

@@ -17,7 +17,7 @@ from freerein.clients import (
     RewardClient,
     SegmentationClient,
     SimClient,
-    Synchronous,
+    SyncClient,
 )
 from freerein.clients.client import Client
 from freerein.errors import InvalidInput
@@ -77,19 +77,19 @@ class Work:
         """The folder of the whole run."""
         return (*self.around, self.folder)[0]
 
-    def client(self, service: str) -> Synchronous:
+    def client(self, service: str) -> SyncClient:
         """Returns a blocking client of a service."""
         return self._connect(_CLIENTS[service], address(service, self.environ))
 
-    def clients(self, service: str) -> tuple[Synchronous, ...]:
+    def clients(self, service: str) -> tuple[SyncClient, ...]:
         """Returns a blocking client of each replica of a service: `FREEREIN_<SERVICE>_ADDRESS` may name several."""
         return tuple(self._connect(_CLIENTS[service], each) for each in addresses(service, self.environ))
 
-    def fits(self, service: str) -> Synchronous:
+    def fits(self, service: str) -> SyncClient:
         """Returns a blocking `FitClient` of a service."""
         return self._connect(FitClient, address(service, self.environ))
 
-    def models(self, service: str) -> Synchronous:
+    def models(self, service: str) -> SyncClient:
         """Returns a blocking `ModelClient` of a service."""
         return self._connect(ModelClient, address(service, self.environ))
 
@@ -147,13 +147,13 @@ class Work:
             hint="`freerein runs list` names the runs.",
         )
 
-    def _connect(self, client: type[Client], where: str) -> Synchronous:
+    def _connect(self, client: type[Client], where: str) -> SyncClient:
         channel = Channel(
             where,
             token=self.environ.get("FREEREIN_TOKEN", ""),
             root_certificates=_certificates(self.environ.get("FREEREIN_TLS_CERT", "")),
         )
-        connected = Synchronous(client(channel))
+        connected = SyncClient(client(channel))
         self.closing.callback(connected.close)
         return connected
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.clients.recording import Recording
 from freerein.data import Dataset
 from freerein.types.sim import Behaviour, DemonstrateRequest, DemonstrateResponse, ListTasksRequest
@@ -48,7 +48,7 @@ def demonstrate(work: Work, config: CollectConfig, behaviour: Behaviour, root: P
         rows.finish(len(recording), timesteps)
 
 
-def _missing(sim: Synchronous, recording: Recording, patience: Patience) -> Generator[DemonstrateResponse]:
+def _missing(sim: SyncClient, recording: Recording, patience: Patience) -> Generator[DemonstrateResponse]:
     """Yields the demonstrations that a recording lacks, however often the sim service goes away."""
     while not recording.is_whole:
         try:

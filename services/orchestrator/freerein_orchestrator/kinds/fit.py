@@ -12,7 +12,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from freerein.atomic_files import write_atomic
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
@@ -112,7 +112,7 @@ class _Following:
         fit: As it stands.
     """
 
-    def __init__(self, fits: Synchronous, fit: Fit, curve: Curve) -> None:
+    def __init__(self, fits: SyncClient, fit: Fit, curve: Curve) -> None:
         self.fit = fit
         self._fits = fits
         self._curve = curve
@@ -140,7 +140,7 @@ class _Following:
             self._curve.append(fit.step, fit.metrics)
 
 
-def _start(fits: Synchronous, work: Work) -> Fit:
+def _start(fits: SyncClient, work: Work) -> Fit:
     """Returns the one fit of this work that was not given up."""
     asked = FitRunConfig(**work.config)
     while True:
@@ -152,7 +152,7 @@ def _start(fits: Synchronous, work: Work) -> Fit:
         _give_up(work)  # with the run, which is resumed now
 
 
-def _cancel(fits: Synchronous, fit_id: str, work: Work) -> None:
+def _cancel(fits: SyncClient, fit_id: str, work: Work) -> None:
     with suppress(ServiceError):  # a service that is away goes on with the fit, and so does the run when resumed
         fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S)
         _give_up(work)
