@@ -16,14 +16,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freerein.clients.recording import dataset_spec, find_task, open_recording
+from freerein.clients.recording import dataset_spec, open_recording
+from freerein.clients.tasks import find_task
 from freerein.data import Writer
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
-from freerein.types.sim import CreateSessionRequest, ListTasksRequest, Task
+from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator import exploration as explorations
 from freerein_orchestrator import ppo_training
 from freerein_orchestrator.curiosity import CuriosityConfig
@@ -174,7 +175,7 @@ class _Explorer:
         )
 
     def _find_task(self) -> Task:
-        task = find_task(self._sims[0].list_tasks(ListTasksRequest()), self._config.task)
+        task = find_task(self._sims[0], self._config.task)
         if not task.snapshots:
             raise FailedPrecondition(
                 "Curiosity needs a task with snapshots, so that a run can go on; this one has none.",
