@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from freerein.clients import Channel, SimClient, Synchronous
+from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.recording import Recording
 from freerein.data import Dataset, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
@@ -53,7 +53,7 @@ def begin(tmp_path: Path, sim: Any) -> Iterator[Callable[..., Work]]:
 
 def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
     """Returns the fingerprint of a dataset recorded without a run, and without disturbance."""
-    with Synchronous(SimClient(Channel(sim.address))) as client:
+    with SyncClient(SimClient(Channel(sim.address))) as client:
         recording = Recording(root, request, client.list_tasks(ListTasksRequest()))
         with recording, closing(client.demonstrate(recording.rest)) as demonstrations:
             for demonstration in demonstrations:

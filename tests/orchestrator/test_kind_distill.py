@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.clients import Channel, RewardClient, Synchronous
+from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning import weights
@@ -168,7 +168,7 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
         run = distillation(dataset=keep, reward=address, **lesson)
         assert not run.do(stop=(run.folder / "artifacts" / "dataset.json").exists)  # no fit: imitation is away
         recorded[keep] = list(Dataset(dataset_path(data_dir, keep)))
-    with Synchronous(RewardClient(Channel(address))) as reward:
+    with SyncClient(RewardClient(Channel(address))) as reward:
         last = np.stack([trajectory.frames["front"][-1] for trajectory in recorded["all"]])
         rewards = reward.reward(RewardRequest(goal_text, {"front": last})).rewards
     rewarded = [trajectory for trajectory, each in zip(recorded["all"], rewards, strict=True) if each > 0]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.clients import Channel, FitClient, Synchronous
+from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
@@ -41,7 +41,7 @@ def imitation(start_module_service: Callable[..., Any], data_dir: Path) -> Any:
 @pytest.fixture
 def fits(imitation: Any) -> Iterator[Callable[[], list[Any]]]:
     """A function that returns the service's fits of this test, newest first."""
-    with Synchronous(FitClient(Channel(imitation.address))) as client:
+    with SyncClient(FitClient(Channel(imitation.address))) as client:
         before = len(client.list_fits(ListFitsRequest()).fits)
         yield lambda: list(client.list_fits(ListFitsRequest()).fits[: -before or None])
 

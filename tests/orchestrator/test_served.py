@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.clients import Channel, RewardClient, SimClient, Synchronous
+from freerein.clients import Channel, RewardClient, SimClient, SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import weights
 from freerein.types.common import ModelRef
@@ -31,19 +31,19 @@ FAST = PPOConfig(iterations=2, num_envs=3, steps=8, epochs=1, batch_size=8, hidd
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any]) -> Iterator[Synchronous]:
-    with Synchronous(SimClient(Channel(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address))) as sim:
+def sim(start_module_service: Callable[..., Any]) -> Iterator[SyncClient]:
+    with SyncClient(SimClient(Channel(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address))) as sim:
         yield sim
 
 
 @pytest.fixture(scope="module")
-def reward(start_module_service: Callable[..., Any]) -> Iterator[Synchronous]:
-    with Synchronous(RewardClient(Channel(start_module_service("freerein_reward").address))) as reward:
+def reward(start_module_service: Callable[..., Any]) -> Iterator[SyncClient]:
+    with SyncClient(RewardClient(Channel(start_module_service("freerein_reward").address))) as reward:
         yield reward
 
 
 def served(
-    *sims: Synchronous, judge: Judge, privileged: bool = False, snapshots: Sequence[bytes] = ()
+    *sims: SyncClient, judge: Judge, privileged: bool = False, snapshots: Sequence[bytes] = ()
 ) -> ServedEnvironments:
     request = CreateSessionRequest(TASK, num_envs=3, seed=3, privileged=privileged)
     return ServedEnvironments(sims, request, camera=CAMERA, judge=judge, snapshots=snapshots)
@@ -53,7 +53,7 @@ def draw_actions(rng: np.random.Generator) -> Any:
     return rng.uniform(-1, 1, (3, 3)).astype(np.float32)
 
 
-def test_what_was_reached_is_judged_also_where_an_episode_ended(sim: Synchronous, reward: Synchronous) -> None:
+def test_what_was_reached_is_judged_also_where_an_episode_ended(sim: SyncClient, reward: SyncClient) -> None:
     environments = served(sim, judge=LearnedReward(reward, GOAL, CAMERA))
     environments.reset()
     rng, steps = np.random.default_rng(0), list[Step]()
@@ -67,7 +67,7 @@ def test_what_was_reached_is_judged_also_where_an_episode_ended(sim: Synchronous
     environments.close()
 
 
-def test_the_same_frames_are_always_judged_together(sim: Synchronous) -> None:
+def test_the_same_frames_are_always_judged_together(sim: SyncClient) -> None:
     sizes: list[int] = []
 
     def judge(reached: Frames, _oracle: Rewards | None) -> Rewards:
@@ -84,7 +84,7 @@ def test_the_same_frames_are_always_judged_together(sim: Synchronous) -> None:
     environments.close()
 
 
-def test_an_unprivileged_session_answers_frames_and_nothing_else(sim: Synchronous, reward: Synchronous) -> None:
+def test_an_unprivileged_session_answers_frames_and_nothing_else(sim: SyncClient, reward: SyncClient) -> None:
     told: list[Rewards | None] = []
     replies: list[StepResponse] = []
 
@@ -113,7 +113,7 @@ def test_an_unprivileged_session_answers_frames_and_nothing_else(sim: Synchronou
     assert [reply.reward.tolist() for reply in replies if isinstance(reply, StepResponse)] == [[0.0] * 3]
 
 
-def test_the_oracle_needs_a_privileged_session(sim: Synchronous) -> None:
+def test_the_oracle_needs_a_privileged_session(sim: SyncClient) -> None:
     still = np.zeros((3, 3), np.float32)
     privileged, plain = served(sim, judge=oracle, privileged=True), served(sim, judge=oracle)
     for environments in (privileged, plain):
@@ -126,7 +126,7 @@ def test_the_oracle_needs_a_privileged_session(sim: Synchronous) -> None:
         environments.close()
 
 
-def test_environments_split_over_two_sims_are_as_many_and_differ(sim: Synchronous) -> None:
+def test_environments_split_over_two_sims_are_as_many_and_differ(sim: SyncClient) -> None:
     environments = served(sim, sim, judge=oracle, privileged=True)
     frames = environments.reset()
     assert split(3, 2) == (2, 1)
@@ -144,7 +144,7 @@ def test_environments_split_over_two_sims_are_as_many_and_differ(sim: Synchronou
 
 def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(start_service: Callable[..., Any]) -> None:
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
-    with Synchronous(SimClient(Channel(service.address))) as sim:
+    with SyncClient(SimClient(Channel(service.address))) as sim:
         environments = served(sim, sim, sim, judge=oracle)
         service.process.send_signal(signal.SIGSTOP)
         begun = time.monotonic()
@@ -155,7 +155,7 @@ def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(start_servi
 
 
 @pytest.mark.parametrize("rewards", [np.zeros(2, np.float32), np.full(24, np.nan, np.float32)])
-def test_rewards_that_are_none_are_rejected(sim: Synchronous, rewards: Rewards) -> None:
+def test_rewards_that_are_none_are_rejected(sim: SyncClient, rewards: Rewards) -> None:
     whole = served(sim, judge=lambda reached, _: np.zeros(len(reached), np.float32))
     training = begin(whole)
     environments = served(sim, judge=lambda *_: rewards, snapshots=training.outset.environments)
@@ -190,7 +190,7 @@ def test_a_learned_reward_that_its_mode_cannot_come_to_is_rejected(
         judge(garbage)
 
 
-def test_which_model_judges_is_pinned_and_what_it_cannot_judge_refused_at_once(reward: Synchronous) -> None:
+def test_which_model_judges_is_pinned_and_what_it_cannot_judge_refused_at_once(reward: SyncClient) -> None:
     model = LearnedReward(reward, GOAL, CAMERA).pin(64, 64, 3)
     assert len(model.version) == 12
     assert LearnedReward(reward, GOAL, CAMERA, model).pin(64, 64, 3) == model
@@ -207,7 +207,7 @@ def begin(environments: ServedEnvironments) -> PPOTraining:
     return ppo_training.begin(FAST, spec, environments, device=CPU)
 
 
-def test_a_training_goes_on_in_another_session_to_the_same_bits(sim: Synchronous, reward: Synchronous) -> None:
+def test_a_training_goes_on_in_another_session_to_the_same_bits(sim: SyncClient, reward: SyncClient) -> None:
     judge, digests = LearnedReward(reward, GOAL, CAMERA), set()
     environments = served(sim, judge=judge)
     training = begin(environments)

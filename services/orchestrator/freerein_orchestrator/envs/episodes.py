@@ -3,21 +3,18 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
-from freerein.errors import InvalidInput, ServiceError
+from freerein.clients import SyncClient
+from freerein.errors import ServiceError
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
-    ListTasksRequest,
     ResetRequest,
     StepRequest,
     StepResponse,
-    Task,
 )
 from freerein_orchestrator.envs.policies import PolicyHandle
 from freerein_orchestrator.envs.reward_fns import Frames
@@ -43,29 +40,13 @@ class Episode:
     success: bool
 
 
-def find_task(sim: Synchronous, name: str) -> Task:
-    """Returns a task of the sim service.
-
-    Raises:
-        InvalidInput: There is none of that name.
-    """
-    for task in cast(tuple[Task, ...], sim.list_tasks(ListTasksRequest()).tasks):
-        if task.name == name:
-            return task
-    raise InvalidInput(
-        "`task` must be one of the sim service's; it has none of that name.",
-        field="config.task",
-        hint="`freerein sim tasks` names them.",
-    )
-
-
 def derive_seed(*numbers: int) -> int:
     """Returns a seed derived from numbers, such as a run's seed and the number of episodes before."""
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 
 def run_episodes(
-    sim: Synchronous, request: CreateSessionRequest, policy: PolicyHandle, interrupt: Callable[[], None]
+    sim: SyncClient, request: CreateSessionRequest, policy: PolicyHandle, interrupt: Callable[[], None]
 ) -> tuple[Episode, ...]:
     """Returns one episode per environment of a new session; the same for the same seed and policy.
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 
 from freerein import images
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.types.common import ActionSpec, Encoding, Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein.types.sim import Task
@@ -71,7 +71,9 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool) -> Poli
     return PolicyHandle(start, description, spec.camera, spec.height, spec.width)
 
 
-def served_policy(imitation: Synchronous, model: ModelRef, goal: Goal, task: Task, *, closing: ExitStack) -> PolicyHandle:
+def served_policy(
+    imitation: SyncClient, model: ModelRef, goal: Goal, task: Task, *, closing: ExitStack
+) -> PolicyHandle:
     """Returns a model of the imitation service, pinned to one version.
 
     Args:
@@ -117,7 +119,7 @@ class _ServedPolicy:
     """Calls the imitation service once per environment, concurrently, so that it batches the calls."""
 
     def __init__(
-        self, imitation: Synchronous, request: ActRequest, action: ActionSpec, camera: str, pool: ThreadPoolExecutor
+        self, imitation: SyncClient, request: ActRequest, action: ActionSpec, camera: str, pool: ThreadPoolExecutor
     ) -> None:
         self._imitation = imitation
         self._first_request = request

@@ -9,13 +9,13 @@ import numpy as np
 from freerein.errors import (
     Cancelled,
     DeadlineExceeded,
-    FailedPrecondition,
     Internal,
     ModelFault,
-    NotFound,
     OutputNotFinite,
     Overloaded,
     ServiceError,
+    SessionNotFound,
+    StepOutOfOrder,
     Unavailable,
     WorkerLost,
 )
@@ -27,15 +27,12 @@ _FIRST_PAUSE_S, _MAX_PAUSE_S = 0.2, 5.0
 _MAX_DOUBLINGS = 5
 _POLL_S = 0.1
 _MAX_MODEL_FAULTS = 3
-_UNAVAILABLE = (Unavailable, DeadlineExceeded, Overloaded, WorkerLost, Cancelled)
-_SESSION_LOST = {NotFound: "session", FailedPrecondition: "step_id"}
+_TRANSIENT = (Unavailable, DeadlineExceeded, Overloaded, WorkerLost, Cancelled, SessionNotFound, StepOutOfOrder)
 
 
 def is_transient(error: ServiceError) -> bool:
     """Returns whether an error passes once the service is back and sessions are recreated."""
-    return isinstance(error, _UNAVAILABLE) or any(
-        type(error) is kind and error.field == field for kind, field in _SESSION_LOST.items()
-    )
+    return isinstance(error, _TRANSIENT)
 
 
 class Retry:

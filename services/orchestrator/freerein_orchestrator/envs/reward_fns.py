@@ -7,7 +7,7 @@ from typing import TypeAlias, cast
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import FailedPrecondition
 from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
@@ -36,7 +36,7 @@ class LearnedReward:
         mode: `binary`, 1 where the goal text beats its rival captions, else 0; or `raw`, the similarity.
     """
 
-    reward: Synchronous
+    reward: SyncClient
     goal_text: str
     camera: str
     model: ModelRef = ModelRef()

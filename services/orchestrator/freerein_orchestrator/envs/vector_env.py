@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import ServiceError
 from freerein.types.sim import (
     CloseSessionRequest,
@@ -59,7 +59,7 @@ class RemoteVectorEnv:
 
     def __init__(
         self,
-        sims: Sequence[Synchronous],
+        sims: Sequence[SyncClient],
         request: CreateSessionRequest,
         *,
         camera: str,
@@ -120,7 +120,9 @@ class RemoteVectorEnv:
 
     def _map(self, call: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
         """Returns the results of a call to each session, all at once."""
-        return self._results([self._stepping.submit(call, *each) for each in zip(self._sessions, *arguments, strict=True)])
+        return self._results(
+            [self._stepping.submit(call, *each) for each in zip(self._sessions, *arguments, strict=True)]
+        )
 
     def _results(self, futures: list[Future[T]]) -> list[T]:
         while wait(futures, _POLL_S).not_done:
@@ -156,7 +158,7 @@ class _SessionStep:
 class _Session:
     """A session on one sim service."""
 
-    def __init__(self, sim: Synchronous, request: CreateSessionRequest, *, camera: str) -> None:
+    def __init__(self, sim: SyncClient, request: CreateSessionRequest, *, camera: str) -> None:
         self._sim = sim
         self._session: str = sim.create_session(request).session
         self._num_envs = request.num_envs

@@ -17,7 +17,7 @@ from freerein.clients import (
     RewardClient,
     SegmentationClient,
     SimClient,
-    Synchronous,
+    SyncClient,
 )
 from freerein.clients.client import Client
 from freerein.ports import address, addresses
@@ -87,23 +87,21 @@ class RunContext:
         """Returns what repeats work until services are available and the run is not to stop."""
         return Retry(np.random.default_rng(), stop=self.stop, say=self.say)
 
-    def client(self, service: str) -> Synchronous:
+    def client(self, service: str) -> SyncClient:
         """Returns a blocking client of a service."""
         return self._connect(_CLIENTS[service], address(service, self.environ))
 
-    def replicas(self, service: str) -> tuple[Synchronous, ...]:
+    def replicas(self, service: str) -> tuple[SyncClient, ...]:
         """Returns a blocking client per replica: `FREEREIN_<SERVICE>_ADDRESS` may name several."""
         return tuple(self._connect(_CLIENTS[service], each) for each in addresses(service, self.environ))
 
-    def fits(self, service: str) -> Synchronous:
+    def fits(self, service: str) -> SyncClient:
         """Returns a blocking `FitClient` of a service."""
         return self._connect(FitClient, address(service, self.environ))
 
     def metrics_logger(self, last_step: int) -> MetricsLogger:
         """Returns the log of the run's metrics, after those up to `last_step` of this step."""
-        logger = MetricsLogger(
-            self.run_folder, last_step=last_step, first_step=self.first_step, prefix=self.prefix
-        )
+        logger = MetricsLogger(self.run_folder, last_step=last_step, first_step=self.first_step, prefix=self.prefix)
         self.closing.callback(logger.close)
         return logger
 
@@ -135,13 +133,13 @@ class RunContext:
             closing=self.closing.enter_context(ExitStack()),
         )
 
-    def _connect(self, client: type[Client], where: str) -> Synchronous:
+    def _connect(self, client: type[Client], where: str) -> SyncClient:
         certificate = self.environ.get("FREEREIN_TLS_CERT", "")
         channel = Channel(
             where,
             token=self.environ.get("FREEREIN_TOKEN", ""),
             root_certificates=Path(certificate).read_bytes() if certificate else None,
         )
-        connected = Synchronous(client(channel))
+        connected = SyncClient(client(channel))
         self.closing.callback(connected.close)
         return connected

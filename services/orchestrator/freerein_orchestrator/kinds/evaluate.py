@@ -16,11 +16,12 @@ import torch
 
 from freerein import metrics
 from freerein.atomic_files import write_atomic
+from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import Goal, ModelRef
 from freerein.types.sim import CreateSessionRequest, Task
-from freerein_orchestrator.envs.episodes import Episode, derive_seed, find_task, run_episodes
+from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle, random_policy, served_policy, stored_policy
 from freerein_orchestrator.envs.reward_fns import zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
@@ -220,7 +221,9 @@ class _Evaluation:
         """Adds a round of episodes, durably."""
         first = len(self.outcomes)
         self.policy = policy.description
-        self.outcomes += [EpisodeOutcome(float(each.rewards.sum()), len(each.rewards), each.success) for each in episodes]
+        self.outcomes += [
+            EpisodeOutcome(float(each.rewards.sum()), len(each.rewards), each.success) for each in episodes
+        ]
         document = {"policy": self.policy, "outcomes": [asdict(outcome) for outcome in self.outcomes]}
         write_atomic(self._path, json.dumps(document).encode())
         self._log(range(first, len(self.outcomes)))
@@ -315,8 +318,6 @@ def _untrained(context: RunContext, task: Task, seed: int) -> StoredPolicy:
     generator = torch.Generator().manual_seed(seed)
     network = init_network(spec, generator)
     request = CreateSessionRequest(task.name, num_envs=config.num_envs, seed=seed)
-    with closing(
-        RemoteVectorEnv([context.client("sim")], request, camera=camera.name, reward_fn=zero_reward)
-    ) as envs:
+    with closing(RemoteVectorEnv([context.client("sim")], request, camera=camera.name, reward_fn=zero_reward)) as envs:
         calibrate(network, envs, generator)
     return StoredPolicy(network.eval(), {"camera": camera.name, "sha256": ""})

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Literal, cast
 
 from freerein.atomic_files import write_atomic
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
@@ -108,7 +108,7 @@ class _FitWatch:
         fit: Its latest state.
     """
 
-    def __init__(self, fits: Synchronous, fit: Fit, metrics: MetricsLogger) -> None:
+    def __init__(self, fits: SyncClient, fit: Fit, metrics: MetricsLogger) -> None:
         self.fit = fit
         self._fits = fits
         self._metrics = metrics
@@ -133,7 +133,7 @@ class _FitWatch:
                 raise Unavailable("A fit's events must continue to its end; they broke off.", hint="Watch it again.")
 
 
-def _start(fits: Synchronous, context: RunContext, config: FitRunConfig) -> Fit:
+def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
     """Returns the one fit of this run that was not abandoned."""
     while True:
         abandoned = _abandoned(context)
@@ -145,7 +145,7 @@ def _start(fits: Synchronous, context: RunContext, config: FitRunConfig) -> Fit:
         _abandon(context)  # it was cancelled with the run, which is resumed now
 
 
-def _cancel(fits: Synchronous, fit_id: str, context: RunContext) -> None:
+def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
     with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
         fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S)
         _abandon(context)

@@ -13,13 +13,13 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 
+from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import parse
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef
 from freerein.types.sim import CreateSessionRequest, Task
-from freerein_orchestrator.envs.episodes import find_task
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
@@ -81,9 +81,7 @@ def run(context: RunContext, config: PPORunConfig) -> None:
     trainer = Trainer(
         context.folder,
         init=lambda: training.retry.call(training.init),
-        load=partial(
-            from_checkpoint, config=config, device=training.device, inputs={"sims": len(training.sims)}
-        ),
+        load=partial(from_checkpoint, config=config, device=training.device, inputs={"sims": len(training.sims)}),
         collector=training.collector,
         metrics_log=context.metrics_logger,
         interrupt=training.retry.interrupt,

@@ -21,11 +21,11 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
-from freerein.learning.shuffle import Shuffle
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
@@ -134,9 +134,7 @@ class ICM(nn.Module):
         return (predicted - actions).square().sum(dim=-1)
 
 
-def init_icm(
-    config: ICMConfig, spec: ActorCriticSpec, *, transitions: int, device: torch.device
-) -> FitLoopState[ICM]:
+def init_icm(config: ICMConfig, spec: ActorCriticSpec, *, transitions: int, device: torch.device) -> FitLoopState[ICM]:
     """Returns an untrained module; calibrate it before use.
 
     Args:
@@ -147,11 +145,11 @@ def init_icm(
     """
     generator = torch.Generator().manual_seed(config.seed)
     network = ICM(spec, hidden_size=config.hidden_size)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network = network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, fused=True)
-    shuffle = Shuffle.begin(transitions, rng=np.random.default_rng(config.seed))
-    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
+    sampler = BatchSampler.start(transitions, rng=np.random.default_rng(config.seed))
+    return FitLoopState(TrainState(network, optimiser, generator), sampler)
 
 
 @torch.no_grad()
@@ -175,7 +173,7 @@ def update_icm(
     device, losses = next(state.network.parameters()).device, list[Tensor]()
     size = min(config.batch_size, len(transitions))
     for _ in range(config.epochs * (len(transitions) // size)):
-        batch = transitions.select(learner.shuffle.draw(size)).map(lambda tensor: tensor.to(device))
+        batch = transitions.select(learner.sampler.next_batch(size)).map(lambda tensor: tensor.to(device))
         inverse, forward = (error.mean() for error in state.network(batch))
         loss = (1 - config.forward_weight) * inverse + config.forward_weight * forward
         state = optimiser_step(state, loss, lr=config.lr)

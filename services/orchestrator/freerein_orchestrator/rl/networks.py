@@ -102,7 +102,7 @@ class ActorCritic(nn.Module):
     def calibrate(self, observations: Tensor) -> None:
         """Calibrates the image encoder on frames uint8 (N, H, W, C); does nothing for vectors."""
         if self.image is not None:
-            self.image.calibrate(observations)
+            self.image.fit_normalisation(observations)
 
     def forward(self, observations: Tensor, episode_starts: Tensor, recurrent_state: Tensor) -> ActorCriticOutput:
         """Returns action distributions and values of T timesteps of B environments.
@@ -116,9 +116,13 @@ class ActorCritic(nn.Module):
         if self.image is not None:
             features = self.image(observations.flatten(end_dim=1)).unflatten(0, episode_starts.shape)  # (T, B, F)
         if self.lstm is not None:
-            features, recurrent_state = _run_lstm(self.lstm, features, episode_starts, recurrent_state)  # (T, B, hidden)
+            features, recurrent_state = _run_lstm(
+                self.lstm, features, episode_starts, recurrent_state
+            )  # (T, B, hidden)
         scores = self.actor(features)  # (T, B, action_choices or action_size)
-        actions = Categorical(functional.log_softmax(scores, dim=-1)) if self.gaussian is None else self.gaussian(scores)
+        actions = (
+            Categorical(functional.log_softmax(scores, dim=-1)) if self.gaussian is None else self.gaussian(scores)
+        )
         return ActorCriticOutput(actions, self.critic(features)[..., 0], recurrent_state)
 
 
@@ -158,7 +162,7 @@ class _OrthogonalLinear(nn.Linear):
         super().__init__(inputs, outputs)
         self._gain = gain
 
-    def draw(self, generator: torch.Generator) -> None:
+    def initialise(self, generator: torch.Generator) -> None:
         """Initialises the weights."""
         nn.init.orthogonal_(self.weight, self._gain, generator=generator)
         nn.init.zeros_(self.bias)
@@ -172,7 +176,7 @@ class _DiagonalGaussian(nn.Module):
         self._init_log_std = init_log_std
         self.log_std = nn.Parameter(torch.empty(size))
 
-    def draw(self, generator: torch.Generator) -> None:  # nothing random
+    def initialise(self, generator: torch.Generator) -> None:  # nothing random
         """Initialises the standard deviation."""
         nn.init.constant_(self.log_std, self._init_log_std)
 

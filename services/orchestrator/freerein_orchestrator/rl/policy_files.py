@@ -20,7 +20,7 @@ from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.vec_env import Actions, Observations, env_actions, observation_tensor
 
 KIND = "ppo"
-NAMES = model_files.Names("policy.safetensors", "policy.json")
+NAMES = model_files.ModelFileNames("policy.safetensors", "policy.json")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,7 @@ def save_policy(network: ActorCritic, folder: Path, *, card: Mapping[str, JSON])
         folder: Made when missing; its files are overwritten.
         card: Besides kind and spec.
     """
-    model_files.save_model(
-        network, folder, card={"kind": KIND, **card, "sha256": weights.sha256(network)}, names=NAMES
-    )
+    model_files.save_model(network, folder, card={"kind": KIND, **card, "sha256": weights.sha256(network)}, names=NAMES)
 
 
 def load_policy(folder: Path, *, device: str) -> StoredPolicy:

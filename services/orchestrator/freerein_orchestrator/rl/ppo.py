@@ -49,7 +49,7 @@ def update(
     metrics: list[Mapping[str, Tensor]] = []
     for _ in range(config.updates):
         interrupt()
-        minibatch = batch.select(learner.shuffle.draw(config.batch_size // config.sequence_length))
+        minibatch = batch.select(learner.sampler.next_batch(config.batch_size // config.sequence_length))
         losses = evaluate(state.network, minibatch, clip_range=config.clip_range)
         lr = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.updates)
         state = optimiser_step(state, losses.total(config), lr=lr)

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.shuffle import Shuffle
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
@@ -159,7 +159,7 @@ def init_state(
 def init_network(spec: ActorCriticSpec, generator: torch.Generator) -> ActorCritic:
     """Returns a network with initial weights, not yet calibrated."""
     network = ActorCritic(spec)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     return network
 
 
@@ -251,8 +251,8 @@ def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device
     network = init_network(spec, generator).to(device)
     optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_ADAM_EPSILON, fused=True)
     sequences = config.rollout_size // config.sequence_length
-    shuffle = Shuffle.begin(sequences, rng=np.random.default_rng(config.seed))
-    return FitLoopState(TrainState(network, optimiser, generator), shuffle)
+    sampler = BatchSampler.start(sequences, rng=np.random.default_rng(config.seed))
+    return FitLoopState(TrainState(network, optimiser, generator), sampler)
 
 
 def _identity(config: PPOConfig, network: ActorCritic, inputs: Mapping[str, JSON]) -> dict[str, JSON]:

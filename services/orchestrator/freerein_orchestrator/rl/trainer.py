@@ -1,6 +1,6 @@
 """The training loop: collect, reward, update, save; a killed training resumes to the same bits.
 
-    <folder>/checkpoints/step-...   the complete state, after each iteration
+<folder>/checkpoints/step-...   the complete state, after each iteration
 """
 
 import time

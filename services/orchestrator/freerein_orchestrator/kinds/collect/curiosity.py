@@ -13,13 +13,14 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from freerein.clients.recording import dataset_spec, find_task, open_recording
+from freerein.clients.recording import dataset_spec, open_recording
+from freerein.clients.tasks import find_task
 from freerein.data import Writer
 from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
-from freerein.types.sim import CreateSessionRequest, ListTasksRequest, Task
+from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
@@ -49,7 +50,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
     """
     retry, device = context.retry(), choose_device(context.device)
     sims = context.replicas("sim")[: config.num_envs]
-    task = retry.call(lambda: _snapshot_task(find_task(sims[0].list_tasks(ListTasksRequest()), config.task)))
+    task = retry.call(lambda: _snapshot_task(find_task(sims[0], config.task)))
     spec = dataset_spec(task, cameras=config.cameras, height=config.height, width=config.width)
     ((camera, frame),) = spec.cameras.items()
     inputs: dict[str, JSON] = {**json.loads(json.dumps(asdict(config))), "sims": len(sims)}
@@ -64,9 +65,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
         )
 
     def init() -> PPOState:
-        network = network_spec(
-            ppo, observation=frame, action_size=task.action.size, action_choices=task.action.choices
-        )
+        network = network_spec(ppo, observation=frame, action_size=task.action.size, action_choices=task.action.choices)
         with closing(open_envs(())) as envs:
             return init_state(ppo, network, envs, device=device, make_reward_learner=make_icm, inputs=inputs)
 
@@ -74,9 +73,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
         Trainer(
             context.folder,
             init=lambda: retry.call(init),
-            load=partial(
-                from_checkpoint, config=ppo, device=device, make_reward_learner=make_icm, inputs=inputs
-            ),
+            load=partial(from_checkpoint, config=ppo, device=device, make_reward_learner=make_icm, inputs=inputs),
             collector=lambda _: RecoveringCollector(open_envs, num_steps=ppo.num_steps, retry=retry),
             metrics_log=context.metrics_logger,
             interrupt=retry.interrupt,

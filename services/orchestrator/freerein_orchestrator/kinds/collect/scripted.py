@@ -5,7 +5,7 @@ from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.clients.recording import Recording
 from freerein.data import Dataset
 from freerein.errors import ServiceError
@@ -46,7 +46,7 @@ def demonstrate(context: RunContext, config: CollectConfig, behaviour: Behaviour
         rows.write(len(recording), timesteps)
 
 
-def _missing(sim: Synchronous, recording: Recording, retry: Retry) -> Generator[DemonstrateResponse]:
+def _missing(sim: SyncClient, recording: Recording, retry: Retry) -> Generator[DemonstrateResponse]:
     """Yields the demonstrations that a recording lacks, however often the sim service is unavailable."""
     while not recording.is_whole:
         try:

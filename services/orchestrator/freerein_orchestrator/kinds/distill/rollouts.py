@@ -16,11 +16,12 @@ from typing import Literal
 import numpy as np
 
 from freerein.atomic_files import write_atomic
+from freerein.clients.tasks import find_task
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
 from freerein.errors import FailedPrecondition
 from freerein.types.common import ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
-from freerein_orchestrator.envs.episodes import Episode, derive_seed, find_task, run_episodes
+from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import stored_policy
 from freerein_orchestrator.envs.policy_spec import PolicySpec, common_action
 from freerein_orchestrator.envs.reward_fns import LearnedReward

@@ -11,7 +11,7 @@ import pytest
 
 from freerein import wire
 from freerein.api.learning.v1 import learning_pb2_grpc
-from freerein.clients import Channel, FitClient, Synchronous
+from freerein.clients import Channel, FitClient, SyncClient
 from freerein.errors import Cancelled, FailedPrecondition, NotFound
 from freerein.types.learning import (
     Fit,
@@ -70,14 +70,14 @@ def channel(service: Fits) -> Iterator[Channel]:
 
 
 def test_coroutines_become_calls_and_asynchronous_iterators_iterators(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client:
+    with SyncClient(FitClient(channel)) as client:
         assert client.list_fits(ListFitsRequest()).fits == (FIT, FIT)
         events = client.watch_fit(WatchFitRequest(FIT.id))
         assert [next(events).sequence for _ in range(3)] == [0, 1, 2]
 
 
 def test_an_iterator_that_is_closed_ends_its_call(channel: Channel, service: Fits) -> None:
-    with Synchronous(FitClient(channel)) as client:
+    with SyncClient(FitClient(channel)) as client:
         events = client.watch_fit(WatchFitRequest(FIT.id))
         next(events)
         events.close()
@@ -85,7 +85,7 @@ def test_an_iterator_that_is_closed_ends_its_call(channel: Channel, service: Fit
 
 
 def test_closing_the_client_ends_its_streams_and_its_thread(channel: Channel, service: Fits) -> None:
-    client = Synchronous(FitClient(channel))
+    client = SyncClient(FitClient(channel))
     events = client.watch_fit(WatchFitRequest(FIT.id))
     next(events)
     client.close()
@@ -97,7 +97,7 @@ def test_closing_the_client_ends_its_streams_and_its_thread(channel: Channel, se
 
 
 def test_closing_the_client_cancels_the_calls_of_other_threads(channel: Channel, service: Fits) -> None:
-    client = Synchronous(FitClient(channel))
+    client = SyncClient(FitClient(channel))
     with ThreadPoolExecutor(1) as thread:
         call = thread.submit(client.get_fit, GetFitRequest("slow"))
         assert service.called.wait(5.0)
@@ -107,42 +107,42 @@ def test_closing_the_client_cancels_the_calls_of_other_threads(channel: Channel,
 
 
 def test_an_exhausted_iterator_stays_so(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client:
+    with SyncClient(FitClient(channel)) as client:
         events = client.watch_fit(WatchFitRequest(FIT.id))
         events.close()
         assert list(events) == []
 
 
 def test_errors_are_the_clients(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client, pytest.raises(NotFound, match="no such fit"):
+    with SyncClient(FitClient(channel)) as client, pytest.raises(NotFound, match="no such fit"):
         client.get_fit(GetFitRequest("unknown"))
 
 
 def test_a_closed_client_says_so(channel: Channel) -> None:
-    client = Synchronous(FitClient(channel))
+    client = SyncClient(FitClient(channel))
     client.close()
     with pytest.raises(FailedPrecondition, match="it is closed"):
         client.list_fits(ListFitsRequest())
 
 
 def test_a_method_that_the_client_does_not_have_is_an_attribute_error(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client, pytest.raises(AttributeError, match="start_fire"):
+    with SyncClient(FitClient(channel)) as client, pytest.raises(AttributeError, match="start_fire"):
         client.start_fire()
 
 
 async def test_it_works_where_an_event_loop_runs_already(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client:
+    with SyncClient(FitClient(channel)) as client:
         assert client.get_fit(GetFitRequest(FIT.id)).fit == FIT
 
 
 def test_several_threads_may_call_at_once(channel: Channel) -> None:
-    with Synchronous(FitClient(channel)) as client, ThreadPoolExecutor(4) as threads:
+    with SyncClient(FitClient(channel)) as client, ThreadPoolExecutor(4) as threads:
         replies = list(threads.map(lambda _: client.get_fit(GetFitRequest(FIT.id)), range(16)))
     assert [reply.fit for reply in replies] == [FIT] * 16
 
 
 def test_a_forgotten_client_ends_its_thread(channel: Channel) -> None:
-    client = Synchronous(FitClient(channel))
+    client = SyncClient(FitClient(channel))
     client.list_fits(ListFitsRequest())
     [thread] = [thread for thread in threading.enumerate() if thread.name == "FitClient"]
     del client

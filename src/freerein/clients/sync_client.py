@@ -1,6 +1,6 @@
 """A blocking form of any client: its event loop runs in a thread of its own.
 
-    with Synchronous(SimClient(Channel("127.0.0.1:9104"))) as sim:
+    with SyncClient(SimClient(Channel("127.0.0.1:9104"))) as sim:
         tasks = sim.list_tasks(ListTasksRequest())
 
 A thread, and not a loop that runs only while a call lasts: it also works where a loop runs already, as in notebooks,
@@ -23,7 +23,7 @@ _END_S = 1.0
 _Started = tuple[asyncio.AbstractEventLoop, asyncio.Event]
 
 
-class Synchronous:
+class SyncClient:
     """Every method of a client as a plain call, and every asynchronous iterator as an iterator.
 
     Its attributes are the client's, so they have no types of their own. It may be called from several threads.
