@@ -125,7 +125,8 @@ def test_an_unspecified_enum_is_refused() -> None:
 def test_arrays_do_not_depend_on_the_runtime_form_of_ndarray(
     cls: type, hints: dict[str, Any], values: dict[str, Any]
 ) -> None:
-    aliased: Any = make_dataclass(cls.__name__, hints.items(), namespace={"__module__": cls.__module__})
+    aliased: Any = make_dataclass(cls.__name__, hints.items())
+    aliased.__module__ = cls.__module__
     back = vars(wire.unpack(wire.pack(aliased(**values)), aliased))
     np.testing.assert_equal(back, values)
     assert [getattr(each, "dtype", None) for each in back.values()] == [
