@@ -30,7 +30,7 @@ _Context = grpc.aio.ServicerContext[Any, Any]
 T = TypeVar("T")
 
 
-class GrpcDoor:
+class GrpcServer:
     """The gRPC door of one service.
 
     Args:
