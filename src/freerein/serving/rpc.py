@@ -20,7 +20,7 @@ from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequ
 from freerein.serving import auth, grpc_errors
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, StreamSlots
-from freerein.serving.methods import Method, Unreadable, service_names
+from freerein.serving.methods import InvalidMessage, Method, service_names
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
@@ -204,7 +204,7 @@ def _parse(message: bytes, cls: type[Any]) -> Message:
 
 
 async def _requests(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
-    """Yields each message as its dataclass, or as the `Unreadable` that says why it is none."""
+    """Yields each message as its dataclass, or as the `InvalidMessage` that says why it is none."""
     async for message in messages:
         yield _request(message, cls)
 
@@ -215,7 +215,7 @@ def _request(message: bytes, cls: type[Any]) -> Any:
         parsed = _parse(message, cls)
         return wire.unpack(parsed, cls)
     except ServiceError as error:
-        return Unreadable(error, parsed)
+        return InvalidMessage(error, parsed)
 
 
 def _seconds(context: _Context, longest: float) -> float:
