@@ -43,7 +43,7 @@ class Health:
         """Returns when the service has been told to stop."""
         await self._draining.wait()
 
-    async def unless_draining(self, step: Awaitable[T]) -> T | None:
+    async def await_or_drain(self, step: Awaitable[T]) -> T | None:
         """Returns what `step` returns, or None, with `step` cancelled, when draining begins first."""
         work = asyncio.ensure_future(step)
         drain = asyncio.ensure_future(self._draining.wait())

@@ -86,7 +86,7 @@ class GrpcServer:
                 status = now
                 for name in ("", *self._names):
                     await self._health_servicer.set(name, status)
-            await self._health.unless_draining(asyncio.sleep(_HEALTH_PERIOD_S))
+            await self._health.await_or_drain(asyncio.sleep(_HEALTH_PERIOD_S))
         await self._health_servicer.enter_graceful_shutdown()
 
     def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
