@@ -45,7 +45,7 @@ class Stepping:
         Args:
             requests: The messages; an `InvalidMessage` in place of one that could not be read.
         """
-        async for request in self._health.until_draining(requests):
+        async for request in self._health.iterate_until_drain(requests):
             yield await self._answer(request)
         if self._health.draining:
             yield ConnectResponse(draining=Draining(self._drain_s))

@@ -54,7 +54,7 @@ class Health:
             work.cancel()
             drain.cancel()
 
-    async def until_draining(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
+    async def iterate_until_drain(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
         """Yields what `items` yields, and ends when it ends or draining begins."""
         drain = asyncio.ensure_future(self._draining.wait())
         following: asyncio.Future[T] | None = None
