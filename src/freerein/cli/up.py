@@ -35,7 +35,7 @@ def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJs
     from freerein.cli.supervisor import Stack
 
     chosen = known.choose(services or ())
-    ports = known.free_ports(chosen) if free_ports else None
+    ports = known.free_ports(chosen) if free_ports else known.configured_ports(chosen, os.environ)
     stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
     with _display(as_json=as_json) as show:
         asyncio.run(_run(stack, show))
