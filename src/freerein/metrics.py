@@ -101,6 +101,64 @@ def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -
     return float(above / (positives * (len(truth) - positives)))
 
 
+def majority_accuracy(truth: Labels) -> float:
+    """Returns the accuracy of always answering the most frequent of the true labels (T,), in [0, 1].
+
+    Raises:
+        InvalidInput: There are no labels.
+    """
+    _check_pair(truth, truth)
+    return float(np.unique(truth, return_counts=True)[1].max() / len(truth))
+
+
+def balanced_accuracy(predicted: Labels, truth: Labels) -> float:
+    """Returns the mean recall over the classes that occur in `truth`; a constant answer scores one over their number.
+
+    Raises:
+        InvalidInput: The two have different lengths, or none.
+    """
+    _check_pair(predicted, truth)
+    return float(np.mean([np.mean(predicted[truth == label] == label) for label in np.unique(truth)]))
+
+
+def expected_calibration_error(
+    confidence: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_], *, bins: int = 10
+) -> float:
+    """Returns the expected calibration error (ECE): the mean gap between confidence and frequency, 0 is calibrated.
+
+    Args:
+        confidence: float (N,), predicted probabilities in [0, 1].
+        truth: bool (N,), whether each prediction came true.
+        bins: Number of bins of equal width.
+
+    Raises:
+        InvalidInput: The two have different lengths, or none.
+    """
+    if confidence.ndim != 1 or confidence.shape != truth.shape or not len(truth):
+        raise InvalidInput(
+            f"Confidence and truth must both be (N,), N at least 1; got {confidence.shape} and {truth.shape}.",
+            field="confidence",
+            hint="Give one confidence per outcome.",
+        )
+    members = np.minimum((confidence * bins).astype(np.int64), bins - 1)
+    gaps = np.bincount(members, weights=confidence - truth, minlength=bins)  # (bins,), summed over each bin
+    return float(np.abs(gaps).sum() / len(truth))
+
+
+def mean_interval(values: npt.ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000) -> tuple[float, float]:
+    """Returns the 95 % interval of the mean of independent values (N,), by percentile bootstrap.
+
+    Raises:
+        InvalidInput: There are no values.
+    """
+    sample = np.asarray(values, np.float64)
+    if sample.ndim != 1 or not len(sample):
+        raise InvalidInput(f"Values must be (N,), N at least 1; got {sample.shape}.", field="values")
+    means = [rng.choice(sample, len(sample)).mean() for _ in range(resamples)]
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
 def _check_pair(predicted: Labels, truth: Labels) -> None:
     if predicted.ndim != 1 or predicted.shape != truth.shape or len(truth) == 0:
         raise InvalidInput(

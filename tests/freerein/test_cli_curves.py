@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from freerein.cli.braille import plot
+from freerein.cli.terminal_plot import plot
 from freerein.cli.course import Course, by_telling
 from freerein.cli.course_picture import draw
 from freerein.types.orchestrator import Run

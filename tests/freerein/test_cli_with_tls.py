@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from freerein.cli.demo.context import Context
-from freerein.cli.demo.screen import Screen
+from freerein.cli.demo.report import Reporter
 from freerein.cli.doctor import doors
-from freerein.cli.services import running
+from freerein.cli.services import running_endpoints
 from freerein.cli.settings import CliSettings
 from freerein.errors import Unavailable
 from freerein.ports import PORTS, Ports
@@ -29,16 +29,18 @@ def sim(start_service: Any, certificate: tuple[Path, Path], monkeypatch: pytest.
 
 
 async def test_the_doctor_and_the_demo_speak_tls_and_say_when_the_connection_is_lost(sim: Any, tmp_path: Path) -> None:
-    context = Context(running(["sim"], os.environ), CliSettings(), tmp_path, tmp_path, 0, Screen(as_json=True))
+    context = Context(
+        running_endpoints(["sim"], os.environ), CliSettings(), tmp_path, tmp_path, 0, Reporter(as_json=True)
+    )
 
     while (found := doors.service("sim")).state == "warning":
         pass  # its workers start
     assert found.state == "ok", found
-    async with context.door("sim") as door, context.sim() as client:
-        over_rest = {task["name"] for task in (await door.get("/v1/list-tasks"))["tasks"]}
+    async with context.rest("sim") as rest, context.sim() as client:
+        over_rest = {task["name"] for task in (await rest.get("/v1/list-tasks"))["tasks"]}
         over_grpc = {task.name for task in (await client.list_tasks(ListTasksRequest())).tasks}
         sim.process.kill()
         with pytest.raises(Unavailable, match="must answer; the connection failed"):
-            await door.get("/v1/list-tasks")
+            await rest.get("/v1/list-tasks")
 
     assert over_rest == over_grpc != set()

@@ -72,3 +72,28 @@ def test_auroc_needs_examples_of_both_kinds() -> None:
     for scores, truth in ((np.zeros(2), np.ones(2, bool)), (np.zeros(3), np.array([True, False]))):
         with pytest.raises(InvalidInput):
             metrics.auroc(scores, truth)
+
+
+def test_a_constant_answer_scores_the_majority_and_balanced_one_over_the_classes() -> None:
+    always = np.zeros(len(TRUTH), np.int64)
+    assert metrics.majority_accuracy(TRUTH) == metrics.frame_accuracy(always, TRUTH) == 0.4
+    assert metrics.balanced_accuracy(always, TRUTH) == pytest.approx(1 / 3)
+    assert metrics.balanced_accuracy(np.array([0, 0, 1, 1, 2, 2, 2, 2, 1, 0]), TRUTH) == pytest.approx(2 / 3)
+
+
+def test_the_calibration_error_is_the_gap_between_confidence_and_frequency() -> None:
+    truth = np.array([True, False, False, False])
+    assert metrics.expected_calibration_error(np.full(4, 0.25), truth) == 0.0
+    assert metrics.expected_calibration_error(np.full(4, 1.0), truth) == 0.75
+    assert metrics.expected_calibration_error(np.array([0.95, 0.05, 0.05, 0.05]), truth) == pytest.approx(0.05)
+    with pytest.raises(InvalidInput):
+        metrics.expected_calibration_error(np.zeros(3), truth)
+
+
+def test_the_interval_of_a_mean_covers_it_and_shrinks_with_the_sample() -> None:
+    rng = np.random.default_rng(0)
+    low, high = metrics.mean_interval([0.0, 1.0] * 50, rng=rng, resamples=500)
+    assert 0.35 < low < 0.5 < high < 0.65
+    assert metrics.mean_interval([2.0] * 5, rng=rng, resamples=10) == (2.0, 2.0)
+    with pytest.raises(InvalidInput):
+        metrics.mean_interval([], rng=rng)

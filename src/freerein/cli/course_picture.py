@@ -7,7 +7,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from freerein.cli.braille import plot
+from freerein.cli.terminal_plot import plot
 from freerein.cli.course import Course
 from freerein.cli.underway import Underway, steps_of
 

@@ -16,7 +16,7 @@ _MAX_PORT = 65535
 
 
 @dataclass(frozen=True)
-class Doors:
+class Endpoints:
     """Where services are found.
 
     Attributes:
@@ -28,7 +28,7 @@ class Doors:
     addresses: Mapping[str, str]
 
 
-def running(names: Iterable[str], environ: Mapping[str, str]) -> Doors:
+def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
     """Returns where services are that somebody started: what the environment says, REST at its usual port beside gRPC.
 
     Raises:
@@ -37,7 +37,7 @@ def running(names: Iterable[str], environ: Mapping[str, str]) -> Doors:
     addresses = {name: address(name, environ) for name in names}
     scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
     urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
-    return Doors(urls, addresses)
+    return Endpoints(urls, addresses)
 
 
 def installed() -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""`freerein demo`: labels, rewards and policies learned, and measured, with everything that happens on screen."""
+"""`freerein demo`: runs the whole pipeline on this machine and measures every stage."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,19 +10,23 @@ from freerein.cli.output import AsJson, verb
 
 @verb
 def demo(
-    out: Annotated[
-        Path, typer.Option(help="Folder for summary, pictures and data; an earlier demo's is emptied.")
-    ] = Path("var/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Seed of every draw.")] = 0,
+    out: Annotated[Path, typer.Option(help="Output folder; the output of an earlier demo is deleted.")] = Path(
+        "var/demo"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     running: Annotated[
-        bool, typer.Option("--running", help="Use the services that run already, and their data directory.")
+        bool, typer.Option("--running", help="Use the services that already run, and their data directory.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run the whole pipeline on this machine, measure it, and draw what came out."""
+    """Run the whole pipeline, measure it, and draw the results.
+
+    Writes summary.json, summary.md and the pictures. The exit code is 1 when a stage fails. A figure that does not
+    meet its bar is reported as "not met"; the exit code stays 0.
+    """
     import asyncio
 
     from freerein.cli.demo.pipeline import run
-    from freerein.cli.demo.screen import Screen
+    from freerein.cli.demo.report import Reporter
 
-    asyncio.run(run(out, seed=seed, screen=Screen(as_json=as_json), running=running))
+    asyncio.run(run(out, seed=seed, reporter=Reporter(as_json=as_json), running=running))

@@ -1,4 +1,4 @@
-"""Curves drawn in Braille characters, which have two columns of four dots each."""
+"""Line plots for a terminal, in Braille characters of two by four dots."""
 
 from collections.abc import Sequence
 
@@ -10,20 +10,20 @@ _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # fr
 
 
 def plot(values: Sequence[float], *, width: int, height: int) -> list[str]:
-    """Returns a curve as lines of text, the top one first; from the least value to the greatest it fills their height.
+    """Returns a plot as lines of text, top line first, scaled from the least value to the greatest.
 
-    Fewer values than there are columns of dots are joined by straight lines; of more, neighbours are averaged.
+    Values are interpolated where there are fewer than columns of dots, and averaged where there are more.
 
     Args:
-        values: Finite, at least one, evenly spaced.
+        values: Finite values, at least one, evenly spaced.
         width: Characters per line.
-        height: Lines.
+        height: Number of lines.
     """
     levels = _levels(_at_columns(np.asarray(values, np.float64), 2 * width), 4 * height)
     before = np.concatenate([levels[:1], levels[:-1]])
-    low = np.minimum(levels, before + np.sign(levels - before))  # up to, and not again, where the one before ended
+    low = np.minimum(levels, before + np.sign(levels - before))  # a column continues where the one before ended
     high = np.maximum(levels, before + np.sign(levels - before))
-    rows = np.arange(4 * height)[::-1, None]  # the top row's level first
+    rows = np.arange(4 * height)[::-1, None]  # top row first
     dots = (low <= rows) & (rows <= high)  # (4 height, 2 width)
     cells = dots.reshape(height, 4, width, 2) * _DOTS[:, None, :]
     codes = _BLANK + cells.sum(axis=(1, 3))  # (height, width)
@@ -38,7 +38,7 @@ def _at_columns(values: npt.NDArray[np.float64], columns: int) -> npt.NDArray[np
 
 
 def _levels(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:
-    """Returns the row of each value, counted from the bottom; values that are all the same lie in the middle."""
+    """Returns the row of each value, counted from the bottom; equal values lie in the middle."""
     low, spread = values.min(), np.ptp(values)
     if spread == 0:
         return np.full(len(values), (count - 1) // 2)

@@ -1,4 +1,4 @@
-"""The REST door of a service, called as a user would with curl, every first call shown as one would type it."""
+"""A REST client that prints the first call to each path as a curl command."""
 
 import base64
 import json
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import tensors
-from freerein.cli.demo.screen import Screen
+from freerein.cli.demo.report import Reporter
 from freerein.cli.services import trust
 from freerein.cli.settings import CliSettings
 from freerein.errors import Internal, Unavailable, by_code
@@ -21,20 +21,20 @@ from freerein.errors import Internal, Unavailable, by_code
 _TIMEOUT_S = 60.0
 
 
-class Door:
-    """Calls one service over REST.
+class RestClient:
+    """REST client of one service.
 
     Args:
-        url: The service's address.
-        settings: The token that is sent with every call, and the certificate that the service is to have.
-        requests: Folder where the first body of each path is kept, for the reader to send again.
-        screen: Where the calls are shown.
+        url: URL of the service.
+        settings: Token and certificate of the service.
+        requests: Folder for large request bodies, so that a printed command can be repeated.
+        reporter: Prints the calls.
     """
 
-    def __init__(self, url: str, settings: CliSettings, *, requests: Path, screen: Screen) -> None:
+    def __init__(self, url: str, settings: CliSettings, *, requests: Path, reporter: Reporter) -> None:
         self._url = url
         self._requests = requests
-        self._screen = screen
+        self._reporter = reporter
         self._shown: set[str] = set()
         headers = {"authorization": f"Bearer {settings.token_text}"} if settings.token else {}
         verify = trust(str(settings.tls_cert) if settings.tls_cert else None)
@@ -49,31 +49,31 @@ class Door:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Closes it."""
+        """Closes the connection."""
         await self._client.aclose()
 
     async def post(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
-        """Returns the answer to a call.
+        """Returns the JSON reply to a POST.
 
         Raises:
-            ServiceError: The service refused, or the connection was lost.
+            ServiceError: The service answered with an error, or the connection was lost.
         """
         self._show(path, json.dumps(body))
-        with self._lost():
+        with self._connected():
             return _answer(await self._client.post(path, json=body))
 
     async def get(self, path: str, **query: str) -> dict[str, Any]:
-        """Returns the answer to a question, or what a file of JSON holds.
+        """Returns the JSON reply to a GET.
 
         Raises:
-            ServiceError: The service refused, or the connection was lost.
+            ServiceError: The service answered with an error, or the connection was lost.
         """
-        self._screen.call(f'curl "{self._address(path, query)}"')
-        with self._lost():
+        self._reporter.command(f'curl "{self._address(path, query)}"')
+        with self._connected():
             return _answer(await self._client.get(path, params=query))
 
     async def segment(self, model: str, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> dict[str, Any]:
-        """Returns the labels of a trajectory, frames uint8 (T, H, W, C), as the service's JSON; raises as `post`."""
+        """Returns the JSON labels of a trajectory, frames uint8 (T, H, W, C); raises as `post`."""
         body = {"model": {"name": model}, "frames": _tensor(frames), "actions": _tensor(actions), "smoothing": 1.0}
         text = json.dumps(body)
         if "/v1/segment" not in self._shown:
@@ -82,18 +82,18 @@ class Door:
             path.write_text(text)
             self._show("/v1/segment", f"@{path}")
         headers = {"content-type": "application/json"}
-        with self._lost():
+        with self._connected():
             return _answer(await self._client.post("/v1/segment", content=text, headers=headers))
 
     @contextmanager
-    def _lost(self) -> Iterator[None]:
-        """Raises the errors of a connection as ours."""
+    def _connected(self) -> Iterator[None]:
+        """Raises connection errors as `Unavailable`."""
         try:
             yield
         except httpx.HTTPError as error:
             raise Unavailable(
                 f"{self._url} must answer; the connection failed: {error or type(error).__name__}.",
-                hint="Run the demo again; logs/<service>.log in the data directory may say what happened.",
+                hint="Read logs/<service>.log in the data directory, then run the demo again.",
             ) from error
 
     def _address(self, path: str, query: Mapping[str, str]) -> str:
@@ -102,7 +102,7 @@ class Door:
     def _show(self, path: str, body: str) -> None:
         if path not in self._shown:
             self._shown.add(path)
-            self._screen.call(f"curl {self._url}{path} --json '{body}'")
+            self._reporter.command(f"curl {self._url}{path} --json '{body}'")
 
 
 def _tensor(array: npt.NDArray[Any]) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def _answer(response: httpx.Response) -> dict[str, Any]:
     try:
         answer: dict[str, Any] = response.json()
     except ValueError:
-        raise Internal("The service must answer with JSON; it did not.", hint="Read its log.") from None
+        raise Internal("The service must answer with JSON; got something else.", hint="Read its log.") from None
     if response.is_error:
         raise by_code(answer["code"])(answer["detail"], field=answer["field"], hint=answer["hint"])
     return answer

@@ -1,6 +1,6 @@
-"""Robots in the sim service, driven by the imitation service or at random, all steps at once for many of them.
+"""Rollouts of several robots in the sim service, by a policy of the imitation service or at random.
 
-True states are recorded beside, to measure by: whoever drives does not see them.
+True states are recorded for evaluation; no policy sees them.
 """
 
 import asyncio
@@ -29,18 +29,18 @@ from freerein.types.sim import (
 
 Frames = npt.NDArray[np.uint8]
 Actions = npt.NDArray[np.float32]
-Act = Callable[[Frames], Awaitable[Actions | None]]
-"""Given what N robots see, uint8 (N, H, W, C), returns what they do next, float32 (N, A), or None to end."""
+PolicyFn = Callable[[Frames], Awaitable[Actions | None]]
+"""Maps frames uint8 (N, H, W, C) of N robots to their next actions float32 (N, A), or to None to end the rollout."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
-    """What N robots saw, over T moments.
+class Rollout:
+    """Trajectories of N robots over T timesteps.
 
     Attributes:
-        frames: uint8 (T, N, H, W, C).
+        frames: uint8 (T, N, H, W, C), what the robots saw.
         states: float64 (T, N, S), the true states.
-        lengths: int64 (N,), moments until the robot's episode ended; what follows is another episode.
+        lengths: int64 (N,), timesteps of each robot's first episode; later timesteps belong to another episode.
     """
 
     frames: Frames
@@ -48,15 +48,15 @@ class Drive:
     lengths: npt.NDArray[np.int64]
 
 
-class Robots:
-    """A privileged session of several robots, seen through one camera. Enter it, then `drive`.
+class RobotSession:
+    """A privileged sim session of several robots; each rollout starts from the same states.
 
     Args:
         sim: The sim service.
-        task: The task's name.
-        camera: What they see through.
-        count: How many.
-        seed: Of their episodes.
+        task: Name of the task.
+        camera: Camera of the frames.
+        count: Number of robots.
+        seed: Random seed of the episodes.
     """
 
     def __init__(self, sim: SimClient, task: str, *, camera: str, count: int, seed: int) -> None:
@@ -66,7 +66,7 @@ class Robots:
         self._count = count
 
     async def __aenter__(self) -> Self:
-        """Makes the session, and begins the episodes that `drive` starts from."""
+        """Creates the session and saves the states that rollouts start from."""
         created = await self._sim.create_session(self._request)
         self.task: Task = created.task
         self._session = created.session
@@ -77,11 +77,13 @@ class Robots:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Ends the session."""
+        """Closes the session."""
         await self._sim.close_session(CloseSessionRequest(self._session))
 
-    async def drive(self, act: Act, *, steps: int, on_step: Callable[[int], None] = lambda _: None) -> Drive:
-        """Goes back to the start and lets `act` drive for at most so many steps, or until it ends."""
+    async def rollout(
+        self, policy: PolicyFn, *, steps: int, on_step: Callable[[int], None] = lambda _: None
+    ) -> Rollout:
+        """Returns a rollout from the start states, of at most `steps` steps."""
         step = (await self._sim.restore(RestoreRequest(self._session, self._start))).step_id
         size = self.task.action.size
         still = np.zeros((self._count, size), np.float32)
@@ -89,7 +91,7 @@ class Robots:
         frames, states = [seen.frames[self._camera]], [cast(Truth, seen.truth).state]
         ended = np.full(self._count, steps + 1)
         for t in range(1, steps + 1):
-            actions = await act(frames[-1])
+            actions = await policy(frames[-1])
             if actions is None:
                 break
             seen = await self._sim.step(StepRequest(self._session, step + 1 + t, actions, cameras=(self._camera,)))
@@ -97,21 +99,21 @@ class Robots:
             frames.append(seen.frames[self._camera])
             states.append(cast(Truth, seen.truth).state)
             on_step(t)
-        return Drive(np.stack(frames), np.stack(states), np.minimum(ended, len(frames)))
+        return Rollout(np.stack(frames), np.stack(states), np.minimum(ended, len(frames)))
 
 
 @dataclass(eq=False)
-class Driver:
-    """Drives robots by a policy of the imitation service, each towards a goal of its own, until all are done.
+class ServedPolicy:
+    """A policy of the imitation service that pursues one goal per robot until all are done.
 
     Attributes:
         client: The imitation service.
-        model: The policy.
-        goals: What each robot is to achieve.
-        camera: What the robots see through.
-        max_steps_per_goal: Steps after which a goal is given up for the next one; 0 for the model's own number.
-        goal_index: By moment, the goals that each robot is done with.
-        confidence: By moment, that the goal which was pursued is reached.
+        model: Name and version of the model.
+        goals: One goal per robot.
+        camera: Camera of the observations.
+        max_steps_per_goal: Steps after which a goal is abandoned for the next one; 0 for the model's default.
+        goal_index: int64 (N,) per timestep, the number of goals that each robot is done with.
+        confidence: float64 (N,) per timestep, confidence that the goal pursued is reached.
     """
 
     client: ImitationClient
@@ -129,7 +131,7 @@ class Driver:
         ]
 
     async def __call__(self, frames: Frames) -> Actions | None:
-        """Returns the next actions; robots that are done hold still."""
+        """Returns the next actions; robots that are done stay still."""
         answers = await asyncio.gather(*map(self._act, self._requests, frames))
         self.goal_index.append(np.array([answer.goal_index for answer in answers]))
         self.confidence.append(np.array([answer.goal_confidence for answer in answers]))
@@ -151,13 +153,13 @@ class Driver:
 
 
 @dataclass(eq=False)
-class Wanderer:
-    """Drives robots at random, smoothly in time, as those who explore do.
+class RandomPolicy:
+    """Smooth random actions, with the parameters of the sim service's random behaviour.
 
     Attributes:
         size: Numbers per action.
-        count: How many robots.
-        rng: Draws where each heads for, and how long.
+        count: Number of robots.
+        rng: Draws the targets and how long they are held.
     """
 
     size: int
@@ -171,14 +173,14 @@ class Wanderer:
     async def __call__(self, _frames: Frames) -> Actions:
         """Returns the next actions."""
         self._hold_steps = self._hold_steps - 1
-        anew = self._hold_steps < 0
+        is_new = self._hold_steps < 0
         shape = self._target.shape
         extreme = self.rng.random(shape) < _EXTREME_PROBABILITY
         drawn = np.where(extreme, self.rng.choice((-1.0, 1.0), shape), self.rng.uniform(-1, 1, shape))
-        self._target = np.where(anew, drawn, self._target)
-        self._hold_steps = np.where(anew, self.rng.geometric(1 / _MEAN_HOLD_STEPS, shape), self._hold_steps)
+        self._target = np.where(is_new, drawn, self._target)
+        self._hold_steps = np.where(is_new, self.rng.geometric(1 / _MEAN_HOLD_STEPS, shape), self._hold_steps)
         self._action = self._action + _SMOOTHING * (self._target - self._action)
         return self._action.astype(np.float32)
 
 
-_MEAN_HOLD_STEPS, _SMOOTHING, _EXTREME_PROBABILITY = 6.0, 0.5, 0.3  # those of the sim service's random behaviour
+_MEAN_HOLD_STEPS, _SMOOTHING, _EXTREME_PROBABILITY = 6.0, 0.5, 0.3

@@ -1,0 +1,197 @@
+"""Chapter 3 in the demo: a policy that follows goal images, learned from random exploration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
+from freerein.cli.demo.evaluation import landmarks
+from freerein.cli.demo.evaluation.landmarks import Pursuit, ReachedRates
+from freerein.cli.demo.pictures import FilmstripGoal
+from freerein.cli.demo.report import Figure
+from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
+from freerein.clients import ImitationClient
+from freerein.metrics import auroc, expected_calibration_error
+from freerein.types.common import Goal, ModelRef
+from freerein.types.imitation import GetSpecRequest
+from freerein.types.sim import DemonstrateRequest
+
+_TASK, _DATASET, _CAMERA = "blocks", "exploration", "front"
+_MODEL = ModelRef("goal-images")
+_TRAJECTORIES = 400
+_ROBOTS, _LANDMARKS = 64, 4
+_EXPLORATION_STEPS = _LANDMARKS * landmarks.SPACING_STEPS
+_LANDMARK_STEPS = landmarks.landmark_steps(_EXPLORATION_STEPS + 1, count=_LANDMARKS)
+
+
+@dataclass(frozen=True)
+class RecognizerQuality:
+    """The goal recognizer on the states that the follower visited, against true states.
+
+    Attributes:
+        auroc: Area under the ROC curve.
+        calibration_error: Expected calibration error of the confidence.
+        at_landmark: Share of visited states truly at the landmark pursued.
+    """
+
+    auroc: float
+    calibration_error: float
+    at_landmark: float
+
+
+@dataclass(frozen=True, eq=False)
+class GoalImageResult:
+    """How well goal images were followed.
+
+    Attributes:
+        reached: Landmarks at which the robot was at some time while it pursued them.
+        reached_at_random: The same for random actions, told by true states when to go on.
+        recognized: Landmarks at which the robot was when it went on to the next.
+        recognizer: Quality of the goal recognizer.
+        filmstrip: The landmarks of the robot of median success.
+        exploration: The rollout that the landmarks come from.
+    """
+
+    reached: ReachedRates
+    reached_at_random: ReachedRates
+    recognized: float
+    recognizer: RecognizerQuality
+    filmstrip: tuple[FilmstripGoal, ...]
+    exploration: Rollout
+
+
+async def record(context: Context) -> None:
+    """Records a gripper that moves at random: images and its own actions, nothing else."""
+    request = DemonstrateRequest(_TASK, "random", count=_TRAJECTORIES, seed=context.seed, cameras=(_CAMERA,))
+    await context.record(_DATASET, request)
+
+
+async def start_fit(context: Context) -> RunningFit:
+    """Starts to learn the policy and its goal recognizer."""
+    config = {"policy": "goal_conditioned"}
+    return await context.start_fit("imitation", _DATASET, model_name=_MODEL.name, config=config)
+
+
+async def follow_goal_images(context: Context) -> GoalImageResult:
+    """Takes landmarks from random rollouts from unseen starts, and has the policy follow them from the same starts."""
+    rng = np.random.default_rng(context.seed + HELD_OUT_SEED)
+    async with context.sim() as sim, ImitationClient(context.channel("imitation")) as client:
+        spec = await client.get_spec(GetSpecRequest(_MODEL))
+        steps = _LANDMARKS * spec.max_steps_per_goal
+        session = RobotSession(sim, _TASK, camera=_CAMERA, count=_ROBOTS, seed=context.seed + HELD_OUT_SEED)
+        async with session:
+            size = session.task.action.size
+            explored = await session.rollout(RandomPolicy(size, _ROBOTS, rng), steps=_EXPLORATION_STEPS)
+            policy = ServedPolicy(client, _MODEL, _goals(explored), _CAMERA)
+            with context.reporter.progress("follow goal images", steps) as advance:
+                followed = await session.rollout(policy, steps=steps, on_step=advance)
+            random = await session.rollout(RandomPolicy(size, _ROBOTS, rng), steps=steps)
+    return _measure(explored, followed, policy, random, max_steps=spec.max_steps_per_goal)
+
+
+def _goals(explored: Rollout) -> list[Goal]:
+    encoded = [[images.encode(frame, encoding="raw_rgb8") for frame in frames] for frames in _goal_images(explored)]
+    return [Goal(images=tuple(each)) for each in encoded]
+
+
+def _goal_images(explored: Rollout) -> npt.NDArray[np.uint8]:
+    """Returns the frames at the landmarks, uint8 (N, landmarks, H, W, C)."""
+    return explored.frames[_LANDMARK_STEPS].swapaxes(0, 1)
+
+
+def _measure(
+    explored: Rollout, followed: Rollout, policy: ServedPolicy, random: Rollout, *, max_steps: int
+) -> GoalImageResult:
+    """Returns the result over those robots whose exploration did not end before its last landmark."""
+    indices, confidences = np.stack(policy.goal_index), np.stack(policy.confidence)  # (T, N)
+    pursuits: dict[int, Pursuit] = {}
+    at_random, block_moves, confidence, truth = [], [], [], []
+    for robot in np.flatnonzero(explored.lengths > _EXPLORATION_STEPS).tolist():
+        targets = explored.states[_LANDMARK_STEPS, robot]
+        length = min(int(followed.lengths[robot]), len(indices))
+        pursuit = landmarks.pursue(followed.states[:length, robot], indices[:length, robot], targets)
+        pursuits[robot] = pursuit
+        confidence.append(confidences[:length, robot][pursuit.is_active])
+        truth.append(pursuit.at_landmark[pursuit.is_active])
+        states = random.states[: random.lengths[robot], robot]
+        at_random.append(landmarks.reached_at_random(states, targets, max_steps=max_steps))
+        block_moves.append(landmarks.needs_block_move(explored.states[0, robot], targets))
+    moves, visited = np.concatenate(block_moves), np.concatenate(truth)
+    scores = np.concatenate(confidence)
+    shown = sorted(pursuits, key=lambda robot: float(pursuits[robot].recognized.mean()))[len(pursuits) // 2]
+    return GoalImageResult(
+        reached=landmarks.reached_rates(np.concatenate([each.reached for each in pursuits.values()]), moves),
+        reached_at_random=landmarks.reached_rates(np.concatenate(at_random), moves),
+        recognized=float(np.concatenate([each.recognized for each in pursuits.values()]).mean()),
+        recognizer=RecognizerQuality(
+            auroc(scores, visited), expected_calibration_error(scores, visited), float(visited.mean())
+        ),
+        filmstrip=_filmstrip(explored, followed, policy, pursuits[shown], shown),
+        exploration=explored,
+    )
+
+
+def _filmstrip(
+    explored: Rollout, followed: Rollout, policy: ServedPolicy, pursuit: Pursuit, robot: int
+) -> tuple[FilmstripGoal, ...]:
+    """Returns the landmarks that a robot was done with."""
+    goals = _goal_images(explored)[robot]
+    return tuple(
+        FilmstripGoal(
+            goals[pursuit.landmark[t]],
+            followed.frames[t, robot],
+            t,
+            float(policy.confidence[t][robot]),
+            bool(pursuit.at_landmark[t]),
+        )
+        for t in np.flatnonzero(pursuit.left).tolist()
+    )
+
+
+def figures(result: GoalImageResult) -> tuple[Figure, ...]:
+    """Returns the figures of following goal images."""
+    ours, random, recognizer = result.reached, result.reached_at_random, result.recognizer
+    guess = "random actions"
+    return (
+        Figure(
+            "imitation.landmarks_reached", "landmarks reached", ours.overall, random.overall, guess, beats_baseline=True
+        ),
+        Figure(
+            "imitation.landmarks_reached.no_block_moves",
+            "landmarks reached that need no block moved",
+            ours.no_block_moves,
+            random.no_block_moves,
+            guess,
+            beats_baseline=True,
+        ),
+        Figure(
+            "imitation.landmarks_reached.block_moves",
+            "landmarks reached that need a block moved",
+            ours.block_moves,
+            random.block_moves,
+            guess,
+            beats_baseline=True,
+        ),
+        Figure(
+            "imitation.landmarks_recognized",
+            "landmarks at which the robot was when it went on to the next",
+            result.recognized,
+        ),
+        Figure(
+            "imitation.goal_auroc",
+            "goal recognizer on visited states: AUROC",
+            recognizer.auroc,
+            0.5,
+            "a coin",
+            beats_baseline=True,
+        ),
+        Figure(
+            "imitation.goal_calibration_error",
+            f"goal recognizer on visited states: ECE, where {recognizer.at_landmark:.0%} are at the landmark",
+            recognizer.calibration_error,
+            0.0,
+            "always the base rate",
+        ),
+    )

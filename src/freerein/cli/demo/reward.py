@@ -1,0 +1,188 @@
+"""Chapter 4 in the demo: the reward of an image against goal text, learned from unlabelled images and noun phrases."""
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
+from freerein.cli.demo.evaluation.relations import BlockPair, true_relations, visible_pairs
+from freerein.cli.demo.pictures import RewardExample
+from freerein.cli.demo.report import Figure
+from freerein.cli.demo.rollout import Rollout
+from freerein.clients import RewardClient, SimClient
+from freerein.metrics import balanced_accuracy, frame_accuracy, majority_accuracy
+from freerein.types.common import ModelRef
+from freerein.types.reward import GroundRequest, RewardRequest
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CreateSessionRequest,
+    DemonstrateRequest,
+    ResetRequest,
+    StepRequest,
+    Truth,
+)
+
+MODEL = "blocks"
+"""Name of the reward model."""
+
+_TASK, _DATASET, _CAMERA = "blocks.scatter", "scatter", "front"
+_TRAJECTORIES = 1000
+_SCENES, _ROUNDS, _RANDOM_STEPS = 50, 6, 4
+_DRAWN_TWO_BLOCKS = (0, 1, 2, 4)  # indices of the relations in the picture
+_DRAWN_FOUR_BLOCKS = (0, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """Held-out images and the true states behind them.
+
+    Attributes:
+        frames: uint8 (N, H, W, 3).
+        states: float64 (N, S).
+    """
+
+    frames: npt.NDArray[np.uint8]
+    states: npt.NDArray[np.float64]
+
+    @classmethod
+    def of_rollout(cls, rollout: Rollout) -> "Scenes":
+        """Returns the first and the last frame of each robot whose episode did not end before."""
+        whole = rollout.lengths == len(rollout.frames)
+        ends = rollout.frames[[0, -1]][:, whole], rollout.states[[0, -1]][:, whole]
+        return cls(*(np.concatenate(list(each)) for each in ends))
+
+
+@dataclass(frozen=True, eq=False)
+class RewardResult:
+    """Which relation won, for each image and each ordered pair of visible blocks.
+
+    Attributes:
+        predicted: int64 (M,), index of the winning relation.
+        truth: int64 (M,), index of the true relation.
+    """
+
+    predicted: npt.NDArray[np.int64]
+    truth: npt.NDArray[np.int64]
+
+
+async def record(context: Context) -> None:
+    """Records the training images: two blocks anywhere, a gripper that moves at random, no label."""
+    request = DemonstrateRequest(_TASK, "random", count=_TRAJECTORIES, seed=context.seed, cameras=(_CAMERA,))
+    await context.record(_DATASET, request)
+
+
+async def start_fit(context: Context) -> RunningFit:
+    """Starts to learn the reward model."""
+    return await context.start_fit("reward", _DATASET, model_name=MODEL, config={})
+
+
+async def look_at_two_blocks(context: Context) -> Scenes:
+    """Returns images of unseen scenes of two blocks, each at its start and after some random actions."""
+    async with context.sim() as sim:
+        return await _look(sim, seed=context.seed + HELD_OUT_SEED)
+
+
+async def classify(context: Context, name: str, scenes: Scenes) -> RewardResult:
+    """Has the reward model choose among five sentences for every image and pair of visible blocks."""
+    predicted, truth = [], []
+    pairs = visible_pairs(scenes.states)
+    async with RewardClient(context.channel("reward")) as client:
+        with context.reporter.progress(name, len(pairs)) as advance:
+            for done, (pair, indices) in enumerate(pairs.items(), 1):
+                goal, *rivals = pair.texts
+                frames = {_CAMERA: scenes.frames[indices]}
+                answer = await client.reward(RewardRequest(goal, frames, rivals=tuple(rivals), model=ModelRef(MODEL)))
+                predicted.append(answer.winners)
+                truth.append(true_relations(scenes.states[indices], pair))
+                advance(done)
+    return RewardResult(np.concatenate(predicted), np.concatenate(truth))
+
+
+async def examples(context: Context, two_blocks: Scenes, four_blocks: Scenes) -> tuple[RewardExample, ...]:
+    """Returns the examples of the picture: the first image of each relation, from both kinds of scenes."""
+    async with RewardClient(context.channel("reward")) as client:
+        return tuple(
+            [
+                await _example(client, scenes, relation)
+                for scenes, relations in ((two_blocks, _DRAWN_TWO_BLOCKS), (four_blocks, _DRAWN_FOUR_BLOCKS))
+                for relation in relations
+            ]
+        )
+
+
+async def _look(sim: SimClient, *, seed: int) -> Scenes:
+    created = await sim.create_session(CreateSessionRequest(_TASK, num_envs=_SCENES, seed=seed, privileged=True))
+    rng, frames, states, step = np.random.default_rng(seed), [], [], 0
+    for _ in range(_ROUNDS):
+        first = await sim.reset(ResetRequest(created.session, cameras=(_CAMERA,)))
+        frames.append(first.frames[_CAMERA])
+        states.append(cast(Truth, first.truth).state)
+        is_same_episode = np.ones(_SCENES, np.bool_)
+        for _ in range(_RANDOM_STEPS):
+            step += 1
+            actions = rng.uniform(-1, 1, (_SCENES, created.task.action.size)).astype(np.float32)
+            stepped = await sim.step(StepRequest(created.session, step, actions, cameras=(_CAMERA,)))
+            is_same_episode &= ~(stepped.terminated | stepped.truncated)
+        frames.append(stepped.frames[_CAMERA][is_same_episode])
+        states.append(cast(Truth, stepped.truth).state[is_same_episode])
+    await sim.close_session(CloseSessionRequest(created.session))
+    return Scenes(np.concatenate(frames), np.concatenate(states))
+
+
+async def _example(client: RewardClient, scenes: Scenes, relation: int) -> RewardExample:
+    """Returns the first image in which a relation holds, its groundings, and the similarity of each sentence."""
+    for pair, indices in visible_pairs(scenes.states).items():
+        truth = true_relations(scenes.states[indices], pair)
+        if relation in truth:
+            frame = scenes.frames[indices[np.argmax(truth == relation)]]
+            break
+    return await _ask(client, pair, frame, relation)
+
+
+async def _ask(client: RewardClient, pair: BlockPair, frame: npt.NDArray[np.uint8], truth: int) -> RewardExample:
+    raw = RewardRequest(pair.texts[0], {_CAMERA: frame[None]}, mode="raw", model=ModelRef(MODEL))
+    similarities = [(await client.reward(replace(raw, goal_text=text))).similarities[0] for text in pair.texts]
+    grounded = await client.ground(GroundRequest(images.encode(frame, encoding="raw_rgb8"), pair.phrases))
+    return RewardExample(
+        image=frame,
+        phrases=pair.phrases,
+        heatmaps=[each.heatmap for each in grounded.groundings],
+        pixels=[(each.x, each.y) for each in grounded.groundings],
+        texts=pair.texts,
+        similarities=np.array(similarities, np.float32),
+        truth=truth,
+    )
+
+
+def figures(two_blocks: RewardResult, four_blocks: RewardResult) -> tuple[Figure, ...]:
+    """Returns accuracy and balanced accuracy on scenes of two blocks, as in training, and of four."""
+    found = []
+    for name, text, result in (
+        ("two_blocks", "two blocks, as in training", two_blocks),
+        ("four_blocks", "four blocks", four_blocks),
+    ):
+        right = f"images of which the true one of five sentences wins, {text}"
+        majority = majority_accuracy(result.truth)
+        classes = len(np.unique(result.truth))
+        found += [
+            Figure(
+                f"reward.{name}.accuracy",
+                right,
+                frame_accuracy(result.predicted, result.truth),
+                majority,
+                "always the commonest",
+                beats_baseline=True,
+            ),
+            Figure(
+                f"reward.{name}.balanced_accuracy",
+                f"{right}: mean over relations",
+                balanced_accuracy(result.predicted, result.truth),
+                1 / classes,
+                "always the same",
+                beats_baseline=True,
+            ),
+        ]
+    return tuple(found)

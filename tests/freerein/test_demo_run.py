@@ -1,0 +1,102 @@
+"""The demo's output folder, its services, and how figures are judged."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from freerein.cli.demo.language_policies import TASKS, DistillationResult, Returns
+from freerein.cli.demo.output_folder import MARKER, prepare
+from freerein.cli.demo.pipeline import isolated_environ, run
+from freerein.cli.demo.report import Figure, Reporter, summary, write
+from freerein.cli.services import running_endpoints
+from freerein.errors import FailedPrecondition, InvalidInput
+
+
+def test_services_that_run_are_where_the_environment_says_and_else_on_loopback() -> None:
+    endpoints = running_endpoints(("sim", "reward"), {"FREEREIN_SIM_ADDRESS": "sim:9999"})
+    assert endpoints.addresses == {"sim": "sim:9999", "reward": "127.0.0.1:9103"}
+    assert endpoints.urls == {"sim": "http://sim:8104", "reward": "http://127.0.0.1:8103"}
+
+
+def test_services_of_the_demos_own_share_in_nobodys_runs() -> None:
+    asked = {
+        "FREEREIN_DATABASE_URL": "postgresql://somebody",
+        "FREEREIN_EXECUTOR_ID": "worker-2",
+        "FREEREIN_SIM_ADDRESS": "elsewhere:9104",
+        "FREEREIN_QUEUE": "7",
+    }
+    assert isolated_environ(asked) == {"FREEREIN_QUEUE": "7"}
+
+
+@pytest.mark.parametrize("out", [".", "var", "var/datasets", "var/datasets/new"])
+@pytest.mark.parametrize("is_running", [True, False])
+async def test_the_demo_does_not_empty_what_holds_the_services_data_or_belongs_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str, is_running: bool
+) -> None:
+    kept = tmp_path / "var" / "datasets" / "kept"
+    kept.mkdir(parents=True)
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path / "var"))
+    with pytest.raises(InvalidInput, match="must not hold the services' data directory"):
+        await run(tmp_path / out, seed=0, reporter=Reporter(as_json=True), running=is_running)
+    assert kept.exists()
+
+
+@pytest.mark.parametrize("held", ["thesis.tex", "data/mine.csv", "summary.json"])
+async def test_the_demo_empties_no_folder_that_it_did_not_make(tmp_path: Path, held: str) -> None:
+    out = tmp_path / "out"
+    (out / held).parent.mkdir(parents=True)
+    (out / held).touch()
+    with pytest.raises(FailedPrecondition, match="must be new, empty, or made by a demo") as error:
+        await run(out, seed=0, reporter=Reporter(as_json=True), running=False)
+    assert "--out" in error.value.hint
+    assert (out / held).exists()
+
+
+def test_the_output_of_an_earlier_demo_is_deleted_however_far_it_came(tmp_path: Path) -> None:
+    for name in (MARKER, "summary.json", "data/logs/sim.log"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    prepare(tmp_path, keep=None)
+    assert [path.name for path in tmp_path.iterdir()] == [MARKER]
+    (tmp_path / "data" / "begun").mkdir(parents=True)
+    prepare(tmp_path, keep=tmp_path.parent)
+    assert [path.name for path in tmp_path.iterdir()] == [MARKER]
+
+
+@pytest.mark.parametrize(
+    ("figure", "bar", "met"),
+    [
+        (Figure("a", "a", 0.6, 0.5, "guess", beats_baseline=True), "above baseline", True),
+        (Figure("a", "a", 0.5, 0.5, "guess", beats_baseline=True), "above baseline", False),
+        (Figure("a", "a", 9, 0, "guess", (-1, 20), beats_baseline=True), "interval above baseline", False),
+        (Figure("a", "a", 9, 0, "guess", (1, 20), beats_baseline=True), "interval above baseline", True),
+        (Figure("a", "a", 0.9, at_least=0.99), ">= 0.99", False),
+        (Figure("a", "a", 580, at_most=600), "<= 600", True),
+        (Figure("a", "a", 0.6, 0.5, "guess"), "", None),
+    ],
+)
+def test_a_bar_is_the_baseline_or_a_number_and_an_interval_must_clear_it(figure: Figure, bar: str, met: bool) -> None:
+    assert (figure.bar, figure.met) == (bar, met)
+
+
+def test_the_summary_is_written_as_json_and_as_a_table(tmp_path: Path) -> None:
+    figures = (Figure("x.y", "the share", 0.25, 0.5, "a coin", beats_baseline=True), Figure("s", "seconds", 3.0))
+    write(tmp_path, figures, summary(figures, seed=4, shipped={"ppo": ["left"]}))
+    found = json.loads((tmp_path / "summary.json").read_text())
+    assert (found["x.y"], found["s"], found["seed"], found["shipped"]) == (0.25, 3.0, 4, {"ppo": ["left"]})
+    assert found["figures"]["x.y"]["met"] is False
+    rows = (tmp_path / "summary.md").read_text().splitlines()
+    assert rows[2] == "| the share | 0.25 |  | 0.5 (a coin) | above baseline | not met |"
+
+
+def test_the_word_blind_student_is_told_the_better_sentence_everywhere() -> None:
+    (left, say_left), (right, say_right) = TASKS.items()
+    told = {
+        left: {say_left: Returns((30.0, 40.0)), say_right: Returns((10.0, 0.0))},
+        right: {say_left: Returns((20.0, 30.0)), say_right: Returns((35.0, 25.0))},
+    }
+    student = DistillationResult(told, training_s=1.0)
+    assert student.told_the_truth().episodes == (30.0, 40.0, 35.0, 25.0)
+    assert student.word_blind().episodes == (30.0, 40.0, 20.0, 30.0)
+    assert student.told_the_truth().minus(student.word_blind()).mean == 2.5
