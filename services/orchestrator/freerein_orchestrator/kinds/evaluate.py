@@ -42,7 +42,7 @@ class RunPolicy:
     """The policy that a run has made.
 
     Attributes:
-        run: A ppo run's id, or an earlier step of the pipeline; or a run that has made a model of the imitation service.
+        run: A run's id, or an earlier step of the pipeline; it has trained a policy, or fitted an imitation model.
         goal_text: The goal of such a model.
         stochastic: Whether actions of a ppo run's policy are sampled; else the most likely one is taken.
     """
@@ -112,8 +112,8 @@ class EvaluateConfig:
 
     Attributes:
         task: The task's name.
-        policy: "random", or an object with `run`, `model`, `stored` or `untrained`. A model of the imitation service without
-            goal gets the task's goal text.
+        policy: "random", or an object with `run`, `model`, `stored` or `untrained`. A model of the imitation service
+            gets the task's goal text unless it is given a goal.
         episodes: Number of episodes.
         num_envs: Number of parallel environments.
         seed: Seed of every episode.
@@ -127,7 +127,7 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.policy, dict):
-            vars(self)["policy"] = asdict(_parse_policy(self.policy))
+            object.__setattr__(self, "policy", asdict(_parse_policy(self.policy)))  # defaults filled in
 
     @property
     def choice(self) -> PolicyChoice:

@@ -20,8 +20,7 @@ class Kind(Generic[C]):
     Attributes:
         parse: Returns the configuration of JSON values, defaults filled in; raises InvalidInput.
         steps: Returns the number of steps of a run.
-        run: Does the work, or resumes it. Raises `Stopped` once the context says so, after saving; another `ServiceError`
-            fails the run.
+        run: Does the work, or resumes it. Raises `Stopped` once the context says so; a `ServiceError` fails the run.
         check: Before a run is queued, raises InvalidInput if it builds on what does not exist or does not fit. Given
             the stored policies and runs, and the names of earlier steps of the same pipeline. Calls no service.
         dump: Returns a configuration as JSON values that `parse` reads.

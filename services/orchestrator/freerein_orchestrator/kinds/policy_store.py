@@ -95,7 +95,7 @@ class PolicyStore:
             write_atomic(self.pins, json.dumps({name: self._active_version(name) for name in names}).encode())
 
     def _active_version(self, name: str) -> str:
-        """Returns a model's active version; empty for the name of a run or of an earlier step, which take precedence."""
+        """Returns a model's active version; empty for the names of runs and earlier steps, which take precedence."""
         is_run = _RUN_ID.fullmatch(name) or (self.siblings is not None and (self.siblings / name).is_dir())
         return "" if is_run else self.models.active_version(name)
 

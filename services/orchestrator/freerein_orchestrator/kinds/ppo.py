@@ -53,8 +53,8 @@ class PPORunConfig(PPOConfig):
         camera: The camera that policy and reward see; empty for the task's first.
         reward: `learned`, 1 where a reward model prefers the goal text to its rival captions; `base`, the similarity of
             goal text and frame by the grounding model; `oracle`, the true reward, to compare with.
-        reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version that is
-            active when the run starts is used to its end.
+        reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
+            that is active when the run starts is used to its end.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
             the orchestrator; empty for random weights.
     """

@@ -17,8 +17,8 @@ class PPOConfig:
         num_envs: Number of parallel environments.
         num_steps: Timesteps per environment and rollout.
         epochs: Passes over each rollout.
-        batch_size: Timesteps per minibatch. Divides `num_envs * num_steps`; for a recurrent policy, whole sequences, so a
-            multiple of `num_steps`.
+        batch_size: Timesteps per minibatch. Divides `num_envs * num_steps`; a multiple of `num_steps` for a recurrent
+            policy, which learns from whole sequences.
         lr: Initial learning rate of Adam; decays to zero as a half cosine.
         gamma: Discount factor.
         gae_lambda: Lambda of generalised advantage estimation.
@@ -59,7 +59,7 @@ class PPOConfig:
     def __post_init__(self) -> None:
         if self.rollout_size > _MAX_ROLLOUT:
             raise InvalidInput(
-                f"num_envs * num_steps must be at most {_MAX_ROLLOUT}, which are kept in memory; got {self.rollout_size}.",
+                f"num_envs * num_steps must be at most {_MAX_ROLLOUT}; got {self.rollout_size}.",
                 field="num_steps",
                 hint="Use more iterations of fewer steps.",
             )

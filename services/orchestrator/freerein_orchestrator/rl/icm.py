@@ -147,9 +147,8 @@ def init_icm(config: ICMConfig, spec: ActorCriticSpec, *, transitions: int, devi
     network = ICM(spec, hidden_size=config.hidden_size)
     weights.initialise(network, generator=generator)
     network = network.to(device)
-    optimiser = torch.optim.Adam(network.parameters(), config.lr, fused=True)
     sampler = BatchSampler.start(transitions, rng=np.random.default_rng(config.seed))
-    return FitLoopState(TrainState(network, optimiser, generator), sampler)
+    return FitLoopState(TrainState.with_adam(network, config.lr, generator=generator), sampler)
 
 
 @torch.no_grad()

@@ -116,9 +116,7 @@ class ActorCritic(nn.Module):
         if self.image is not None:
             features = self.image(observations.flatten(end_dim=1)).unflatten(0, episode_starts.shape)  # (T, B, F)
         if self.lstm is not None:
-            features, recurrent_state = _run_lstm(
-                self.lstm, features, episode_starts, recurrent_state
-            )  # (T, B, hidden)
+            features, recurrent_state = _run_lstm(self.lstm, features, episode_starts, recurrent_state)  # (T, B, H)
         scores = self.actor(features)  # (T, B, action_choices or action_size)
         actions = (
             Categorical(functional.log_softmax(scores, dim=-1)) if self.gaussian is None else self.gaussian(scores)

@@ -190,11 +190,11 @@ def to_checkpoint(state: PPOState) -> Checkpoint:
         **{f"collector/{name}": tensor for name, tensor in _collector_tensors(state).items()},
         **{f"reward/{name}": tensor for name, tensor in reward.tensors.items()},
     }
-    document = {
+    document: dict[str, JSON] = {
         **made.document,
         "metrics": dict(state.metrics),
         "recorded": state.recorded,
-        "reward": {"step": reward.step, **reward.document},
+        "reward": {**reward.document, "step": reward.step},
     }
     return replace(made, tensors={name: tensor.detach().clone() for name, tensor in tensors.items()}, document=document)
 
@@ -234,7 +234,10 @@ def from_checkpoint(
         config=config,
         learner=learner,
         collector=CollectorState(
-            *(collector[name] for name in ("observations", "episode_starts", "recurrent_state", "generator")),
+            observations=collector["observations"],
+            episode_starts=collector["episode_starts"],
+            recurrent_state=collector["recurrent_state"],
+            generator=collector["generator"],
             env_snapshots=tuple(each.numpy().tobytes() for each in snapshots),
         ),
         episodes=EpisodeStats(collector["returns"], collector["lengths"]),
