@@ -5,7 +5,8 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec, Categorical, Gaussian
+from freerein_orchestrator.rl.distributions import Categorical, Gaussian
+from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 
 
 def make(**values: Any) -> ActorCritic:
@@ -41,25 +42,25 @@ def test_discrete_actions_are_those_of_torch() -> None:
     torch.testing.assert_close(many[:, 0].bincount() / 20_000, torch.tensor([0.2, 0.5, 0.3]), atol=0.02, rtol=0)
 
 
-def test_a_whole_sequence_is_remembered_as_step_by_step_and_nothing_from_before_an_episode() -> None:
-    network, generator = make(vector_size=3, is_recurrent=True), torch.Generator().manual_seed(1)
+def test_a_sequence_gives_the_values_of_single_steps_and_an_episode_start_resets_the_state() -> None:
+    network, generator = make(vector_size=3, recurrent=True), torch.Generator().manual_seed(1)
     observations = torch.randn(12, 4, 3, generator=generator)
     starts = torch.rand(12, 4, generator=generator) < 0.2
-    begun = memory = torch.randn(4, network.spec.memory_size, generator=generator)
+    initial = memory = torch.randn(4, network.spec.recurrent_size, generator=generator)
     values: list[torch.Tensor] = []
     for t in range(12):
         outputs = network(observations[t : t + 1], starts[t : t + 1], memory)
-        memory, values = outputs.memory, [*values, outputs.values]
-    whole = network(observations, starts, begun)
+        memory, values = outputs.recurrent_state, [*values, outputs.values]
+    whole = network(observations, starts, initial)
     torch.testing.assert_close(whole.values, torch.cat(values))
-    torch.testing.assert_close(whole.memory, memory)
-    forgotten = torch.where(starts[:1].T, torch.zeros_like(begun), begun)
+    torch.testing.assert_close(whole.recurrent_state, memory)
+    forgotten = torch.where(starts[:1].T, torch.zeros_like(initial), initial)
     assert torch.equal(
-        network(observations[:1], starts[:1], begun).values, network(observations[:1], starts[:1], forgotten).values
+        network(observations[:1], starts[:1], initial).values, network(observations[:1], starts[:1], forgotten).values
     )
 
 
-def test_the_first_policy_is_nearly_indifferent() -> None:
+def test_the_initial_policy_is_nearly_uniform() -> None:
     network = make(vector_size=3, action_choices=5)
     observations = torch.randn(1, 100, 3, generator=torch.Generator().manual_seed(1))
     outputs = network(observations, torch.zeros(1, 100, dtype=torch.bool), torch.zeros(100, 0))
@@ -67,6 +68,6 @@ def test_the_first_policy_is_nearly_indifferent() -> None:
 
 
 @pytest.mark.parametrize("values", [{"channels": 2}, {"action_choices": 3, "action_size": 2}, {"height": 2}])
-def test_networks_that_cannot_be_are_refused(values: dict[str, Any]) -> None:
+def test_invalid_specs_are_refused(values: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput):
         ActorCriticSpec(**values)
