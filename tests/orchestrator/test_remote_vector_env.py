@@ -51,7 +51,9 @@ def draw_actions(rng: np.random.Generator) -> Any:
     return rng.uniform(-1, 1, (3, 3)).astype(np.float32)
 
 
-def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended(sim: SyncClient, reward: SyncClient) -> None:
+def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended(
+    sim: SyncClient, reward: SyncClient
+) -> None:
     envs = open_envs(sim, reward_fn=LearnedReward(reward, GOAL, CAMERA))
     envs.reset()
     rng, steps = np.random.default_rng(0), list[VecStep]()
@@ -113,7 +115,10 @@ def test_an_unprivileged_session_returns_frames_and_nothing_else(sim: SyncClient
 
 def test_the_oracle_needs_a_privileged_session(sim: SyncClient) -> None:
     still = np.zeros((3, 3), np.float32)
-    privileged, plain = open_envs(sim, reward_fn=oracle_reward, privileged=True), open_envs(sim, reward_fn=oracle_reward)
+    privileged, plain = (
+        open_envs(sim, reward_fn=oracle_reward, privileged=True),
+        open_envs(sim, reward_fn=oracle_reward),
+    )
     for envs in (privileged, plain):
         envs.reset()
         envs.step(still)
@@ -167,9 +172,7 @@ def test_malformed_rewards_are_rejected(sim: SyncClient, rewards: Rewards) -> No
     ("mode", "possible", "garbage"),
     [("binary", [0, 1, 1], [0, 0.5, 1]), ("raw", [-1, 0.3, 1], [0, 1e30, 0]), ("raw", [0, 0, 0], [0, np.nan, 0])],
 )
-def test_a_learned_reward_outside_its_mode_is_rejected(
-    mode: Mode, possible: list[float], garbage: list[float]
-) -> None:
+def test_a_learned_reward_outside_its_mode_is_rejected(mode: Mode, possible: list[float], garbage: list[float]) -> None:
     class Service:
         """A reward service that answers what it was told."""
 

@@ -246,9 +246,7 @@ def corridor_state(envs: Corridor, seed: int) -> PPOState:
     return state
 
 
-def explore(
-    folder: Path, envs: Corridor, *, seed: int = 0, interrupt: Callable[[], None] = lambda: None
-) -> PPOState:
+def explore(folder: Path, envs: Corridor, *, seed: int = 0, interrupt: Callable[[], None] = lambda: None) -> PPOState:
     """Explores a corridor to the end, or resumes."""
     config = PPOConfig(**{**vars(PPO), "seed": seed})
     return Trainer(

@@ -211,7 +211,9 @@ def test_actions_are_learned_from_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("recurrent", "least", "most"), [(True, 0.95, 1.0), (False, 0.3, 0.7)])
-def test_a_recurrent_policy_alone_learns_to_remember(tmp_path: Path, recurrent: bool, least: float, most: float) -> None:
+def test_a_recurrent_policy_alone_learns_to_remember(
+    tmp_path: Path, recurrent: bool, least: float, most: float
+) -> None:
     config = PPOConfig(
         iterations=25,
         num_steps=16,
