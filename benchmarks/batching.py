@@ -57,7 +57,7 @@ class _Model:
     def __init__(self) -> None:
         layers = [layer for _ in range(_LAYERS) for layer in (nn.Linear(_WIDTH, _WIDTH), nn.ReLU())]
         self._network = nn.Sequential(*layers).eval()
-        weights.draw(self._network, generator=torch.Generator().manual_seed(0))
+        weights.initialise(self._network, generator=torch.Generator().manual_seed(0))
 
     @torch.inference_mode()
     def answer(self, items: Sequence[Vector]) -> list[Vector | ServiceError]:

@@ -108,7 +108,7 @@ def publish(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
             hidden=width,
         )
     )
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     network.calibrate(torch.from_numpy(frames))
     folder = data_dir / f"{side_px}px.new"
     folder.mkdir(parents=True)

@@ -172,7 +172,7 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     )
     spec = design(grounding, RewardConfig(cameras=(_CAMERA,)))
     network = DualEncoder(spec)
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     folder = data_dir / "untrained"
     folder.mkdir()
     save_model(network, folder, card={"kind": trained.REWARD})

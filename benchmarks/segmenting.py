@@ -133,8 +133,8 @@ def _publish(case: _Case, data_dir: Path) -> SegmentationModel:
             action_choices=spec.action.choices,
         )
     )
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
-    network.image.calibrate(torch.from_numpy(case.frames))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    network.image.fit_normalisation(torch.from_numpy(case.frames))
     folder = data_dir / f"{case.task}.new"
     folder.mkdir()
     save_model(network, folder, card={})

@@ -19,7 +19,7 @@ import torch
 from benchmarks.report import Bar, Findings, Ratio
 from benchmarks.rounds import Contestant, Effort, race
 from benchmarks.services import running
-from freerein.clients import Channel, RewardClient, SimClient, Synchronous
+from freerein.clients import Channel, RewardClient, SimClient, SyncClient
 from freerein.learning import weights
 from freerein.learning.checkpoints import Checkpoint
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
@@ -58,16 +58,16 @@ async def measure(effort: Effort) -> Findings:
     """Returns how fast PPO is over the network and in process."""
     async with AsyncExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()))
-        sims: list[Synchronous] = []
+        sims: list[SyncClient] = []
         for name in ("one", "two"):
             stack = await opened.enter_async_context(running("sim", data_dir=folder / name, FREEREIN_SIM_WORKERS="1"))
-            sims.append(opened.enter_context(Synchronous(SimClient(Channel(stack.addresses["sim"])))))
+            sims.append(opened.enter_context(SyncClient(SimClient(Channel(stack.addresses["sim"])))))
         stack = await opened.enter_async_context(running("reward", data_dir=folder / "reward"))
-        reward = opened.enter_context(Synchronous(RewardClient(Channel(stack.addresses["reward"]))))
+        reward = opened.enter_context(SyncClient(RewardClient(Channel(stack.addresses["reward"]))))
         return await _race(sims, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
 
 
-async def _race(sims: Sequence[Synchronous], reward: Synchronous, effort: Effort) -> Findings:
+async def _race(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Findings:
     one, two = [await asyncio.to_thread(_Served.begin, sims[:count], reward) for count in (1, 2)]
     with closing(_Local(one.begun)) as local:
         trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train}
@@ -103,12 +103,12 @@ def _train(begun: Checkpoint, gather: Gather) -> str:
 class _Served:
     """Trains with services."""
 
-    sims: Sequence[Synchronous]
-    reward: Synchronous
+    sims: Sequence[SyncClient]
+    reward: SyncClient
     begun: Checkpoint
 
     @classmethod
-    def begin(cls, sims: Sequence[Synchronous], reward: Synchronous) -> "_Served":
+    def begin(cls, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
         spec = ppo_training.design(_CONFIG, observation=_FRAME, action_size=tasks()[_TASK].spec.action.size)
         with closing(_open(sims, reward, ())) as environments:
             begun = ppo_training.begin(_CONFIG, spec, environments, device=_CPU)
@@ -120,7 +120,7 @@ class _Served:
             return _train(self.begun, rollouts.gather)
 
 
-def _open(sims: Sequence[Synchronous], reward: Synchronous, snapshots: Sequence[bytes]) -> ServedEnvironments:
+def _open(sims: Sequence[SyncClient], reward: SyncClient, snapshots: Sequence[bytes]) -> ServedEnvironments:
     request = CreateSessionRequest(_TASK, num_envs=_CONFIG.num_envs, seed=0)
     judge = LearnedReward(reward, tasks()[_TASK].goal_text, _CAMERA)
     return ServedEnvironments(sims, request, camera=_CAMERA, judge=judge, snapshots=snapshots)

@@ -7,8 +7,10 @@
     ├── UnsupportedMedia      415  INVALID_ARGUMENT     a content type, encoding or image format that is not served
     ├── Unauthenticated       401  UNAUTHENTICATED
     ├── NotFound              404  NOT_FOUND
+    │   └── SessionNotFound   404  NOT_FOUND            the session was never made, was closed, or its lease has ended
     ├── AlreadyExists         409  ALREADY_EXISTS
     ├── FailedPrecondition    409  FAILED_PRECONDITION  the thing is not in the state that this call needs
+    │   └── StepOutOfOrder    409  FAILED_PRECONDITION  a step that does not follow the session's last
     ├── WorkerLost            409  ABORTED              the process that held the session is gone
     ├── TooLarge              413  RESOURCE_EXHAUSTED   a single request over a limit: retrying cannot help
     ├── Overloaded            429  RESOURCE_EXHAUSTED   too much at once: retry after `retry_after_s`
@@ -85,6 +87,12 @@ class NotFound(ServiceError):
     code, http_status, grpc_status = "not_found", 404, "NOT_FOUND"
 
 
+class SessionNotFound(NotFound):
+    """The session was never made, was closed, or its lease has ended."""
+
+    code = "session_not_found"
+
+
 class AlreadyExists(ServiceError):
     """The name or idempotency key is taken by something different."""
 
@@ -95,6 +103,12 @@ class FailedPrecondition(ServiceError):
     """The thing exists, but is not in the state that this call needs."""
 
     code, http_status, grpc_status = "failed_precondition", 409, "FAILED_PRECONDITION"
+
+
+class StepOutOfOrder(FailedPrecondition):
+    """The `step_id` does not follow the session's last step."""
+
+    code = "step_out_of_order"
 
 
 class WorkerLost(ServiceError):

@@ -11,12 +11,11 @@ and a list of numbers where it says `repeated`; an enum is a lower-case string; 
 import base64
 import importlib
 import math
-import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from google.protobuf import json_format, struct_pb2
@@ -37,6 +36,7 @@ T = TypeVar("T")
 
 _MAX_DEPTH = 30  # of a `Struct`: protobuf itself reads 100 messages deep, which is 33 levels
 _EXACT = 2.0**53  # smaller whole doubles are all there is around them
+_ARRAY_DTYPES = {FieldDescriptor.TYPE_FLOAT: np.float32, FieldDescriptor.TYPE_UINT32: np.int64}  # of repeated numbers
 _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.imitation": imitation_pb2,
@@ -139,8 +139,7 @@ class _Field(NamedTuple):
 
 
 def _make_layout(cls: Any) -> tuple[_Field, ...]:
-    hints = typing.get_type_hints(cls)
-    by_name = descriptor_of(cls).fields_by_name
+    by_name, hints = descriptor_of(cls).fields_by_name, typing.get_type_hints(cls)
     return tuple(
         _Field(
             name=field.name,
@@ -148,23 +147,15 @@ def _make_layout(cls: Any) -> tuple[_Field, ...]:
             has_presence=by_name[field.name].has_presence,
             required=field.default is MISSING
             and field.default_factory is MISSING
-            and not _is_optional(hints[field.name]),
-            read=_reader(_without_none(hints[field.name]), by_name[field.name]),
+            and type(None) not in typing.get_args(hints[field.name]),
+            read=_reader(by_name[field.name], is_tuple=typing.get_origin(hints[field.name]) is tuple),
             write=_writer(by_name[field.name]),
         )
         for field in fields(cls)
     )
 
 
-_layout: Callable[[Any], tuple[_Field, ...]] = cache(_make_layout)
-
-
-def _is_optional(hint: Any) -> bool:
-    return isinstance(hint, types.UnionType) and type(None) in typing.get_args(hint)
-
-
-def _without_none(hint: Any) -> Any:
-    return typing.get_args(hint)[0] if _is_optional(hint) else hint
+_layout: Callable[[Any], tuple[_Field, ...]] = cache(_make_layout)  # typed: a class is hashable
 
 
 def _map_value(descriptor: FieldDescriptor) -> FieldDescriptor | None:
@@ -218,51 +209,49 @@ def _tensor_values(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
 # --- message or validated JSON -> dataclass
 
 
-def _reader(hint: Any, descriptor: FieldDescriptor) -> _Read | None:
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is tuple:
-        one = _one_reader(arguments[0], descriptor)
-        if one is None:
-            return lambda values, _path: tuple(values)
-        return lambda values, path: tuple(one(value, f"{path}.{i}") for i, value in enumerate(values))
-    if origin is dict and (entry := _map_value(descriptor)) is not None:
-        each = _one_reader(arguments[1], entry)
+def _reader(descriptor: FieldDescriptor, *, is_tuple: bool) -> _Read | None:
+    """Returns the reader of a field: the message decides, so that no form of `numpy.typing.NDArray` is looked into."""
+    if (entry := _map_value(descriptor)) is not None:
+        each = _one_reader(entry)
         if each is None:
             return lambda values, _path: dict(values)
         return lambda values, path: {key: each(value, f"{path}.{key}") for key, value in values.items()}
-    return _one_reader(hint, descriptor)
+    if not descriptor.is_repeated:
+        return _one_reader(descriptor)
+    if not is_tuple:
+        dtype = _ARRAY_DTYPES[descriptor.type]
+        return lambda values, _path: np.array(values, dtype)
+    one = _one_reader(descriptor)
+    if one is None:
+        return lambda values, _path: tuple(values)
+    return lambda values, path: tuple(one(value, f"{path}.{i}") for i, value in enumerate(values))
 
 
-def _one_reader(hint: Any, descriptor: FieldDescriptor) -> _Read | None:
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is np.ndarray:
-        return _tensor if descriptor.message_type is not None else _numbers_reader(arguments)
-    if origin is Literal:
-        return _enum_reader(descriptor, arguments)
-    if origin is dict:
-        return _struct
-    if hint is float:
+def _one_reader(descriptor: FieldDescriptor) -> _Read | None:
+    message = descriptor.message_type
+    if descriptor.enum_type is not None:
+        return _enum_reader(descriptor.enum_type)
+    if descriptor.type in (FieldDescriptor.TYPE_FLOAT, FieldDescriptor.TYPE_DOUBLE):
         return _finite
-    if descriptor.message_type is not None:
-        return lambda value, path: unpack(value, hint, path=path)
-    return None
-
-
-def _numbers_reader(arguments: tuple[Any, ...]) -> _Read:
-    dtype = typing.get_args(arguments[1])[0]
-    return lambda values, _path: np.array(values, dtype)
+    if message is None:
+        return None
+    if message == common_pb2.Tensor.DESCRIPTOR:
+        return _tensor
+    if message == struct_pb2.Struct.DESCRIPTOR:
+        return _struct
+    cls = dataclass_of(message)
+    return lambda value, path: unpack(value, cls, path=path)
 
 
 def _tensor(value: Any, path: str) -> "np.ndarray[Any, Any]":
     return tensors.decode(value.datatype, tuple(value.shape), value.raw, field=path)
 
 
-def _enum_reader(descriptor: FieldDescriptor, names: tuple[str, ...]) -> _Read:
-    enum = cast(EnumDescriptor, descriptor.enum_type)
-    by_number = {value.number: enum_name(enum, value.number) for value in enum.values}
+def _enum_reader(enum: EnumDescriptor) -> _Read:
+    names = enum_names(enum)
 
     def read(value: Any, path: str) -> str:
-        name = value if isinstance(value, str) else by_number.get(value, "")
+        name = value if isinstance(value, str) else enum_name(enum, value)
         if name not in names:
             raise InvalidInput(
                 f"`{path}` must be one of {', '.join(names)}; got another value.",

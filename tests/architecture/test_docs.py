@@ -57,7 +57,7 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
     shown = {name.rpartition(".")[2] for each in TABLES for name in str(each.values[1]).split()}
     choices = {*re.findall(r"^class (\w+(?:Config|Settings))\b", code, re.MULTILINE)}
     assert choices - shown == {
-        "CuriosityConfig",  # which runs choose themselves
+        "ICMConfig",  # which runs choose themselves
         "GroundingConfig",  # which is chosen where models are made that come with freerein
         "ImitationSettings",  # which add nothing but ports
         "SegmentationSettings",

@@ -21,7 +21,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcDoor
+from freerein.serving.rpc import GrpcServer
 from freerein.serving.schemas import schema_of
 
 
@@ -66,7 +66,7 @@ async def open_doors(tmp_path: Path) -> AsyncIterator[OpenDoors]:
             app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits)
             transport = httpx.ASGITransport(app, raise_app_exceptions=False)
             client = await stack.enter_async_context(httpx.AsyncClient(transport=transport, base_url="http://service"))
-            door = GrpcDoor(service.methods, health=health, metrics=metrics, limits=limits)
+            door = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits)
             port = door.server.add_insecure_port("127.0.0.1:0")
             await door.server.start()
             stack.push_async_callback(door.server.stop, None)

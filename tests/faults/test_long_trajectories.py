@@ -29,8 +29,8 @@ pytestmark = [pytest.mark.e2e, pytest.mark.fault("S9")]
 def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
     data_dir = tmp_path_factory.mktemp("data")
     network = SegmentationNetwork(SPEC)
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
-    network.image.calibrate(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    network.image.fit_normalisation(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
     save_model(network, data_dir / "unpublished", card={})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish("", data_dir / "unpublished"))

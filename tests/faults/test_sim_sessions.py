@@ -10,8 +10,8 @@ import numpy as np
 import psutil
 import pytest
 
-from freerein.clients import Channel, SimClient, Synchronous
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded, WorkerLost
+from freerein.clients import Channel, SimClient, SyncClient
+from freerein.errors import InvalidInput, Overloaded, SessionNotFound, StepOutOfOrder, WorkerLost
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
@@ -38,7 +38,7 @@ def service(start_module_service: Callable[..., Any]) -> Any:
 
 @pytest.fixture
 def sim(service: Any) -> Iterator[Any]:
-    with Synchronous(SimClient(Channel(service.address))) as client:
+    with SyncClient(SimClient(Channel(service.address))) as client:
         yield client
 
 
@@ -77,12 +77,12 @@ def test_a_killed_worker_takes_its_own_sessions_and_no_other(sim: Any, service: 
 
 @pytest.mark.fault("M7")
 def test_a_session_that_is_unknown_closed_or_out_of_turn_says_so(sim: Any, session: str) -> None:
-    with pytest.raises(NotFound):
+    with pytest.raises(SessionNotFound):
         sim.step(StepRequest("0" * 32, 1, RIGHT))
-    with pytest.raises(FailedPrecondition):
+    with pytest.raises(StepOutOfOrder):
         sim.step(StepRequest(session, 3, RIGHT))
     sim.close_session(CloseSessionRequest(session))
-    with pytest.raises(NotFound):
+    with pytest.raises(SessionNotFound):
         sim.step(StepRequest(session, 1, RIGHT))
 
 

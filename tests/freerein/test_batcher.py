@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from freerein.errors import DeadlineExceeded, InvalidInput, ModelFault, Overloaded, ServiceError, Unavailable
-from freerein.serving.batcher import Batcher, Done
+from freerein.serving.batcher import Batcher, BatchResult
 from freerein.serving.metrics import Metrics
 
 
@@ -46,7 +46,7 @@ async def batcher(model: Model) -> AsyncIterator[Batcher[int, int]]:
     batcher.close()
 
 
-async def busy(batcher: Batcher[int, int], model: Model) -> "asyncio.Task[Done[int]]":
+async def busy(batcher: Batcher[int, int], model: Model) -> "asyncio.Task[BatchResult[int]]":
     """Returns the call that holds the model until the gate is opened."""
     model.gate.clear()
     call = asyncio.create_task(batcher.submit(0, timeout_s=10))
@@ -54,7 +54,7 @@ async def busy(batcher: Batcher[int, int], model: Model) -> "asyncio.Task[Done[i
     return call
 
 
-async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "list[asyncio.Task[Done[int]]]":
+async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "list[asyncio.Task[BatchResult[int]]]":
     calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=10)) for item in items]
     await asyncio.sleep(0)
     return calls
@@ -127,7 +127,7 @@ async def test_one_poisonous_item_fails_alone(batcher: Batcher[int, int], model:
     calls = await waiting(batcher, 1, 13, 7)
     model.gate.set()
     results = await asyncio.gather(*calls, return_exceptions=True)
-    assert results[0] == Done(2, results[0].queue_ns, results[0].infer_ns, 3)  # type: ignore[union-attr]
+    assert results[0] == BatchResult(2, results[0].queue_ns, results[0].infer_ns, 3)  # type: ignore[union-attr]
     assert isinstance(results[1], ModelFault)
     assert "0x" not in results[1].detail
     assert type(results[2]) is InvalidInput
@@ -183,7 +183,7 @@ def test_whatever_is_cancelled_each_caller_gets_its_own_answer(
                 call.cancel()
         results = await asyncio.gather(*calls, return_exceptions=True)
         for (item, _, cancelled), result in zip(items, results, strict=True):
-            if isinstance(result, Done):
+            if isinstance(result, BatchResult):
                 assert result.output == 2 * item
             else:
                 assert isinstance(result, (asyncio.CancelledError, Overloaded)) or (item == 7 and not cancelled)

@@ -12,8 +12,8 @@ Kind = type[PatchEncoder] | type[SpatialEncoder]
 
 def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder:
     encoder = kind(height=height, width=width, channels=channels, features=16)
-    weights.draw(encoder, generator=torch.Generator().manual_seed(0))
-    encoder.calibrate(frames(height, width, channels))
+    weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
+    encoder.fit_normalisation(frames(height, width, channels))
     return encoder
 
 
@@ -44,8 +44,8 @@ def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int,
 def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
     darker, brighter = make(kind, 64, 64, 3), make(kind, 64, 64, 3)
-    darker.calibrate(plain)
-    brighter.calibrate(plain * 2 + scene)
+    darker.fit_normalisation(plain)
+    brighter.fit_normalisation(plain * 2 + scene)
     torch.testing.assert_close(darker(plain), brighter(plain * 2 + scene), atol=1e-4, rtol=1e-4)
 
 
@@ -61,10 +61,10 @@ def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
     first = make(kind, 33, 30, 3)
     torch.manual_seed(6)
     assert weights.sha256(make(kind, 33, 30, 3)) == weights.sha256(first)
-    weights.draw(first, generator=torch.Generator().manual_seed(1))
+    weights.initialise(first, generator=torch.Generator().manual_seed(1))
     assert weights.sha256(make(kind, 33, 30, 3)) != weights.sha256(first)
 
 
 def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:
     with pytest.raises(TypeError, match="Bilinear"):
-        weights.draw(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())
+        weights.initialise(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +16,27 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, weights
-from freerein.learning.fit import FitEvent, FitResult, Plan, fit, stop_on_sigterm
+from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save, stop_on_sigterm
+from freerein.learning.fit_config import FitConfig
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import TrainState
 
-PLAN = Plan(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
+CONFIG = FitConfig(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
 CUT = 7
 
 
 class Line:
     """Fits a line to noisy points; the noise is drawn during training, so that every generator's state matters."""
 
-    def __init__(self, before_update: Callable[[int], None] = lambda _: None) -> None:
+    def __init__(self, config: FitConfig = CONFIG, before_update: Callable[[int], None] = lambda _: None) -> None:
+        self.config = config
         self.size = 10
-        self.identity = {"config": {"rate": 0.1}}
+        self.identity = {"config": asdict(config)}
         self.before_update = before_update
 
     def init(self, generator: torch.Generator) -> TrainState[nn.Linear]:
         network = nn.Linear(1, 1)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(
@@ -76,12 +78,13 @@ class Normalised(nn.Module):
 class NormalisedLine:
     """Fits `Normalised`, and leaves it in training mode after updates and in evaluation mode after evaluations."""
 
+    config = CONFIG
     size = 10
     identity: Mapping[str, str] = {}
 
     def init(self, generator: torch.Generator) -> TrainState[Normalised]:
         network = Normalised()
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
 
     def update(
@@ -98,10 +101,10 @@ class NormalisedLine:
         return loss
 
 
-def run(folder: Path, plan: Plan = PLAN, problem: Line | None = None) -> tuple[str, list[FitEvent]]:
+def run(folder: Path, learner: Line | None = None) -> tuple[str, list[FitEvent]]:
     """Trains to the end; returns the sha256 of the weights and what happened."""
     events: list[FitEvent] = []
-    fitted = fit(problem or Line(), plan, folder, on_event=events.append)
+    fitted = fit(learner or Line(), folder, on_event=events.append)
     assert fitted is not None
     return sha256(fitted), events
 
@@ -152,12 +155,12 @@ def test_sigterm_saves_and_ends_and_the_training_goes_on_to_the_same_bits(
     assert (digest, rows(tmp_path / "cut")) == undisturbed
 
 
-@pytest.mark.parametrize("cut", range(PLAN.steps))
+@pytest.mark.parametrize("cut", range(CONFIG.steps))
 def test_a_training_stopped_after_any_update_goes_on_to_the_same_bits(
     tmp_path: Path, undisturbed: tuple[str, str], cut: int
 ) -> None:
     asked: list[None] = []
-    stopped = fit(Line(), PLAN, tmp_path / "cut", stop=lambda: bool(asked.append(None)) or len(asked) > cut)
+    stopped = fit(Line(), tmp_path / "cut", stop=lambda: bool(asked.append(None)) or len(asked) > cut)
     assert stopped is None
     assert (run(tmp_path / "cut")[0], rows(tmp_path / "cut")) == undisturbed
 
@@ -182,7 +185,7 @@ def test_a_finished_training_is_not_made_again(tmp_path: Path, undisturbed: tupl
 def test_a_network_is_returned_in_evaluation_mode_whether_or_not_an_update_was_left_to_make(tmp_path: Path) -> None:
     digests = []
     for _ in range(2):
-        fitted = fit(NormalisedLine(), PLAN, tmp_path)
+        fitted = fit(NormalisedLine(), tmp_path)
         assert fitted is not None
         assert not any(layer.training for layer in fitted.network.modules())
         fitted.network(torch.arange(10.0)[:, None])  # in training mode this would move what is usual
@@ -192,14 +195,14 @@ def test_a_network_is_returned_in_evaluation_mode_whether_or_not_an_update_was_l
 
 @pytest.mark.fault("O7")
 @pytest.mark.parametrize(
-    ("plan", "changed"),
-    [(replace(PLAN, threads=2), "plan.threads was 1 and is 2"), (replace(PLAN, seed=2), "plan.seed was 1 and is 2")],
+    ("change", "message"),
+    [({"threads": 2}, "config.threads was 1 and is 2"), ({"seed": 2}, "config.seed was 1 and is 2")],
 )
 def test_a_training_is_resumed_as_it_was_begun_or_not_at_all(
-    tmp_path: Path, undisturbed: tuple[str, str], plan: Plan, changed: str
+    tmp_path: Path, undisturbed: tuple[str, str], change: dict[str, int], message: str
 ) -> None:
-    with pytest.raises(FailedPrecondition, match=changed):
-        run(tmp_path / "undisturbed", plan)
+    with pytest.raises(FailedPrecondition, match=message):
+        run(tmp_path / "undisturbed", Line(replace(CONFIG, **change)))
 
 
 def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
@@ -207,7 +210,7 @@ def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path,
         row["step"]: row["validation_loss"] for row in map(json.loads, undisturbed[1].splitlines()) if len(row) == 3
     }
     assert sorted(losses) == [4, 8, 12]
-    fitted = fit(Line(), PLAN, tmp_path / "undisturbed")
+    fitted = fit(Line(), tmp_path / "undisturbed")
     assert fitted is not None
     assert fitted.best_step == min(losses, key=losses.__getitem__)
     assert (fitted.network.weight - 2).abs().item() == fitted.validation_loss == min(losses.values())
@@ -215,7 +218,7 @@ def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path,
 
 def test_a_loss_that_is_not_finite_ends_the_training_with_advice(tmp_path: Path) -> None:
     with pytest.raises(FailedPrecondition, match="train_loss is nan after 1 updates") as error:
-        run(tmp_path, problem=Diverging())
+        run(tmp_path, Diverging())
     assert "learning rate" in error.value.hint
 
 
@@ -223,11 +226,19 @@ def test_a_loss_that_is_not_finite_ends_the_training_with_advice(tmp_path: Path)
 def test_a_full_disk_is_told_and_survived_until_it_stays_full(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "checkpoints").write_bytes(b"a file where the folder should be: every save fails")
-    digest, events = run(tmp_path / "full", replace(PLAN, checkpoint_every=12))
+    digest, events = run(tmp_path / "full", Line(replace(CONFIG, checkpoint_every=12)))
     assert digest == undisturbed[0]
     assert [event.kind for event in events].count("checkpoint_failed") == 2
     with pytest.raises(FailedPrecondition, match="3 in a row"):
-        run(tmp_path / "full", replace(PLAN, checkpoint_every=2))
+        run(tmp_path / "full", Line(replace(CONFIG, checkpoint_every=2)))
+
+
+def test_a_finished_fit_is_saved_with_its_figures(tmp_path: Path) -> None:
+    saved: list[tuple[Path, Mapping[str, object]]] = []
+    assert fit_and_save(Line(), tmp_path, lambda fitted, path: saved.append((path, fitted.figures)))
+    [(path, figures)] = saved
+    assert path == tmp_path / "model"
+    assert set(figures) == {"validation_loss", "best_step"}
 
 
 def test_a_torn_last_row_of_metrics_is_dropped(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
@@ -252,7 +263,7 @@ def main(folder: Path) -> None:
             sys.stdin.readline()
 
     with stop_on_sigterm() as stop:
-        fitted = fit(Line(wait), PLAN, folder, stop=stop)
+        fitted = fit(Line(before_update=wait), folder, stop=stop)
     print("stopped" if fitted is None else "finished")  # noqa: T201
 
 

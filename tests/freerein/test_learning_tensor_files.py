@@ -49,7 +49,7 @@ def test_the_same_tensors_give_the_same_bytes_wherever_they_lie_in_memory() -> N
     ],
 )
 def test_what_is_not_safetensors_or_over_a_cap_is_refused(data: bytes) -> None:
-    with pytest.raises(InvalidInput, match="file of tensors"):
+    with pytest.raises(InvalidInput, match="safetensors file"):
         tensor_files.parse(data)
 
 

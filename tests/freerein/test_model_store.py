@@ -226,3 +226,26 @@ async def test_only_the_models_used_last_are_kept(publish: Publish, models: Mode
     for ref in (*refs, refs[4], refs[0]):
         await models.resolve(ref)
     assert "".join(loader.loaded) == "abcdea"
+
+
+async def test_active_models_are_never_evicted(
+    store: ModelStore, publish: Publish, models: ModelCache[str], loader: Loader
+) -> None:
+    active = [publish(name, name) for name in "abcdef"]
+    for ref in active:
+        store.activate(ref)
+    await models.start()
+    for text in "uvwxyz":
+        await models.resolve(publish(text, "other"))
+    assert [(await models.resolve(ModelRef(ref.name)))[1] for ref in active] == list("abcdef")
+    assert "".join(loader.loaded) == "abcdefuvwxyz"
+
+
+async def test_a_model_that_is_no_longer_active_can_be_evicted(
+    publish: Publish, models: ModelCache[str], loader: Loader
+) -> None:
+    refs = [publish(text) for text in "abcdef"]
+    for ref in refs:
+        await models.activate_model(ActivateModelRequest("", ref.version))
+    await models.resolve(refs[0])
+    assert "".join(loader.loaded) == "abcdefa"

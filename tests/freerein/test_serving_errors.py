@@ -16,7 +16,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcDoor
+from freerein.serving.rpc import GrpcServer
 from freerein.types.reward import RewardRequest
 
 
@@ -32,7 +32,7 @@ LONG = pytest.mark.parametrize("character", ["x", '"', "\\", "\n", "\x01", "é",
 
 @LONG
 async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str) -> None:
-    door = GrpcDoor(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
+    door = GrpcServer(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
     port = door.server.add_insecure_port("127.0.0.1:0")
     await door.server.start()
     try:

@@ -1,11 +1,13 @@
 """Dataclasses, messages and JSON say the same thing."""
 
 import inspect
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, make_dataclass, replace
 from types import SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from typing_extensions import TypeAliasType
 
 from freerein import wire
 from freerein.errors import InvalidInput
@@ -17,6 +19,9 @@ DATACLASSES = [
     for _, cls in inspect.getmembers(module, is_dataclass)
     if cls.__module__ == module.__name__
 ]
+
+SCALAR = TypeVar("SCALAR", bound=np.generic)
+ARRAY = TypeAliasType("ARRAY", np.ndarray[Any, np.dtype[SCALAR]], type_params=(SCALAR,))  # NDArray since numpy 2.5
 
 STEP = sim.StepResponse(
     step_id=7,
@@ -99,3 +104,31 @@ def test_an_unspecified_enum_is_refused() -> None:
     with pytest.raises(InvalidInput) as error:
         wire.unpack(message, common.Image, path="images.0")
     assert error.value.field == "images.0.encoding"
+
+
+@pytest.mark.parametrize(
+    ("cls", "hints", "values"),
+    [
+        (
+            segmentation.SegmentResponse,
+            {"labels": ARRAY[np.int64], "confidence": ARRAY[np.float32]},
+            {"labels": np.array([3, 1]), "confidence": np.array([0.5, 1], np.float32)},
+        ),
+        (
+            common.Trajectory,
+            {"frames": dict[str, ARRAY[np.uint8]], "actions": ARRAY[Any]},
+            {"frames": {"front": np.ones((2, 1, 1, 3), np.uint8)}, "actions": np.zeros((2, 2), np.float32)},
+        ),
+        (segmentation.SegmentRequest, {"actions": ARRAY[Any] | None}, {"actions": np.zeros((2, 1), np.int64)}),
+    ],
+)
+def test_arrays_do_not_depend_on_the_runtime_form_of_ndarray(
+    cls: type, hints: dict[str, Any], values: dict[str, Any]
+) -> None:
+    aliased: Any = make_dataclass(cls.__name__, hints.items())
+    aliased.__module__ = cls.__module__
+    back = vars(wire.unpack(wire.pack(aliased(**values)), aliased))
+    np.testing.assert_equal(back, values)
+    assert [getattr(each, "dtype", None) for each in back.values()] == [
+        getattr(each, "dtype", None) for each in values.values()
+    ]

@@ -10,7 +10,7 @@ import pytest
 
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest, ServiceError
-from freerein.serving.methods import Unreadable
+from freerein.serving.methods import InvalidMessage
 from freerein.types.common import ActionSpec, Camera, Observation
 from freerein.types.imitation import ControlRequest
 
@@ -97,13 +97,13 @@ def message(robots: Any, symbol: int, last: int) -> Any:
         NEXT: robots.seen(last + 3),
         REPEATED: robots.seen(last),
         BACKWARDS: robots.seen(last - 1),
-        UNREADABLE: Unreadable(
+        UNREADABLE: InvalidMessage(
             InvalidInput("It lies."),
             imitation_pb2.ControlRequest(observed=imitation_pb2.Observed(seq=last + 3)),
         ),
         NEITHER: ControlRequest(),
         BOTH: ControlRequest(robots.hello().hello, robots.seen(last + 3).observed),
-        NO_MESSAGE: Unreadable(MalformedRequest("No message.")),
+        NO_MESSAGE: InvalidMessage(MalformedRequest("No message.")),
     }
     return said[symbol]
 
@@ -189,7 +189,7 @@ async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots
         assert (chunk.goal_abandoned, len(chunk.actions) == 0) == (given_up, given_up)
         said = {
             "empty": ControlRequest(observed=replace(robots.seen(seq + 1).observed, observation=Observation())),
-            "unreadable": Unreadable(
+            "unreadable": InvalidMessage(
                 InvalidInput("It lies."),
                 imitation_pb2.ControlRequest(observed=imitation_pb2.Observed(seq=seq + 1)),
             ),

@@ -30,7 +30,7 @@ def handshake(spec: GoalConditionedSpec) -> Handshake:
 
 def network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
     made = GoalConditionedNetwork(spec)
-    weights.draw(made, generator=torch.Generator().manual_seed(0))
+    weights.initialise(made, generator=torch.Generator().manual_seed(0))
     made.calibrate(torch.from_numpy(images(spec, 8)))
     return made
 

@@ -63,7 +63,7 @@ def learner(config: GoalConditionedConfig = FAST) -> GoalConditionedLearner:
 
 
 def test_goals_never_seen_are_reached_and_recognised(tmp_path: Path) -> None:
-    fitted = fit(learner(), FAST.plan, tmp_path)
+    fitted = fit(learner(), tmp_path)
     assert fitted is not None
     threshold = goal_conditioned.reached_threshold(fitted.network, learner().validation)
     policy = GoalConditionedPolicy(fitted.network, Handshake(ActionSpec(2, 0, ("down", "right")), 0.1, threshold, 30))
@@ -106,7 +106,7 @@ def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_are_
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=3, seed=seed)
-        fitted = fit(learner(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 

@@ -82,7 +82,7 @@ def network(codes: torch.Tensor, **spec: Any) -> LanguageNetwork:
     sizes = {"text_width": 32, "height": 8, "width": 8, "features": 8, "hidden": 8, "action_size": 2, **spec}
     made = LanguageNetwork(LanguageSpec(camera="front", directions=differences(codes).shape[1], **sizes))
     generator = torch.Generator().manual_seed(0)
-    weights.draw(made, generator=generator)
+    weights.initialise(made, generator=generator)
     made.calibrate(torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator), codes)
     return made
 

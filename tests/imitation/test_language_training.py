@@ -49,7 +49,7 @@ def prepare(tower: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> L
 
 def test_the_sentence_decides_what_is_done(tower: bytes, tmp_path: Path) -> None:
     learner, blind = prepare(tower), prepare(tower, texts=TEXTS[:1])
-    told, untold = (fit(each, each.config.plan, tmp_path / str(i)) for i, each in enumerate((learner, blind)))
+    told, untold = (fit(each, tmp_path / str(i)) for i, each in enumerate((learner, blind)))
     assert told is not None
     assert untold is not None
     assert told.validation_loss < 0.05 < 0.4 < untold.validation_loss  # the mean of opposites is no use
@@ -63,9 +63,9 @@ def test_the_sentence_decides_what_is_done(tower: bytes, tmp_path: Path) -> None
 
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tower: bytes, tmp_path: Path) -> None:
     learner, asked = prepare(tower), iter(range(100))
-    whole = fit(learner, learner.config.plan, tmp_path / "whole")
-    assert fit(learner, learner.config.plan, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
-    parts = fit(prepare(tower), learner.config.plan, tmp_path / "parts")
+    whole = fit(learner, tmp_path / "whole")
+    assert fit(learner, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
+    parts = fit(prepare(tower), tmp_path / "parts")
     assert whole is not None
     assert parts is not None
     assert weights.sha256(whole.network) == weights.sha256(parts.network)

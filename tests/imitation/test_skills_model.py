@@ -25,7 +25,7 @@ def handshake(spec: SkillsSpec) -> Handshake:
 
 def network(spec: SkillsSpec) -> SkillsNetwork:
     made, generator = SkillsNetwork(spec), torch.Generator().manual_seed(0)
-    weights.draw(made, generator=generator)
+    weights.initialise(made, generator=generator)
     frames = torch.from_numpy(images(spec, 8))
     made.image.calibrate(frames, generator=generator)
     made.calibrate(made.image(frames), generator=generator)

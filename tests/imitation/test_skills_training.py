@@ -79,7 +79,7 @@ def learner(config: SkillsConfig = FAST) -> SkillsLearner:
 
 def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
     cloned = learner()
-    fitted = fit(cloned, FAST.plan, tmp_path)
+    fitted = fit(cloned, tmp_path)
     assert fitted is not None
     handshake = Handshake(ActionSpec(1, 0, ("right",)), 0.1, skills.END_THRESHOLD, cloned.max_steps_per_skill)
     policy = SkillsPolicy(fitted.network, handshake)
@@ -98,7 +98,7 @@ def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=3, seed=seed)
-        fitted = fit(learner(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 

@@ -14,7 +14,9 @@ import pytest
 
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.rl.errors import Stopped
 
 _LIMIT_S = 100.0
 
@@ -25,14 +27,14 @@ class LooseRun:
 
     Attributes:
         kind: Its kind.
-        config: The whole configuration.
+        config: Its parsed configuration.
         data_dir: The data directory.
         folder: The run's.
         environ: Where services are.
     """
 
     kind: Any
-    config: dict[str, Any]
+    config: Any
     data_dir: Path
     folder: Path
     environ: Mapping[str, str]
@@ -53,16 +55,18 @@ class LooseRun:
         return json.loads((self.folder / "artifacts" / name).read_bytes())
 
     def do(self, *, stop: Callable[[], bool] = bool, cancelled: bool = False) -> bool:
-        """Does the run's work, or goes on with it, in this process; returns whether it is done."""
-        work = self._work(stop, cancelled=cancelled)
-        with work.closing:
-            return bool(self.kind.run(work))
+        """Does the run's work, or resumes it, in this process; returns whether it is done."""
+        context = self.context(stop, cancelled=cancelled)
+        try:
+            with context.closing:
+                self.kind.run(context, self.config)
+        except Stopped:
+            return False
+        return True
 
-    def check(self) -> None:
+    def check(self, *earlier: str) -> None:
         """Checks what the run builds on, as before it is queued."""
-        work = self._work(bool, cancelled=False)
-        with work.closing:
-            self.kind.check(work, ())
+        self.kind.check(self.config, PolicyStore.open(self.data_dir, self.environ), earlier)
 
     def kill_when(self, is_time: Callable[[], bool]) -> None:
         """Starts a child process that does the work, and kills it as soon as it is time."""
@@ -77,11 +81,11 @@ class LooseRun:
                 time.sleep(0.005)
             child.kill()
 
-    def _work(self, stop: Callable[[], bool], *, cancelled: bool) -> Work:
-        return Work(
+    def context(self, stop: Callable[[], bool] = bool, *, cancelled: bool = False) -> RunContext:
+        """Returns the run's context in this process."""
+        return RunContext(
             folder=self.folder,
             key=self.folder.name,
-            config=self.config,
             data_dir=self.data_dir,
             device="cpu",
             environ=self.environ,
@@ -97,11 +101,12 @@ NewRun = Callable[..., LooseRun]
 def new_run() -> NewRun:
     """A function that makes a run: `new_run(data_dir, "fit", {"dataset": ...}, FREEREIN_SIM_ADDRESS=...)`."""
 
-    def new(data_dir: Path, kind: Any, config: Mapping[str, Any], **environ: str) -> LooseRun:
-        folder = data_dir / "runs" / os.urandom(16).hex()
-        folder.mkdir(parents=True)
-        whole = KINDS[kind].resolve(config)
+    def new(data_dir: Path, kind: Any, config: Mapping[str, Any], *, name: str = "", **environ: str) -> LooseRun:
+        folder = data_dir / "runs" / (name or os.urandom(16).hex())
+        folder.mkdir(parents=True, exist_ok=True)
+        chosen = KINDS[kind]
+        whole = chosen.dump(chosen.parse(config))
         (folder / "config.json").write_text(json.dumps({"kind": kind, "config": whole}))
-        return LooseRun(KINDS[kind], json.loads(json.dumps(whole)), data_dir, folder, environ)
+        return LooseRun(chosen, chosen.parse(json.loads(json.dumps(whole))), data_dir, folder, environ)
 
     return new

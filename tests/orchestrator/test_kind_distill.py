@@ -1,4 +1,4 @@
-"""Runs of kind `distill`, with the real sim and imitation services, and teachers that know nothing."""
+"""Runs of kind `distill`, with the real sim and imitation services, and untrained teachers."""
 
 import errno
 import json
@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.clients import Channel, RewardClient, Synchronous
+from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import AlreadyExists, InvalidInput
-from freerein.learning import weights
 from freerein.types.reward import RewardRequest
-from freerein_orchestrator import policy_artifact
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.networks import ActorCriticSpec
+from freerein_orchestrator.rl.policy_files import save_policy
+from freerein_orchestrator.rl.state import init_network
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
-SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, features=8, hidden=8)
+SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8)
 TEACHERS = {"a" * 32: "pick up all", "b" * 32: "pick up nothing"}
 TINY = {"steps": 20, "batch_size": 4, "features": 8, "words": 4, "hidden": 8, "log_every": 5}
 DISTILL = {"teachers": list(TEACHERS), "rollouts": 3, "num_envs": 2, "dataset": "rollouts", "config": TINY}
@@ -32,11 +32,11 @@ def sim(start_module_service: Callable[..., Any]) -> str:
 
 
 def teach(data_dir: Path, run_id: str, *, spec: ActorCriticSpec = SPEC, **card: Any) -> None:
-    network, generator = ActorCritic(spec), torch.Generator().manual_seed(int(run_id[:4], 16))
-    weights.draw(network, generator=generator)
+    generator = torch.Generator().manual_seed(int(run_id[:4], 16))
+    network = init_network(spec, generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
     told = {"task": "grid", "camera": "top", "goal_text": TEACHERS.get(run_id, ""), **card}
-    policy_artifact.save(network, data_dir / "runs" / run_id / "artifacts", card=told)
+    save_policy(network, data_dir / "runs" / run_id / "artifacts", card=told)
 
 
 @pytest.fixture
@@ -66,11 +66,11 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     address = start_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none").address
     undisturbed = distillation(dataset="undisturbed", model_name="undisturbed", imitation=address)
     assert undisturbed.do()
-    told = undisturbed.artifact("dataset.json")
-    dataset = Dataset(dataset_path(data_dir, told["dataset"]))
+    card_of_dataset = undisturbed.artifact("dataset.json")
+    dataset = Dataset(dataset_path(data_dir, card_of_dataset["dataset"]))
     assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3)
     assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
-    assert [teacher["goal_text"] for teacher in told["teachers"]] == ["pick up all", "pick up nothing"]
+    assert [teacher["goal_text"] for teacher in card_of_dataset["teachers"]] == ["pick up all", "pick up nothing"]
 
     card = json.loads(
         (data_dir / "models/imitation/undisturbed" / undisturbed.model.version / "card.json").read_bytes()
@@ -86,7 +86,7 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     assert killed.do()
 
     assert len(list((data_dir / "fits").rglob("request.json"))) == 2
-    assert killed.artifact("dataset.json") == told | {"dataset": "rollouts"}
+    assert killed.artifact("dataset.json") == card_of_dataset | {"dataset": "rollouts"}
     assert (killed.model.name, killed.model.version) == ("language", undisturbed.model.version)
     steps = [row["step"] for row in killed.rows]
     assert (steps == sorted(set(steps)), steps[:4], steps[-1]) == (True, [2, 3, 5, 6], killed.kind.steps(killed.config))
@@ -98,7 +98,9 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
     distillation: Callable[..., Any], data_dir: Path
 ) -> None:
     teach(
-        data_dir, "c" * 32, spec=ActorCriticSpec(height=32, width=32, channels=3, action_size=2, features=8, hidden=8)
+        data_dir,
+        "c" * 32,
+        spec=ActorCriticSpec(height=32, width=32, channels=3, action_size=2, feature_size=8, hidden_size=8),
     )
     teach(data_dir, "d" * 32, camera="front")
     (data_dir / "runs" / ("e" * 32)).mkdir()
@@ -114,7 +116,7 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
             with pytest.raises(InvalidInput, match=told):
                 refused()
         assert not (run.folder / "rollouts").exists()
-    with pytest.raises(InvalidInput, match="student must see"):
+    with pytest.raises(InvalidInput, match="student must have"):
         distillation(config={"camera": "front"}).check()
 
 
@@ -151,7 +153,7 @@ def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_tak
 )
 def test_what_is_no_distillation_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput) as error:
-        KINDS["distill"].resolve(DISTILL | wrong)
+        KINDS["distill"].parse(DISTILL | wrong)
     assert error.value.field.startswith("config")
 
 
@@ -159,16 +161,16 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
     distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
 ) -> None:
     address, goal_text = start_service("freerein_reward").address, "a red block apart from a green block"
-    spec = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, features=8, hidden=8)
+    spec = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, feature_size=8, hidden_size=8)
     card = {"task": "blocks.red-left-of-green", "camera": "front", "goal_text": goal_text, "reward": "learned"}
     teach(data_dir, "a" * 32, spec=spec, **card, model={"name": "", "version": ""})
     recorded = {}
     for keep in ("all", "rewarded"):
-        lesson = {"teachers": ["a" * 32], "rollouts": 6, "num_envs": 6, "is_stochastic": True, "keep": keep}
+        lesson = {"teachers": ["a" * 32], "rollouts": 6, "num_envs": 6, "stochastic": True, "keep": keep}
         run = distillation(dataset=keep, reward=address, **lesson)
         assert not run.do(stop=(run.folder / "artifacts" / "dataset.json").exists)  # no fit: imitation is away
         recorded[keep] = list(Dataset(dataset_path(data_dir, keep)))
-    with Synchronous(RewardClient(Channel(address))) as reward:
+    with SyncClient(RewardClient(Channel(address))) as reward:
         last = np.stack([trajectory.frames["front"][-1] for trajectory in recorded["all"]])
         rewards = reward.reward(RewardRequest(goal_text, {"front": last})).rewards
     rewarded = [trajectory for trajectory, each in zip(recorded["all"], rewards, strict=True) if each > 0]

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, NotFound
 from freerein.learning import weights
-from freerein_orchestrator import policy_artifact
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.networks import ActorCriticSpec
+from freerein_orchestrator.rl.policy_files import save_policy
+from freerein_orchestrator.rl.state import init_network
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
 RANDOM = {"task": "grid", "policy": "random", "episodes": 6, "num_envs": 2, "seed": 1}
@@ -83,16 +84,18 @@ def test_a_model_of_the_imitation_service_acts_in_several_environments_at_once(
     assert result["recipe"] == ["move-red"]
 
 
-@pytest.mark.parametrize("is_stochastic", [False, True])
+@pytest.mark.parametrize("stochastic", [False, True])
 def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
-    evaluation: Callable[..., Any], tmp_path: Path, is_stochastic: bool
+    evaluation: Callable[..., Any], tmp_path: Path, stochastic: bool
 ) -> None:
-    spec = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, features=8, hidden=8, is_recurrent=True)
-    network, generator = ActorCritic(spec), torch.Generator().manual_seed(0)
-    weights.draw(network, generator=generator)
+    spec = ActorCriticSpec(
+        height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8, recurrent=True
+    )
+    generator = torch.Generator().manual_seed(0)
+    network = init_network(spec, generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
-    policy_artifact.save(network, tmp_path / "runs" / "taught" / "artifacts", card={"task": "grid", "camera": "top"})
-    runs = [evaluation(RANDOM | {"policy": {"run": "taught", "is_stochastic": is_stochastic}}) for _ in range(2)]
+    save_policy(network, tmp_path / "runs" / "trained" / "artifacts", card={"task": "grid", "camera": "top"})
+    runs = [evaluation(RANDOM | {"policy": {"run": "trained", "stochastic": stochastic}}) for _ in range(2)]
     for run in runs:
         run.check()
         assert run.do()
@@ -100,26 +103,48 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
     assert results[0] == results[1]
     assert (results[0]["policy"], results[0]["sha256"]) == ("ppo", weights.sha256(network))
 
-    elsewhere = evaluation(RANDOM | {"task": "blocks.red-left-of-green", "policy": {"run": "taught"}})
+    elsewhere = evaluation(RANDOM | {"task": "blocks.red-left-of-green", "policy": {"run": "trained"}})
     with pytest.raises(InvalidInput, match="this task has camera front with 3 channels"):
         elsewhere.do()
 
 
 @pytest.mark.parametrize(
-    "policy", ["expert", {}, {"run": "a", "model": "b"}, {"run": 3}, {"model": "skills", "goal": "a"}]
+    "policy",
+    [
+        "expert",
+        {},
+        {"run": "a", "model": "b"},
+        {"run": 3},
+        {"model": "skills", "goal": "a"},
+        {"stored": 1},
+        {"untrained": -1},
+    ],
 )
-def test_a_policy_that_is_none_is_refused(policy: Any) -> None:
+def test_an_invalid_policy_is_refused(policy: Any) -> None:
     with pytest.raises(InvalidInput) as error:
-        KINDS["evaluate"].resolve(RANDOM | {"policy": policy})
+        KINDS["evaluate"].parse(RANDOM | {"policy": policy})
     assert error.value.field.startswith("config")
 
 
-def test_a_run_that_there_is_not_and_one_without_a_policy_are_refused(evaluation: Callable[..., Any]) -> None:
+def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable[..., Any]) -> None:
     for name in ("nothing", ".."):
         with pytest.raises(InvalidInput):
             evaluation(RANDOM | {"policy": {"run": name}}).do()
     bare = evaluation(RANDOM)
     with pytest.raises(InvalidInput, match="this one has not"):
         evaluation(RANDOM | {"policy": {"run": bare.folder.name}}).do()
-    with pytest.raises(InvalidInput, match="none of that name"):
+    with pytest.raises(NotFound, match="another name"):
         evaluation(RANDOM | {"task": "nothing"}).do()
+
+
+def test_a_stored_policy_and_untrained_weights_can_be_evaluated(evaluation: Callable[..., Any]) -> None:
+    task = {"task": "blocks.yellow-left-of-green", "episodes": 2, "num_envs": 2}
+    stored = evaluation(task | {"policy": {"stored": "yellow-left-of-green"}})
+    stored.check()
+    assert stored.do()
+    assert stored.artifact("result.json")["policy"] == "ppo"
+    untrained = [evaluation(task | {"policy": {"untrained": 3}}) for _ in range(2)]
+    assert all(run.do() for run in untrained)
+    assert untrained[0].artifact("result.json") == untrained[1].artifact("result.json")
+    with pytest.raises(InvalidInput):
+        evaluation(task | {"policy": {"stored": "nothing"}}).check()

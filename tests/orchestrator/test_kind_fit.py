@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.clients import Channel, FitClient, Synchronous
+from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
@@ -41,7 +41,7 @@ def imitation(start_module_service: Callable[..., Any], data_dir: Path) -> Any:
 @pytest.fixture
 def fits(imitation: Any) -> Iterator[Callable[[], list[Any]]]:
     """A function that returns the service's fits of this test, newest first."""
-    with Synchronous(FitClient(Channel(imitation.address))) as client:
+    with SyncClient(FitClient(Channel(imitation.address))) as client:
         before = len(client.list_fits(ListFitsRequest()).fits)
         yield lambda: list(client.list_fits(ListFitsRequest()).fits[: -before or None])
 
@@ -126,14 +126,14 @@ def test_a_run_fails_for_the_reason_of_its_fit(new_run: Callable[..., Any], data
 )
 def test_a_fit_of_no_service_or_no_name_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput) as error:
-        KINDS["fit"].resolve(FIT | wrong)
+        KINDS["fit"].parse(FIT | wrong)
     assert error.value.field.startswith("config")
 
 
 def test_the_steps_of_a_fit_are_those_asked_for() -> None:
-    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT)) == STEPS
-    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT | {"config": {"steps": 3.0}})) == 3
-    assert KINDS["fit"].steps(KINDS["fit"].resolve(FIT | {"config": {}})) == 0
+    assert KINDS["fit"].steps(KINDS["fit"].parse(FIT)) == STEPS
+    assert KINDS["fit"].steps(KINDS["fit"].parse(FIT | {"config": {"steps": 3.0}})) == 3
+    assert KINDS["fit"].steps(KINDS["fit"].parse(FIT | {"config": {}})) == 0
 
 
 class Nth:

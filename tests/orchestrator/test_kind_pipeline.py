@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from freerein.data import Dataset, dataset_path
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, NotFound
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
@@ -59,11 +59,19 @@ def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one
     assert pipeline.model.name == "default"
 
 
-def test_a_policy_is_taught_then_distilled_then_told_in_words_what_to_do(
+def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
     new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
 ) -> None:
-    learn = {"iterations": 2, "num_envs": 2, "steps": 8, "batch_size": 8, "epochs": 1, "hidden": 8, "features": 8}
-    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", **learn}
+    small = {
+        "iterations": 2,
+        "num_envs": 2,
+        "num_steps": 8,
+        "batch_size": 8,
+        "epochs": 1,
+        "hidden_size": 8,
+        "feature_size": 8,
+    }
+    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", **small}
     words = {"steps": 10, "batch_size": 4, "features": 8, "words": 4, "hidden": 8, "log_every": 5}
     told = {"run": "student", "goal_text": "pick up all"}
     steps = [
@@ -84,15 +92,15 @@ def test_a_policy_is_taught_then_distilled_then_told_in_words_what_to_do(
     assert run.rows[-1]["step"] == 2 + 4 + 10 + 2
     result = run.artifact("exam.result.json")
     assert (result["goal_text"], result["model"]["version"]) == ("pick up all", run.model.version)
-    taught = run.artifact("student.dataset.json")["teachers"]
-    assert [each["sha256"] for each in taught] == [run.artifact("teacher.policy.json")["sha256"]]
+    teachers = run.artifact("student.dataset.json")["teachers"]
+    assert [each["sha256"] for each in teachers] == [run.artifact("teacher.policy.json")["sha256"]]
 
 
 def test_a_step_that_builds_on_an_earlier_one_is_taken_and_one_that_builds_on_a_later_one_is_refused(
     new_run: Callable[..., Any], tmp_path: Path
 ) -> None:
     new_run(tmp_path, "pipeline", {"steps": [COLLECT, FIT, FITTED]}).check()
-    pupil = {"name": "pupil", "kind": "ppo", "config": {"task": "grid", "start_from": "teacher"}}
+    pupil = {"name": "pupil", "kind": "ppo", "config": {"task": "grid", "init_from": "teacher"}}
     for steps in ([COLLECT, FITTED, FIT], [FITTED], [pupil, pupil | {"name": "teacher"}]):
         run = new_run(tmp_path, "pipeline", {"steps": steps})
         with pytest.raises(InvalidInput, match=r"In step (fitted|pupil): .* earlier step") as error:
@@ -115,13 +123,13 @@ def test_a_step_that_builds_on_an_earlier_one_is_taken_and_one_that_builds_on_a_
 )
 def test_what_is_no_pipeline_is_refused(steps: Any) -> None:
     with pytest.raises(InvalidInput) as error:
-        KINDS["pipeline"].resolve({"steps": steps})
+        KINDS["pipeline"].parse({"steps": steps})
     assert error.value.field.startswith("config")
 
 
 def test_a_step_that_fails_says_which_one_it_is(new_run: Callable[..., Any], sim: str, tmp_path: Path) -> None:
     steps = [CHANCE, CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}]
     run = new_run(tmp_path, "pipeline", {"steps": steps}, FREEREIN_SIM_ADDRESS=sim)
-    with pytest.raises(InvalidInput, match="In step lost: "):
+    with pytest.raises(NotFound, match="In step lost: "):
         run.do()
     assert (run.folder / "parts" / "chance" / "done.json").exists()

@@ -15,7 +15,7 @@ SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), hea
 @pytest.fixture(scope="module")
 def network() -> DualEncoder:
     made = DualEncoder(SPEC)
-    weights.draw(made, generator=torch.Generator().manual_seed(0))
+    weights.initialise(made, generator=torch.Generator().manual_seed(0))
     return made
 
 
@@ -39,7 +39,7 @@ def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: RewardM
 
 def test_two_views_are_averaged() -> None:
     two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), heads=4, hidden=32))
-    weights.draw(two, generator=torch.Generator().manual_seed(0))
+    weights.initialise(two, generator=torch.Generator().manual_seed(0))
     frames = np.random.default_rng(0).integers(0, 256, size=(2, 3, 64, 64, 3), dtype=np.uint8)
     there = RewardModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
     back = RewardModel(two).embed_images({"front": frames[1], "tilt": frames[0]})
@@ -76,7 +76,7 @@ def test_the_scale_of_cosines_is_100_at_most(network: DualEncoder) -> None:
 def test_attention_with_one_question_is_attention() -> None:
     """Keys and values are never computed cell by cell; here they are."""
     pool = AttentionPool(channels=64, features=32)
-    weights.draw(pool, generator=torch.Generator().manual_seed(0))
+    weights.initialise(pool, generator=torch.Generator().manual_seed(0))
     maps = torch.rand(2, 64, 16, 16, generator=torch.Generator().manual_seed(1))
     cells = maps.flatten(start_dim=2).transpose(1, 2)
     mean = cells.mean(dim=1, keepdim=True)

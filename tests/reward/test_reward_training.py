@@ -45,16 +45,16 @@ def blocks(count: int, *, seed: int) -> Described:
 @pytest.fixture(scope="module")
 def learner() -> RewardLearner:
     grounding = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "blue", "block")))
-    weights.draw(grounding, generator=torch.Generator().manual_seed(0))
+    weights.initialise(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
     return RewardLearner(FAST, design(grounding.spec, FAST), training, validation, GroundingModel(grounding), "", CPU)
 
 
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, tmp_path: Path) -> None:
-    whole = fit(learner, FAST.plan, tmp_path / "whole")
+    whole = fit(learner, tmp_path / "whole")
     asked = iter([False, False, False, True])
-    assert fit(learner, FAST.plan, tmp_path / "parts", stop=lambda: next(asked)) is None
-    parts = fit(learner, FAST.plan, tmp_path / "parts")
+    assert fit(learner, tmp_path / "parts", stop=lambda: next(asked)) is None
+    parts = fit(learner, tmp_path / "parts")
     assert whole is not None
     assert parts is not None
     assert weights.sha256(whole.network) == weights.sha256(parts.network)

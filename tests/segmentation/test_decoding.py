@@ -6,14 +6,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freerein_segmentation.decoding import decode, merge_short, smooth
+from freerein_segmentation import decoding
+from freerein_segmentation.decoding import Decoded, merge_short, smooth
 
 Probabilities = npt.NDArray[np.float32]
+SKILLS = "abcde"
 
 
 def certain(labels: list[int], *, skills: int = 3, confidence: float = 0.8) -> Probabilities:
     rest = (1 - confidence) / (skills - 1)
     return np.where(np.eye(skills, dtype=bool)[labels], confidence, rest).astype(np.float32)
+
+
+def decode(given: Probabilities, *, smoothing: float, min_segment: int) -> Decoded:
+    return decoding.decode(given, skills=SKILLS, smoothing=smoothing, min_segment=min_segment)
 
 
 @st.composite
@@ -28,7 +34,11 @@ def test_without_smoothing_and_merging_labels_are_the_likeliest_skills() -> None
     assert decoded.labels.dtype == np.int64
     assert decoded.confidence.dtype == np.float32
     assert decoded.confidence.tolist() == pytest.approx([0.8] * 5)
-    assert [(span.start, span.end, span.skill) for span in decoded.spans] == [(0, 2, 0), (2, 3, 2), (3, 5, 1)]
+    assert [(segment.start, segment.end, segment.skill) for segment in decoded.segments] == [
+        (0, 2, "a"),
+        (2, 3, "c"),
+        (3, 5, "b"),
+    ]
 
 
 def test_a_short_segment_goes_to_the_neighbour_that_its_timesteps_like_better() -> None:
@@ -37,7 +47,7 @@ def test_a_short_segment_goes_to_the_neighbour_that_its_timesteps_like_better() 
     decoded = decode(flicker, smoothing=0.0, min_segment=3)
     assert decoded.labels.tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
     assert decoded.confidence[3] == pytest.approx(0.3)
-    assert decoded.spans[1].confidence == pytest.approx((0.3 * 2 + 0.8 * 3) / 5)
+    assert decoded.segments[1].confidence == pytest.approx((0.3 * 2 + 0.8 * 3) / 5)
 
 
 def test_a_flicker_inside_a_segment_joins_its_two_halves() -> None:
@@ -47,7 +57,7 @@ def test_a_flicker_inside_a_segment_joins_its_two_halves() -> None:
 
 def test_a_trajectory_shorter_than_a_segment_becomes_one_segment() -> None:
     decoded = decode(certain([0, 1, 1]), smoothing=0.0, min_segment=100)
-    assert [(span.start, span.end) for span in decoded.spans] == [(0, 3)]
+    assert [(segment.start, segment.end) for segment in decoded.segments] == [(0, 3)]
 
 
 def test_smoothing_removes_a_flicker_and_keeps_the_boundary() -> None:
@@ -70,13 +80,13 @@ def test_smoothing_is_gaussian() -> None:
 @given(probabilities(), st.floats(0.0, 100.0), st.integers(0, 20))
 def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, sigma: float, least: int) -> None:
     decoded = decode(given_, smoothing=sigma, min_segment=least)
-    spans = decoded.spans
-    assert [0, *(span.end for span in spans)] == [*(span.start for span in spans), len(given_)]
-    assert all(first.skill != second.skill for first, second in itertools.pairwise(spans))
-    assert all(span.end - span.start >= min(least, len(given_)) for span in spans) or len(spans) == 1
-    assert np.repeat([span.skill for span in spans], [span.end - span.start for span in spans]).tolist() == (
-        decoded.labels.tolist()
-    )
+    segments = decoded.segments
+    assert [0, *(segment.end for segment in segments)] == [*(segment.start for segment in segments), len(given_)]
+    assert all(first.skill != second.skill for first, second in itertools.pairwise(segments))
+    assert all(segment.end - segment.start >= min(least, len(given_)) for segment in segments) or len(segments) == 1
+    assert [SKILLS[label] for label in decoded.labels] == [
+        segment.skill for segment in segments for _ in range(segment.start, segment.end)
+    ]
     assert ((decoded.confidence >= 0) & (decoded.confidence <= 1)).all()
 
 
@@ -89,4 +99,4 @@ def test_smoothed_probabilities_still_sum_to_one(given_: Probabilities, sigma: f
 def test_twenty_thousand_flickering_timesteps_are_merged_at_once() -> None:
     noise = np.random.default_rng(0).dirichlet(np.ones(5), 20_000).astype(np.float32)
     decoded = decode(noise, smoothing=0.0, min_segment=50)
-    assert min(span.end - span.start for span in decoded.spans) >= 50
+    assert min(segment.end - segment.start for segment in decoded.segments) >= 50

@@ -23,8 +23,8 @@ SPECS = pytest.mark.parametrize("spec", NAMED.values(), ids=NAMED.keys())
 
 def make(spec: ModelSpec) -> SegmentationNetwork:
     network = SegmentationNetwork(spec)
-    weights.draw(network, generator=torch.Generator().manual_seed(0))
-    network.image.calibrate(torch.from_numpy(trajectory(spec, 50)[0]))
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    network.image.fit_normalisation(torch.from_numpy(trajectory(spec, 50)[0]))
     return network
 
 

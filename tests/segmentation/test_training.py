@@ -43,7 +43,7 @@ def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, lis
 def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
     learnt, _ = make(48, seed=0)
     held_out, _ = make(8, seed=1)
-    spec = training.design(config, frame=FRAME, action=ACTION, skills=SKILLS)
+    spec = training.network_spec(config, frame=FRAME, action=ACTION, skills=SKILLS)
     return SegmentationLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
@@ -55,7 +55,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     tmp_path: Path, objective: ObjectiveName, context: Context
 ) -> None:
     config = replace(FAST, objective=objective, context=context)
-    fitted = fit(learner(config), config.plan, tmp_path)
+    fitted = fit(learner(config), tmp_path)
     assert fitted is not None
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
     predicted = [
@@ -69,7 +69,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=5, seed=seed)
-        fitted = fit(learner(config), config.plan, tmp_path / name)
+        fitted = fit(learner(config), tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 
@@ -96,7 +96,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
     steps = [np.zeros((len(learnt.frames[item]), 1), np.int64) for item in range(4)]
     discrete = Demonstrations(learnt.frames, steps, learnt.skills)
     for config in (FAST, replace(FAST, use_actions=False)):
-        spec = training.design(config, frame=FRAME, action=STEPS, skills=SKILLS)
+        spec = training.network_spec(config, frame=FRAME, action=STEPS, skills=SKILLS)
         assert (spec.action_size, spec.action_choices) == ((1, 5) if config.use_actions else (0, 0))
         whole = SegmentationLearner(config, spec, discrete, discrete, "fingerprint", CPU)
         state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
@@ -106,7 +106,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
 
 def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_still_count() -> None:
     learnt, _ = make(2, seed=0)
-    spec = training.design(replace(FAST, stride=5), frame=FRAME, action=ACTION, skills=SKILLS)
+    spec = training.network_spec(replace(FAST, stride=5), frame=FRAME, action=ACTION, skills=SKILLS)
     batch = training.gather(learnt, [0, 1], [2, 4], spec=spec, device=CPU)
     expected = [learnt.frames[0][2::5], learnt.frames[1][4::5]]
     assert batch.lengths.tolist() == [len(each) for each in expected]
@@ -115,16 +115,12 @@ def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_s
     assert training.gather(brief, [0], [4], spec=spec, device=CPU).lengths.tolist() == [1]
 
 
-def test_held_out_trajectories_are_a_random_share_that_the_seed_decides() -> None:
+def test_the_split_is_of_whole_trajectories_without_copying_frames() -> None:
     demonstrations, _ = make(20, seed=0)
-    learnt, held_out = training.hold_out(demonstrations, share=0.2, seed=0)
+    learnt, held_out = demonstrations.split(fraction=0.2, seed=0)
     assert (len(learnt), len(held_out)) == (16, 4)
     frames = {id(each) for part in (learnt, held_out) for each in part.frames}
     assert frames == {id(each) for each in demonstrations.frames}
-    _, other = training.hold_out(demonstrations, share=0.2, seed=1)
-    assert other.skills != held_out.skills
-    with pytest.raises(InvalidInput, match="at least 2"):
-        training.hold_out(demonstrations.subset([0]), share=0.2, seed=0)
 
 
 def test_demonstrations_that_do_not_fit_together_are_refused() -> None:

@@ -9,9 +9,10 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from gymnasium.utils.env_checker import check_env
 
-from freerein.clients import Channel, SimClient, Synchronous
+from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
-from freerein.errors import InvalidInput, NotFound, Unauthenticated
+from freerein.clients.tasks import find_task
+from freerein.errors import InvalidInput, NotFound, SessionNotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
 from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds import blocks, grid
@@ -108,14 +109,22 @@ def test_errors_of_the_service_say_what_to_mend(address: str) -> None:
 
 
 def test_a_session_is_made_once_per_key_and_ends_when_it_is_closed(address: str) -> None:
-    with Synchronous(SimClient(Channel(address, token=TOKEN))) as sim:
+    with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
         made = sim.create_session(CreateSessionRequest("grid", idempotency_key="mine"))
         assert sim.create_session(CreateSessionRequest("grid", idempotency_key="mine")).session == made.session
         sim.reset(ResetRequest(made.session))
         assert set(sim.render(RenderRequest(made.session)).frames) == {"top"}
         sim.close_session(CloseSessionRequest(made.session))
-        with pytest.raises(NotFound):
+        with pytest.raises(SessionNotFound):
             sim.render(RenderRequest(made.session))
+
+
+def test_a_task_is_found_by_its_name(address: str) -> None:
+    with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
+        assert find_task(sim, "grid").name == "grid"
+        with pytest.raises(NotFound, match="`config.task` must name one") as not_found:
+            find_task(sim, "gri")
+        assert not_found.value.field == "config.task"
 
 
 @pytest.mark.slow

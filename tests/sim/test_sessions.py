@@ -17,6 +17,8 @@ from freerein.errors import (
     NotFound,
     Overloaded,
     ServiceError,
+    SessionNotFound,
+    StepOutOfOrder,
     Unavailable,
     WorkerLost,
 )
@@ -182,7 +184,7 @@ async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(session
     for turn in (1, 2):
         await sessions.step(StepRequest(session, turn, UP))
 
-    with pytest.raises(FailedPrecondition, match=f"must be 3, one more than the last; got {step_id}"):
+    with pytest.raises(StepOutOfOrder, match=f"must be 3, one more than the last; got {step_id}"):
         await sessions.step(StepRequest(session, step_id, UP))
 
     assert (await sessions.step(StepRequest(session, 3, UP))).step_id == 3
@@ -222,7 +224,7 @@ async def test_the_last_step_repeated_with_something_else_is_refused(
     step = StepRequest(session, 1, UP)
     await sessions.step(step)
 
-    with pytest.raises(FailedPrecondition, match="with other actions or cameras"):
+    with pytest.raises(StepOutOfOrder, match="with other actions or cameras"):
         await sessions.step(replace(step, **change))
 
 
@@ -297,7 +299,7 @@ async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: Se
         sessions.snapshot(SnapshotRequest(session)),
         sessions.restore(RestoreRequest(session, b"")),
     ):
-        with pytest.raises(NotFound, match="no such session"):
+        with pytest.raises(SessionNotFound, match="no such session"):
             await call
 
 
@@ -312,7 +314,7 @@ async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: 
     )
 
     assert closed == CloseSessionResponse()
-    assert isinstance(late, NotFound)
+    assert isinstance(late, SessionNotFound)
 
 
 async def test_the_truth_is_for_the_privileged(sessions: Sessions) -> None:
@@ -343,7 +345,7 @@ async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: S
 
     assert (await sessions.restore(RestoreRequest(other, kept))).step_id == 2
 
-    with pytest.raises(FailedPrecondition, match="must be 3"):
+    with pytest.raises(StepOutOfOrder, match="must be 3"):
         await sessions.step(StepRequest(other, 2, DOWN))  # it was another's
     assert_same(
         await sessions.step(StepRequest(other, 3, DOWN, TOP)), await sessions.step(StepRequest(one, 3, DOWN, TOP))
@@ -356,7 +358,7 @@ async def test_a_restored_session_has_no_last_step(sessions: Sessions) -> None:
     await sessions.step(StepRequest(session, 1, DOWN))
     await sessions.restore(RestoreRequest(session, await snapshot(sessions, session)))
 
-    with pytest.raises(FailedPrecondition, match="must be 2"):
+    with pytest.raises(StepOutOfOrder, match="must be 2"):
         await sessions.step(StepRequest(session, 1, DOWN))
 
 
@@ -449,7 +451,7 @@ async def test_a_session_that_nobody_touches_ends_with_its_lease(start: StartSes
 
     clock.now_s += 10
 
-    with pytest.raises(NotFound, match="lease has ended"):
+    with pytest.raises(SessionNotFound, match="lease has ended"):
         await sessions.step(StepRequest(session, 2, UP))
     async with asyncio.timeout(5):
         while len(sessions):  # noqa: ASYNC110  the reaper runs by itself, and tells nobody
@@ -505,7 +507,7 @@ async def test_a_worker_that_dies_takes_its_own_sessions_only(start: StartSessio
 
     (lost,) = (session for session, outcome in outcomes.items() if isinstance(outcome, WorkerLost))
     (kept,) = (session for session, outcome in outcomes.items() if isinstance(outcome, StepResponse))
-    with pytest.raises(NotFound):
+    with pytest.raises(SessionNotFound):
         await sessions.step(StepRequest(lost, 1, UP))
     assert await sessions.close_session(CloseSessionRequest(lost)) == CloseSessionResponse()
     assert await begun(sessions)  # in the place of the lost one

@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule, run_state_machine_as_test
 
-from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceError
+from freerein.errors import Overloaded, ServiceError, SessionNotFound, StepOutOfOrder
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
@@ -87,7 +87,7 @@ class Clients(RuleBasedStateMachine):
     def check(self, held: Held, call: Coroutine[object, object, object], like: Callable[[], object]) -> Outcome:
         """Returns the outcome of a call, which is that of doing the like in process."""
         answer = outcome(lambda: self.service.run(call))
-        assert answer == (outcome(like) if held.is_open else NotFound)
+        assert answer == (outcome(like) if held.is_open else SessionNotFound)
         return answer
 
     @rule(target=held, num_envs=st.integers(1, 2), seed=st.integers(0, 3))
@@ -119,13 +119,13 @@ class Clients(RuleBasedStateMachine):
         if held.last is not None:
             request, answer = held.last
             again = outcome(lambda: self.service.run(self.sessions.step(request)))
-            assert again == (answer if held.is_open else NotFound)
+            assert again == (answer if held.is_open else SessionNotFound)
 
     @rule(held=held, ahead=st.integers(2, 9))
     def step_out_of_turn(self, held: Held, ahead: int) -> None:
         request = StepRequest(held.session, held.envs.step_id + ahead, np.zeros((held.envs.num_envs, 1), np.int64))
         answer = outcome(lambda: self.service.run(self.sessions.step(request)))
-        assert answer is (FailedPrecondition if held.is_open else NotFound)
+        assert answer is (StepOutOfOrder if held.is_open else SessionNotFound)
 
     @rule(target=kept, held=held)
     def keep(self, held: Held) -> bytes:

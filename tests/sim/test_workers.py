@@ -19,8 +19,8 @@ from freerein.errors import (
     FailedPrecondition,
     Internal,
     InvalidInput,
-    NotFound,
     ServiceError,
+    SessionNotFound,
     TooLarge,
     WorkerLost,
 )
@@ -320,7 +320,7 @@ def test_a_bug_in_a_world_ends_its_session_and_no_other() -> None:
     with pytest.raises(Internal, match="session has ended"):
         host.answer(StepRequest(bad, 1, up))
 
-    with pytest.raises(NotFound):
+    with pytest.raises(SessionNotFound):
         host.answer(StepRequest(bad, 1, up))
     assert host.answer(StepRequest(good, 1, up)).step_id == 1
     assert host.answer(CloseSessionRequest(good)) == CloseSessionResponse()

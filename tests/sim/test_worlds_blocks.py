@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein_sim.worlds.blocks import COLOURS, TASKS, scene
+from freerein_sim.worlds.blocks import COLOURS, TASKS, scene, starts
 from freerein_sim.worlds.blocks.relations import Goal, Relation, holds
 from freerein_sim.worlds.blocks.simulation import Blocks
 from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
@@ -65,13 +65,20 @@ def test_listing_tasks_needs_no_simulator() -> None:
     ("relation", "offset", "expected"),
     [
         (Relation.LEFT_OF, (0, -0.07, 0), True),
+        (Relation.LEFT_OF, (0, -0.05, 0), True),
+        (Relation.LEFT_OF, (0, -0.0481, 0), True),
+        (Relation.LEFT_OF, (0, -0.0479, 0), False),
+        (Relation.LEFT_OF, (0, 0.05, 0), False),
         (Relation.LEFT_OF, (0, 0.07, 0), False),
         (Relation.LEFT_OF, (0, -0.10, 0), False),
         (Relation.LEFT_OF, (0.03, -0.07, 0), False),
         (Relation.LEFT_OF, (0, -0.07, 0.03), False),
         (Relation.RIGHT_OF, (0, 0.07, 0), True),
+        (Relation.RIGHT_OF, (0, 0.0495, 0), True),
+        (Relation.RIGHT_OF, (0, 0.0479, 0), False),
         (Relation.RIGHT_OF, (0, -0.07, 0), False),
         (Relation.ON_TOP_OF, (0, 0.01, 0.05), True),
+        (Relation.ON_TOP_OF, (0, 0.01, 0.047), True),
         (Relation.ON_TOP_OF, (0, 0.03, 0.05), False),
         (Relation.ON_TOP_OF, (0, 0.01, 0.07), False),
         (Relation.ON_TOP_OF, (0, 0.01, -0.05), False),
@@ -83,6 +90,32 @@ def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
     other = np.array([0.0, 0.02, 0.025])
 
     assert holds(relation, other + offset, other) is expected
+
+
+def test_blocks_pressed_together_by_the_gripper_count_as_beside() -> None:
+    colours = ("red", "green")
+    with closing(begin("blocks.red-left-of-green")) as world:
+        assert isinstance(world, Blocks)
+        red, green = (world.position(colour) for colour in colours)
+        assert red[1] < green[1]
+        for y, z in ((red[1] - 0.07, 0.15), (red[1] - 0.07, 0.05)):
+            for _ in range(25):
+                world.step(np.array([*np.clip((np.array([y, z]) - world.set_point[:2]) / 0.05, -1, 1), -1], np.float32))
+        while world.position("green")[1] < green[1] + 0.01:
+            world.step(np.array([0.15, 0, -1], np.float32))
+        for _ in range(10):
+            world.step(NOTHING)
+        gap_m = world.position("green")[1] - world.position("red")[1] - 0.05
+
+        assert -0.002 < gap_m < 0
+        assert world.truth().success
+
+
+@pytest.mark.parametrize("relation", Relation)
+def test_no_episode_begins_at_its_goal(relation: Relation) -> None:
+    rng = np.random.default_rng(0)
+
+    assert not any(holds(relation, *starts.pair(rng).blocks) for _ in range(2000))
 
 
 def test_the_expert_moves_every_named_block_and_no_other() -> None:

@@ -1,28 +1,33 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition
+from freerein.serving.lifecycle import CONFIGURATION_ERROR
 from freerein_sim.worlds.blocks import TASKS
 from freerein_sim.worlds.world import Frame, World
 
 RENDER = """
+import sys
 import numpy as np
-from freerein.errors import Unimplemented
+from freerein.errors import ServiceError
 from freerein_sim.worlds.blocks import TASKS
-world = TASKS[0].make()
-world.reset(np.random.default_rng(0))
 try:
+    world = TASKS[0].make()
+    world.reset(np.random.default_rng(0))
     print(world.render("front", height=64, width=64).std() > 10)
-except Unimplemented as error:
-    print(error.hint)
-world.close()
+    world.close()
+except ServiceError as error:
+    print("mujoco" in sys.modules, error.detail, error.hint, sep="|")
 """
+HINT = "Install one: apt-get install libegl1 libgl1 (MUJOCO_GL=egl) or libosmesa6 (MUJOCO_GL=osmesa)."
 
 
 def begin(seed: int) -> World:
@@ -35,12 +40,28 @@ def look(world: World, size: int = 64) -> Frame:
     return world.render("front", height=size, width=size)
 
 
-def run(**environment: str) -> str:
+def environ(**variables: str) -> dict[str, str]:
     inherited = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    return inherited | variables
+
+
+def run(**variables: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", RENDER], env=inherited | environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", RENDER], env=environ(**variables), capture_output=True, text=True, check=True
     )
     return done.stdout.strip()
+
+
+@pytest.fixture
+def without(tmp_path: Path) -> Callable[[str], str]:
+    """Returns an LD_LIBRARY_PATH where a library is an empty file, which no loader opens."""
+
+    def shadow(name: str) -> str:
+        for version in ("", *(f".{i}" for i in range(10))):
+            (tmp_path / f"lib{name}.so{version}").touch()
+        return str(tmp_path)
+
+    return shadow
 
 
 @pytest.mark.parametrize("backend", ["egl", "osmesa"])
@@ -48,11 +69,53 @@ def test_both_backends_draw(backend: str) -> None:
     assert run(MUJOCO_GL=backend) == "True"
 
 
-@pytest.mark.fault("M12")
-def test_a_machine_that_cannot_draw_says_what_to_install() -> None:
-    assert run(PYOPENGL_PLATFORM="glx") == (
-        "apt-get install libegl1 libgl1 for MUJOCO_GL=egl, or libosmesa6 for MUJOCO_GL=osmesa."
+@pytest.mark.parametrize(("backend", "library"), [("egl", "EGL"), ("OSMesa ", "OSMesa")])
+def test_a_backend_without_its_library_is_refused_before_mujoco_is_imported(
+    backend: str, library: str, without: Callable[[str], str]
+) -> None:
+    asked = backend.strip().lower()
+
+    assert run(MUJOCO_GL=backend, LD_LIBRARY_PATH=without(library)) == (
+        f"False|Expected to render with MUJOCO_GL={asked}; this machine cannot.|{HINT}"
     )
+
+
+def test_a_backend_that_there_is_not_is_refused_before_mujoco_is_imported() -> None:
+    assert run(MUJOCO_GL="vulkan") == (
+        "False|Expected MUJOCO_GL to be egl, osmesa or glfw, or not set; got vulkan.|Unset MUJOCO_GL."
+    )
+
+
+def test_osmesa_is_used_where_there_is_no_egl(without: Callable[[str], str]) -> None:
+    assert run(LD_LIBRARY_PATH=without("EGL")) == "True"
+
+
+@pytest.mark.fault("M12")
+def test_a_machine_that_cannot_draw_says_what_to_install(without: Callable[[str], str]) -> None:
+    without("EGL")
+
+    assert run(LD_LIBRARY_PATH=without("OSMesa")) == (
+        f"True|Expected to render with EGL or OSMesa; this machine has neither.|{HINT}"
+    )
+
+
+def test_pyopengl_on_another_platform_is_refused_before_mujoco_is_imported() -> None:
+    assert run(MUJOCO_GL="egl", PYOPENGL_PLATFORM="glx").startswith("False|Expected PYOPENGL_PLATFORM")
+    assert run(PYOPENGL_PLATFORM="glx").startswith("True|Expected PYOPENGL_PLATFORM")
+
+
+def test_the_service_does_not_start_with_a_backend_that_is_missing(without: Callable[[str], str]) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "freerein_sim"],
+        env=environ(MUJOCO_GL="osmesa", LD_LIBRARY_PATH=without("OSMesa")),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+
+    assert ended.returncode == CONFIGURATION_ERROR
+    assert HINT in ended.stderr
 
 
 def test_worlds_that_share_a_context_see_each_their_own_scene() -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.serving.health import Health
-from freerein.serving.methods import Unreadable
+from freerein.serving.methods import InvalidMessage
 from freerein.types.common import Camera, Draining, Error
 from freerein.types.imitation import Chunk, ControlRequest, ControlResponse, GetSpecResponse, Hello, Observed
 from freerein_imitation.core import Acting, Models, Pursuit, pursue, spec_of, timing
@@ -29,7 +29,7 @@ _LAST_NS = 2**64 - 1
 _MOST_SHOWN = 16
 _LONGEST_SHOWN = 32
 
-Requests = AsyncIterator[ControlRequest | Unreadable]
+Requests = AsyncIterator[ControlRequest | InvalidMessage]
 
 
 class ControlStreams:
@@ -52,7 +52,7 @@ class ControlStreams:
         """Yields the spec, then a chunk or an error for each observation that no newer one overtook.
 
         Args:
-            requests: The messages; an `Unreadable` in place of one that could not be read.
+            requests: The messages; an `InvalidMessage` in place of one that could not be read.
 
         Raises:
             FailedPrecondition: The first message is no Hello, a later one is, or robot and model differ.
@@ -164,8 +164,8 @@ class _Inbox:
         self._closed = True
         self._filled.set()
 
-    def _take(self, request: ControlRequest | Unreadable) -> None:
-        if isinstance(request, Unreadable):
+    def _take(self, request: ControlRequest | InvalidMessage) -> None:
+        if isinstance(request, InvalidMessage):
             self._refuse(request)
         elif request.hello is not None and request.observed is None:
             self._greet(request.hello)
@@ -201,7 +201,7 @@ class _Inbox:
         self._waiting = _Waiting(observed, time.perf_counter_ns(), elapsed)
         self._entries.append(self._waiting)
 
-    def _refuse(self, unreadable: Unreadable) -> None:
+    def _refuse(self, unreadable: InvalidMessage) -> None:
         """Answers an observation that cannot be read by an error; whatever else cannot be read ends the stream."""
         message = unreadable.message
         if not isinstance(message, imitation_pb2.ControlRequest) or not message.HasField("observed"):

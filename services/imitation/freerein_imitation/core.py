@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.serving.batcher import Batcher, Done
+from freerein.serving.batcher import Batcher, BatchResult
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import Camera, Goal, ModelRef, Observation, Timing
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
@@ -165,7 +165,7 @@ def spec_of(model: ModelRef, policy: Policy) -> GetSpecResponse:
     )
 
 
-def timing(begun_ns: int, decode_ns: int, done: Done[Answer]) -> Timing:
+def timing(begun_ns: int, decode_ns: int, done: BatchResult[Answer]) -> Timing:
     """Returns where the time of an answer went, now that it is there.
 
     Args:

@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ from freerein.serving.metrics import Metrics
 from freerein.types.orchestrator import RunKind
 from freerein_orchestrator.durable import DurableRuns
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.runs.attempts import Attempts
 from freerein_orchestrator.runs.core import Resolved, Runs
 from freerein_orchestrator.runs.records import RunRecords
 from freerein_orchestrator.settings import OrchestratorSettings
-from freerein_orchestrator.work import Work
 
 NAME = "orchestrator"
 
@@ -49,17 +48,15 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
 
 
 def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolved:
-    """Returns what a run of a kind and a partial configuration is.
+    """Returns the whole configuration of a run, and its number of steps.
 
     Raises:
-        InvalidInput: The configuration is wrong, or builds on what is not there.
+        InvalidInput: The configuration is wrong, or builds on what does not exist.
     """
-    whole = KINDS[kind].resolve(config)
-    with ExitStack() as closing:
-        folder = data_dir / "runs" / "asked"  # of no run: nothing is made there
-        work = Work(folder, folder.name, whole, data_dir, "cpu", os.environ, stop=bool, closing=closing)
-        KINDS[kind].check(work, ())
-    return Resolved(whole, KINDS[kind].steps(whole))
+    chosen = KINDS[kind]
+    parsed = chosen.parse(config)
+    chosen.check(parsed, PolicyStore.open(data_dir, os.environ), ())
+    return Resolved(chosen.dump(parsed), chosen.steps(parsed))
 
 
 if __name__ == "__main__":

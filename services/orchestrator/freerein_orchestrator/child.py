@@ -15,8 +15,9 @@ from freerein.serving.child import end_with_parent
 from freerein.serving.fit_child import STOPPED
 from freerein.serving.fits import HOPELESS
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.outcomes import CANCELLED
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.rl.errors import Stopped
 
 
 def main(folder: Path, data_dir: Path, device: str) -> int:
@@ -24,10 +25,9 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
     end_with_parent()
     asked = json.loads((folder / "config.json").read_bytes())
     with stop_on_sigterm() as stop:
-        work = Work(
+        context = RunContext(
             folder=folder,
             key=folder.name,
-            config=asked["config"],
             data_dir=data_dir,
             device=device,
             environ=os.environ,
@@ -35,10 +35,14 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
             cancelled=(folder / CANCELLED).is_file,
         )
         try:
-            with work.closing:
-                return 0 if KINDS[asked["kind"]].run(work) else STOPPED
+            kind = KINDS[asked["kind"]]
+            with context.closing:
+                kind.run(context, kind.parse(asked["config"]))
+                return 0
+        except Stopped:
+            return STOPPED
         except ServiceError as error:
-            work.say(f"{error.detail} {error.hint}")
+            context.say(f"{error.detail} {error.hint}")
             return HOPELESS
 
 

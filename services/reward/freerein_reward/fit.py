@@ -64,7 +64,7 @@ def main(folder: Path, data_dir: Path, device: str, grounding: Path) -> int:
 def _fit(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> bool:
     learner = _learner(folder, dataset, config, device, grounding)
     with stop_on_sigterm() as stop:
-        fitted = fit(learner, config.plan, folder, stop=stop)
+        fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
     save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted, grounding))

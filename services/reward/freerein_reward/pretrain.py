@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _pretrain(folder: Path, learner: GroundingLearner) -> int:
     with stop_on_sigterm() as stop:
-        fitted = fit(learner, learner.config.plan, folder, stop=stop, on_event=_say)
+        fitted = fit(learner, folder, stop=stop, on_event=_say)
     if fitted is None:
         return 1
     calibrate(fitted.network, learner)

@@ -34,13 +34,13 @@ def build(
     """Returns the service.
 
     Args:
-        settings: What the operator chose.
-        limits: The bounds.
-        metrics: Where the batcher is measured.
-        health: Tells when draining.
-        load: Returns the model of a folder, on a device.
+        settings: Operator settings.
+        limits: Request limits.
+        metrics: Metrics registry of the batcher.
+        health: Health state of the process.
+        load: Loads the model of a folder onto a device.
     """
-    torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
+    torch.set_num_threads(1)  # more would compete with the fit
     store = open_store(NAME, settings)
     models: ModelCache[SkillModel] = ModelCache(
         store,
@@ -63,7 +63,7 @@ def build(
 
 
 def _warm(loaded: SkillModel) -> SkillModel:
-    """Returns a model after its first, slowest call."""
+    """Returns a model after its first, slow call."""
     frames = np.zeros((1, loaded.height, loaded.width, loaded.channels), np.uint8)
     dtype = np.int64 if loaded.action_choices else np.float32
     loaded.probabilities(frames, np.zeros((1, loaded.action_size), dtype) if loaded.action_size else None)

@@ -1,7 +1,6 @@
-"""`Segmenter`: trajectories in, skill labels out. Checks what came, runs the model in batches, decodes its answer."""
+"""`Segmenter`: labels trajectories with skills. Validates requests, runs the model in batches, decodes its output."""
 
 import asyncio
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -12,15 +11,10 @@ import numpy.typing as npt
 from freerein import images
 from freerein.errors import InvalidInput, OutputNotFinite, ServiceError, TooLarge
 from freerein.serving.batcher import Batcher
+from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
-from freerein.types.common import Image, Timing
-from freerein.types.segmentation import (
-    ListSkillsRequest,
-    ListSkillsResponse,
-    Segment,
-    SegmentRequest,
-    SegmentResponse,
-)
+from freerein.types.common import Image, ModelRef
+from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation import decoding
 
 MAX_TIMESTEPS = 20_000
@@ -29,15 +23,15 @@ MAX_SMOOTHING = 100.0
 
 
 class SkillModel(Protocol):
-    """A trained segmentation model, as the core knows it.
+    """A trained segmentation model, as the core uses it.
 
     Attributes:
-        skills: What it labels.
-        height: Of the frames it was trained on, in pixels.
-        width: In pixels.
+        skills: Names of the skills.
+        height: Frame height in pixels.
+        width: Frame width in pixels.
         channels: 1 or 3.
-        action_size: Numbers per action; 0 without actions.
-        action_choices: How many different actions there are when discrete, else 0.
+        action_size: Numbers per action; 0 for a model without actions.
+        action_choices: Number of discrete actions; 0 for continuous ones.
     """
 
     skills: tuple[str, ...]
@@ -48,7 +42,7 @@ class SkillModel(Protocol):
     action_choices: int
 
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1: float32 (T, K), of frames (T, H, W, C), actions (T, A); in bounded memory."""
+        """Returns P(y_t = k), eq. 2.1, float32 (T, K), of frames (T, H, W, C) and actions (T, A), in bounded memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +56,17 @@ Probabilities = npt.NDArray[np.float32]
 
 
 def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
-    """Returns for each trajectory its skills' probabilities, or why the model has none."""
-    return [_checked(item, item.model.probabilities(item.frames, item.actions)) for item in items]
+    """Returns the skill probabilities of each trajectory, or its error."""
+    return [_check_output(item, item.model.probabilities(item.frames, item.actions)) for item in items]
 
 
 class Segmenter:
     """The core of the segmentation service.
 
     Args:
-        models: The models.
+        models: Model cache.
         batcher: Runs `segment_batch` on the model's thread.
-        timeout_s: How long a trajectory may wait for the model, in seconds.
+        timeout_s: Longest wait for the model, in seconds.
     """
 
     def __init__(
@@ -83,11 +77,11 @@ class Segmenter:
         self._timeout_s = timeout_s
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
-        """Returns what a model can label, and what it wants to see.
+        """Returns the skills and the expected inputs of a model.
 
         Raises:
             NotFound: There is no such model.
-            FailedPrecondition: None is active.
+            FailedPrecondition: No model is active.
         """
         ref, model = await self._models.resolve(request.model)
         return ListSkillsResponse(
@@ -104,50 +98,42 @@ class Segmenter:
         """Returns a label for every timestep of a trajectory.
 
         Raises:
-            InvalidInput: The trajectory is not what the model was trained on.
-            TooLarge: It is too long.
+            InvalidInput: An option, the frames or the actions are not what the model expects.
+            TooLarge: The trajectory is too long.
             NotFound: There is no such model.
-            FailedPrecondition: None is active.
+            FailedPrecondition: No model is active.
         """
-        begun_ns = time.perf_counter_ns()
+        timer = CallTimer()
+        ref, model, frames = await timer.decode(self._inputs(request))
+        item = _Item(model, frames, request.actions)
+        probabilities = await timer.infer(self._batcher.submit(item, key=ref, timeout_s=self._timeout_s))
+        labels, confidence, segments = await asyncio.to_thread(
+            decoding.decode,
+            probabilities,
+            skills=model.skills,
+            smoothing=request.smoothing,
+            min_segment=request.min_segment,
+        )
+        return SegmentResponse(labels, confidence, segments, model.skills, ref, timer.timing())
+
+    async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
         _check_options(request)
         ref, model = await self._models.resolve(request.model)
         frames = await _frames(request)
         _check_trajectory(model, frames, request.actions)
-        decoded_ns = time.perf_counter_ns()
-        done = await self._batcher.submit(_Item(model, frames, request.actions), key=ref, timeout_s=self._timeout_s)
-        answered_ns = time.perf_counter_ns()
-        labels, confidence, spans = await asyncio.to_thread(
-            decoding.decode, done.output, smoothing=request.smoothing, min_segment=request.min_segment
-        )
-        ended_ns = time.perf_counter_ns()
-        return SegmentResponse(
-            labels=labels,
-            confidence=confidence,
-            segments=tuple(Segment(span.start, span.end, model.skills[span.skill], span.confidence) for span in spans),
-            skills=model.skills,
-            model=ref,
-            timing=Timing(
-                queue_ns=answered_ns - decoded_ns - done.infer_ns,
-                decode_ns=decoded_ns - begun_ns,
-                infer_ns=done.infer_ns,
-                encode_ns=ended_ns - answered_ns,
-                total_ns=ended_ns - begun_ns,
-                batch_size=done.batch_size,
-            ),
-        )
+        return ref, model, frames
 
 
-def _checked(item: _Item, probabilities: Probabilities) -> Probabilities | ServiceError:
+def _check_output(item: _Item, probabilities: Probabilities) -> Probabilities | ServiceError:
     expected = (len(item.frames), len(item.model.skills))
     if probabilities.shape != expected:
-        raise ValueError(f"the model answered {probabilities.shape} where {expected} is due")
+        raise ValueError(f"the model returned {probabilities.shape}, expected {expected}")
     if np.isfinite(probabilities).all():
         return probabilities
     return OutputNotFinite(
-        "The model's output must be finite; it overflowed on this trajectory.",
+        "The model's output must be finite; it overflowed.",
         field="actions",
-        hint="Send actions of the size that the model was trained on.",
+        hint="Scale actions as in the training data.",
     )
 
 
@@ -156,7 +142,7 @@ def _check_options(request: SegmentRequest) -> None:
         raise InvalidInput(
             f"`min_segment` must be at most {MAX_MIN_SEGMENT} timesteps; got {request.min_segment}.",
             field="min_segment",
-            hint="The dissertation rejects segments below 5.",
+            hint="5 is usual, as in the dissertation.",
         )
     if not 0.0 <= request.smoothing <= MAX_SMOOTHING:
         raise InvalidInput(
@@ -167,7 +153,7 @@ def _check_options(request: SegmentRequest) -> None:
 
 
 async def _frames(request: SegmentRequest) -> npt.NDArray[np.uint8]:
-    """Returns the request's frames, uint8 (T, H, W, C), decoded off the event loop where they are encoded."""
+    """Returns the request's frames, uint8 (T, H, W, C); encoded images are decoded off the event loop."""
     if (request.frames is None) == (not request.images):
         raise InvalidInput(
             f"Exactly one of `frames` and `images` must be given; got {'both' if request.images else 'neither'}.",
@@ -197,12 +183,12 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
             field="images",
             hint="Send the trajectory in parts.",
         )
-    total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # they must all have one size
+    total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # all have one size
     if total > images.MAX_REQUEST_PIXELS:
         raise InvalidInput(
-            f"`images` may have {images.MAX_REQUEST_PIXELS} pixels together; got {total}.",
+            f"`images` must have at most {images.MAX_REQUEST_PIXELS} pixels in total; got {total}.",
             field="images",
-            hint="Scale the images to the size that ListSkills names.",
+            hint="Scale the images to the size that ListSkills returns.",
         )
     first = images.decode(encoded[0], field="images.0")
     frames = np.empty((len(encoded), *first.shape), np.uint8)
@@ -213,7 +199,7 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
             raise InvalidInput(
                 f"`images` must all have one size; image 0 has {first.shape}, image {t} has {pixels.shape}.",
                 field=f"images.{t}",
-                hint="Scale them alike, and use gray or colour throughout.",
+                hint="Scale them to one size, all gray or all colour.",
             )
         frames[t] = pixels
     return frames
@@ -222,17 +208,16 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
 def _check_trajectory(model: SkillModel, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> None:
     if len(frames) > MAX_TIMESTEPS:
         raise TooLarge(
-            f"A trajectory may have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
+            f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
             field="frames",
-            hint="Send it in parts.",
+            hint="Send the trajectory in parts.",
         )
     expected = (model.height, model.width, model.channels)
     if frames.shape[1:] != expected:
         raise InvalidInput(
-            f"Frames must be of height, width and channels {expected}, as the model was trained on; "
-            f"got {frames.shape[1:]}.",
+            f"Frames must have height, width and channels {expected}, as in training; got {frames.shape[1:]}.",
             field="frames",
-            hint="Scale them, or name another model.",
+            hint="Scale the frames, or name another model.",
         )
     if model.action_size:
         _check_actions(model, actions, len(frames))
@@ -244,14 +229,14 @@ def _check_actions(model: SkillModel, actions: npt.NDArray[Any] | None, timestep
     if actions is None or actions.dtype != dtype or actions.shape != expected:
         got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
         raise InvalidInput(
-            f"`actions` must be {dtype} {expected}, one row for each of {timesteps} frames; got {got}.",
+            f"`actions` must be {dtype} {expected}, one row per frame; got {got}.",
             field="actions",
-            hint="Send the action executed at each timestep, as ListSkills describes it.",
+            hint="Send the executed action of each timestep, in the format that ListSkills returns.",
         )
     low, high = (0, model.action_choices - 1) if model.action_choices else (-1.0, 1.0)
     if not ((actions >= low) & (actions <= high)).all():  # False for NaN
         raise InvalidInput(
-            f"`actions` must be finite and in [{low:g}, {high:g}]; one is not.",
+            f"`actions` must be finite and in [{low:g}, {high:g}]; some are not.",
             field="actions",
-            hint="Scale actions as in the dataset that the model was trained on.",
+            hint="Scale actions as in the training data.",
         )

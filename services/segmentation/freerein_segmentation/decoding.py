@@ -1,76 +1,61 @@
-"""From probabilities to labels and segments: smooth over time, take the likeliest skill, merge what is too short."""
+"""Decodes skill probabilities into labels and segments: temporal smoothing, argmax, merging of short segments."""
 
 import heapq
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.metrics import run_starts
+from freerein.types.segmentation import Segment
 
 Probabilities: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
 
-_REACH = 4.0
-"""How many standard deviations the Gaussian reaches to each side; beyond lie 6e-5 of its mass."""
-
-
-@dataclass(frozen=True)
-class Span:
-    """A maximal run of timesteps with one skill.
-
-    Attributes:
-        start: First timestep.
-        end: One past the last timestep.
-        skill: Index of the skill.
-        confidence: Mean confidence of its timesteps, in [0, 1].
-    """
-
-    start: int
-    end: int
-    skill: int
-    confidence: float
+_TRUNCATION = 4.0
+"""Half-width of the Gaussian kernel in standard deviations; 6e-5 of its mass lies beyond."""
 
 
 class Decoded(NamedTuple):
-    """What one trajectory was labelled with.
+    """The labels of one trajectory.
 
     Attributes:
-        labels: int64 (T,), the skill of each timestep.
-        confidence: float32 (T,), the smoothed probability of that skill, in [0, 1].
-        spans: In order; together they cover [0, T) without gap or overlap.
+        labels: int64 (T,), skill index of each timestep.
+        confidence: float32 (T,), smoothed probability of that skill, in [0, 1].
+        segments: In order; together they cover [0, T) without gap or overlap.
     """
 
     labels: Labels
     confidence: npt.NDArray[np.float32]
-    spans: tuple[Span, ...]
+    segments: tuple[Segment, ...]
 
 
-def decode(probabilities: Probabilities, *, smoothing: float, min_segment: int) -> Decoded:
+def decode(probabilities: Probabilities, *, skills: Sequence[str], smoothing: float, min_segment: int) -> Decoded:
     """Returns the labels and segments of a trajectory.
 
     Args:
         probabilities: float32 (T, K), T at least 1, each row summing to one.
-        smoothing: Standard deviation of the Gaussian that smooths them over time, in timesteps; 0 for none.
+        skills: K skill names.
+        smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_segment: Segments shorter than this many timesteps are merged into their neighbours.
     """
     smoothed = smooth(probabilities, sigma=smoothing)
     labels = merge_short(smoothed.argmax(axis=1).astype(np.int64), smoothed, min_segment=min_segment)
     confidence = np.take_along_axis(smoothed, labels[:, None], axis=1)[:, 0].clip(max=1.0)  # rounding
-    return Decoded(labels, confidence, _spans(labels, confidence))
+    return Decoded(labels, confidence, _segments(labels, confidence, skills))
 
 
 def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
-    """Returns probabilities (T, K) averaged over time with Gaussian weights; rows still sum to one.
+    """Returns probabilities (T, K) after a Gaussian filter over time; rows still sum to one.
 
-    At the ends the weights that fall outside are left out and the others made to sum to one again.
+    The kernel is renormalised at both ends.
 
     Args:
         probabilities: float32 (T, K).
-        sigma: Standard deviation in timesteps; what is below an eighth changes nothing.
+        sigma: Standard deviation in timesteps; below 1/8 nothing changes.
     """
-    reach = round(_REACH * sigma)
+    reach = round(_TRUNCATION * sigma)
     if reach == 0:
         return probabilities
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
@@ -84,17 +69,17 @@ def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
 
 
 def merge_short(labels: Labels, probabilities: Probabilities, *, min_segment: int) -> Labels:
-    """Returns labels (T,) whose runs all have at least `min_segment` timesteps, where T allows it.
+    """Returns labels (T,) whose runs all have at least `min_segment` timesteps, unless T is shorter.
 
-    The shortest run is taken first, the earliest of equals. It gets the label of the neighbour that the probabilities
-    (T, K) like better over its timesteps, and joins it; so on until none is too short or one run is left.
+    Repeatedly merges the shortest run (the earliest of equals) into the neighbour whose skill has the larger summed
+    probability (T, K) over the run, until no run is too short or one is left.
     """
     runs = _Runs(labels, probabilities)
     short = [(length, run) for run, length in enumerate(runs.lengths()) if length < min_segment]
     heapq.heapify(short)
     while short and runs.count > 1:
         length, run = heapq.heappop(short)
-        if runs.length(run) != length:  # it has been joined, or has grown, since it was put here
+        if runs.length(run) != length:  # stale entry: merged or grown since it was pushed
             continue
         joined = runs.merge(run)
         if runs.length(joined) < min_segment:
@@ -103,7 +88,7 @@ def merge_short(labels: Labels, probabilities: Probabilities, *, min_segment: in
 
 
 class _Runs:
-    """Runs of equal labels as a linked list; a run is named by its place among the runs at first. Merging is O(1)."""
+    """Runs of equal labels as a linked list with O(1) merging; a run is identified by its initial index."""
 
     def __init__(self, labels: Labels, probabilities: Probabilities) -> None:
         self._starts = [*run_starts(labels).tolist(), len(labels)]
@@ -113,18 +98,18 @@ class _Runs:
         self._before = list(range(-1, self.count - 1))
         self._after = [*range(1, self.count), -1]
         self._alive = [True] * self.count
-        none_yet = np.zeros((1, probabilities.shape[1]))
-        self._mass = np.concatenate([none_yet, probabilities.cumsum(axis=0, dtype=np.float64)])  # (T + 1, K)
+        zero = np.zeros((1, probabilities.shape[1]))
+        self._mass = np.concatenate([zero, probabilities.cumsum(axis=0, dtype=np.float64)])  # (T + 1, K)
 
     def lengths(self) -> list[int]:
         return [self.length(run) for run in range(len(self._skill))]
 
     def length(self, run: int) -> int:
-        """Timesteps of a run, 0 when it has been joined to another."""
+        """Returns the number of timesteps of a run, 0 after it was merged into another."""
         return self._end[run] - self._starts[run] if self._alive[run] else 0
 
     def merge(self, run: int) -> int:
-        """Gives a run to the neighbour that fits it better, and returns the name of what they have become."""
+        """Merges a run into its better neighbour and returns the identifier of the merged run."""
         neighbours = [side for side in (self._before[run], self._after[run]) if side >= 0]
         mass = self._mass[self._end[run]] - self._mass[self._starts[run]]
         self._skill[run] = max((self._skill[side] for side in neighbours), key=mass.__getitem__)
@@ -147,10 +132,9 @@ class _Runs:
         return first
 
 
-def _spans(labels: Labels, confidence: npt.NDArray[np.float32]) -> tuple[Span, ...]:
+def _segments(labels: Labels, confidence: npt.NDArray[np.float32], skills: Sequence[str]) -> tuple[Segment, ...]:
     starts = run_starts(labels).tolist()
-    ends = [*starts[1:], len(labels)]
     return tuple(
-        Span(start, end, int(labels[start]), float(confidence[start:end].mean()))
-        for start, end in zip(starts, ends, strict=True)
+        Segment(start, end, skills[labels[start]], float(confidence[start:end].mean()))
+        for start, end in zip(starts, [*starts[1:], len(labels)], strict=True)
     )

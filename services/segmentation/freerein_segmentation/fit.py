@@ -1,7 +1,7 @@
-"""A fit as a process of its own: `python -m freerein_segmentation.fit FOLDER DATA_DIR DEVICE`.
+"""The child process of a fit: `python -m freerein_segmentation.fit FOLDER DATA_DIR DEVICE`.
 
-FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. The exit codes are those
-of `freerein.serving.fit_child.run`.
+FOLDER holds `config.json`; metrics, checkpoints and `model/` are written there. Exit codes are those of
+`freerein.serving.fit_child.run`.
 """
 
 import sys
@@ -12,76 +12,64 @@ from typing import Any
 
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
 from freerein.serving import fit_child
-from freerein_segmentation.model import ModelSpec
-from freerein_segmentation.training import (
-    Demonstrations,
-    SegmentationConfig,
-    SegmentationLearner,
-    design,
-    hold_out,
-)
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner, network_spec
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the whole configuration of a fit.
+    """Returns the complete configuration of a fit.
 
     Args:
         data_dir: The data directory.
-        dataset: A dataset's name.
-        values: What was asked for.
-        threads: Of torch, where not asked for.
+        dataset: Name of the dataset.
+        values: The configuration that was requested.
+        threads: Default number of torch threads.
 
     Raises:
         NotFound: There is no such dataset.
-        InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
+        InvalidInput: The configuration is invalid, or the dataset cannot be learned from.
     """
     config = SegmentationConfig.from_mapping({"threads": threads, **values})
     opened = fit_child.open_dataset(data_dir, dataset)
     config = replace(config, camera=fit_child.choose_camera(opened, config.camera))
     if not opened.spec.skills or not all(opened.skills):
         raise InvalidInput(
-            f"A dataset to learn from must name the skills of each of its {len(opened)} trajectories; some have none.",
+            f"Each of the dataset's {len(opened)} trajectories must name its skills; some do not.",
             field="dataset",
-            hint="Tag them, or record with the expert: freerein dataset check NAME says more.",
+            hint="Tag them, or record with the expert; run: freerein dataset check NAME.",
         )
     unknown = {skill for tags in opened.skills for skill in tags} - set(opened.spec.skills)
     if unknown:
         raise InvalidInput(
-            f"Trajectories must be tagged with the dataset's {len(opened.spec.skills)} skills; "
-            f"{len(unknown)} tags are others.",
+            f"Tags must be among the dataset's {len(opened.spec.skills)} skills; {len(unknown)} tags are not.",
             field="dataset",
-            hint="Tag them anew: freerein dataset check NAME says more.",
+            hint="Correct the tags; run: freerein dataset check NAME.",
         )
-    _spec(opened, config)  # refuses what there is no network for
+    _spec(opened, config)  # rejects frames and actions that are out of bounds
     return asdict(config)
 
 
 def main(folder: Path, data_dir: Path, device: str) -> int:
-    """Fits a model, or goes on fitting it; returns the process's exit code."""
+    """Runs or resumes a fit; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        config = SegmentationConfig.from_mapping(values)
-        return _fit(folder, fit_child.open_dataset(data_dir, dataset), config, device)
+    def train(name: str, values: Mapping[str, Any]) -> bool:
+        dataset, config = fit_child.open_dataset(data_dir, name), SegmentationConfig.from_mapping(values)
+        learner = _learner(dataset, config, device)
+
+        def save(fitted: FitResult[SegmentationNetwork], path: Path) -> None:
+            save_model(fitted.network, path, card=_card(dataset, config, fitted))
+
+        return fit_and_save(learner, folder, save)
 
     return fit_child.run(folder, train)
 
 
-def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> bool:
-    learner = _learner(dataset, config, device)
-    with stop_on_sigterm() as stop:
-        fitted = fit(learner, config.plan, folder, stop=stop)
-    if fitted is None:
-        return False
-    save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted))
-    return True
-
-
 def _learner(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationLearner:
     demonstrations = Demonstrations(dataset.cached_frames(config.camera), dataset.cached_actions(), dataset.skills)
-    training, validation = hold_out(demonstrations, share=config.validation_fraction, seed=config.seed)
+    training, validation = demonstrations.split(fraction=config.validation_fraction, seed=config.seed)
     return SegmentationLearner(
         config, _spec(dataset, config), training, validation, dataset.fingerprint, choose_device(device)
     )
@@ -89,16 +77,16 @@ def _learner(dataset: Dataset, config: SegmentationConfig, device: str) -> Segme
 
 def _spec(dataset: Dataset, config: SegmentationConfig) -> ModelSpec:
     spec = dataset.spec
-    return design(config, frame=spec.cameras[config.camera], action=spec.action, skills=spec.skills)
+    return network_spec(config, frame=spec.cameras[config.camera], action=spec.action, skills=spec.skills)
 
 
-def _card(dataset: Dataset, learner: SegmentationLearner, fitted: FitResult[Any]) -> dict[str, Any]:
+def _card(dataset: Dataset, config: SegmentationConfig, fitted: FitResult[SegmentationNetwork]) -> dict[str, Any]:
     return {
         "command": "freerein fit segmentation DATASET",
         "task": dataset.spec.task,
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
-        "config": asdict(learner.config),
-        "figures": {"validation_loss": fitted.validation_loss, "best_step": fitted.best_step},
+        "config": asdict(config),
+        "figures": fitted.figures,
         "supervision": "the set of skills of each trajectory",
     }
 

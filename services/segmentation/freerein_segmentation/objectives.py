@@ -1,7 +1,7 @@
-"""Losses of chapter 2: each timestep's scores are pooled over time, and what is pooled must name the trajectory's tags.
+"""Weakly supervised losses of chapter 2: scores are pooled over time and compared with the trajectory's tags.
 
-All take scores f_t(k) as float (B, T, K), the mask of timesteps that exist as bool (B, T), and the tags C_X as bool
-(B, K), at least one per trajectory. All return one loss per trajectory, float (B,). Only the pooling differs.
+All take scores f_t(k), float (B, T, K), the mask of valid timesteps, bool (B, T), and the tags C_X, bool (B, K), at
+least one per trajectory, and return one loss per trajectory, float (B,). Only the pooling differs.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,13 +17,13 @@ Objective: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
 def lse(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
     """Returns the dissertation's loss: log-sum-exp over time, eq. 2.2, then softmax over skills.
 
-    Q(c|X) is a ratio of total exp-mass, so that a few loud timesteps can satisfy it, whatever the others say.
+    Q(c|X) is a ratio of total exponential mass, so that a few timesteps with high scores can satisfy it.
     """
     return tag_cross_entropy(pool(scores, mask), tags)
 
 
 def lse_per_timestep(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
-    """Returns the same loss on log-probabilities: each timestep has one vote to divide among the skills.
+    """Returns the same loss on log-probabilities, so that every timestep has equal weight.
 
     A departure from the dissertation at the same supervision: Q(c|X) becomes the mean over time of P(y_t = c), eq. 2.1.
     """
@@ -34,7 +34,7 @@ OBJECTIVES: Mapping[ObjectiveName, Objective] = MappingProxyType({"lse": lse, "l
 
 
 def pool(scores: Tensor, mask: Tensor) -> Tensor:
-    """Returns g(c; X), eq. 2.2, float (B, K): log-sum-exp over the timesteps that exist."""
+    """Returns g(c; X), eq. 2.2, float (B, K): log-sum-exp over valid timesteps."""
     return scores.masked_fill(~mask[:, :, None], float("-inf")).logsumexp(dim=1)
 
 

@@ -1,4 +1,4 @@
-"""What an operator may change of the segmentation service."""
+"""Operator settings of the segmentation service."""
 
 from pydantic import Field
 

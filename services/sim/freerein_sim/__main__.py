@@ -10,12 +10,14 @@ from freerein_sim.sessions import Sessions
 from freerein_sim.settings import SimSettings
 from freerein_sim.stepping import Stepping
 from freerein_sim.workers.pool import Pool
+from freerein_sim.worlds.opengl import check_mujoco_gl
 
 NAME = "sim"
 
 
 def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health) -> Service:
-    """Returns the service."""
+    """Returns the service; a MUJOCO_GL that cannot be used ends the process here, not each worker later."""
+    check_mujoco_gl()
     pool = Pool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
     sessions = Sessions(pool, max_sessions=settings.sim_sessions)
     stepping = Stepping(sessions.step, sessions.reset, health=health, drain_s=limits.drain_s)

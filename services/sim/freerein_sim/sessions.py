@@ -15,11 +15,12 @@ from typing import Any, TypeVar
 
 from freerein.errors import (
     AlreadyExists,
-    FailedPrecondition,
     Internal,
     InvalidInput,
     NotFound,
     Overloaded,
+    SessionNotFound,
+    StepOutOfOrder,
     Unavailable,
     WorkerLost,
 )
@@ -156,14 +157,14 @@ class Sessions:
         """Steps every environment once, as `Envs.step`; the last step asked for again is answered as it was.
 
         Raises:
-            FailedPrecondition: `step_id` is neither the next nor the last, or the last one came with other actions.
+            StepOutOfOrder: `step_id` is neither the next nor the last, or the last one came with other actions.
         """
 
         async def work(session: _Session) -> sim.StepResponse:
             if session.answered is not None and request.step_id == session.step_id:
                 return _recorded(request, *session.answered)
             if request.step_id != session.step_id + 1:
-                raise FailedPrecondition(
+                raise StepOutOfOrder(
                     f"`step_id` must be {session.step_id + 1}, one more than the last; got {request.step_id}.",
                     field="step_id",
                     hint="Count every step from 1; resets do not begin again, Restore says where to go on.",
@@ -239,7 +240,7 @@ class Sessions:
             self._forget(session)
             await session.worker.call(request, sim.CloseSessionResponse)
 
-        with contextlib.suppress(NotFound, WorkerLost):
+        with contextlib.suppress(SessionNotFound, WorkerLost):
             await self._exclusively(request.session, work)
         return sim.CloseSessionResponse()
 
@@ -276,7 +277,7 @@ class Sessions:
         """Does work on a session when no other is done on it. Once begun it is finished, whoever still waits.
 
         Raises:
-            NotFound: There is no such session, or it ended while the call waited for its turn.
+            SessionNotFound: There is no such session, or it ended while the call waited for its turn.
             WorkerLost: Its worker is dead.
         """
         session = self._find(session_id)
@@ -378,7 +379,7 @@ def _recorded(request: sim.StepRequest, last: sim.StepRequest, response: sim.Ste
         and request.actions.tobytes() == last.actions.tobytes()
     )
     if not is_same:
-        raise FailedPrecondition(
+        raise StepOutOfOrder(
             f"Step {request.step_id} was made already; got it again with other actions or cameras.",
             field="step_id",
             hint="Repeat a step only as it was. The next step's `step_id` is one more.",
@@ -391,8 +392,8 @@ async def _close_quietly(session: _Session) -> None:
         await session.worker.call(sim.CloseSessionRequest(session.id), sim.CloseSessionResponse)
 
 
-def _no_such_session() -> NotFound:
-    return NotFound(
+def _no_such_session() -> SessionNotFound:
+    return SessionNotFound(
         "There is no such session: it was never made, was closed, or its lease has ended.",
         field="session",
         hint="Create one. Any call renews its lease.",

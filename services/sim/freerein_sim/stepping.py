@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 from freerein.errors import InvalidInput, ServiceError
 from freerein.serving.health import Health
-from freerein.serving.methods import Unreadable
+from freerein.serving.methods import InvalidMessage
 from freerein.types.common import Draining, Error
 from freerein.types.sim import (
     ConnectRequest,
@@ -39,20 +39,20 @@ class Stepping:
         self._health = health
         self._drain_s = drain_s
 
-    async def connect(self, requests: AsyncIterator[ConnectRequest | Unreadable]) -> AsyncIterator[ConnectResponse]:
+    async def connect(self, requests: AsyncIterator[ConnectRequest | InvalidMessage]) -> AsyncIterator[ConnectResponse]:
         """Yields a reply to each message; one that is refused is answered by its error, and the stream goes on.
 
         Args:
-            requests: The messages; an `Unreadable` in place of one that could not be read.
+            requests: The messages; an `InvalidMessage` in place of one that could not be read.
         """
-        async for request in self._health.until_draining(requests):
+        async for request in self._health.iterate_until_drain(requests):
             yield await self._answer(request)
         if self._health.draining:
             yield ConnectResponse(draining=Draining(self._drain_s))
 
-    async def _answer(self, request: ConnectRequest | Unreadable) -> ConnectResponse:
+    async def _answer(self, request: ConnectRequest | InvalidMessage) -> ConnectResponse:
         try:
-            if isinstance(request, Unreadable):
+            if isinstance(request, InvalidMessage):
                 raise request.error
             if request.step is not None:
                 return ConnectResponse(step=await self._step(request.step))

@@ -1,7 +1,7 @@
 """Calls services: numpy in, numpy out, one asyncio client per gRPC service.
 
 A client's methods are the service's calls; they take and return the dataclasses of `freerein.types` and raise the
-errors of `freerein.errors`. `Synchronous` makes any client a blocking one, and `freerein.clients.envs` (extra `envs`)
+errors of `freerein.errors`. `SyncClient` makes any client a blocking one, and `freerein.clients.envs` (extra `envs`)
 makes sessions of the sim service Gymnasium environments.
 """
 
@@ -13,4 +13,4 @@ from freerein.clients.orchestrator import OrchestratorClient as OrchestratorClie
 from freerein.clients.reward import RewardClient as RewardClient
 from freerein.clients.segmentation import SegmentationClient as SegmentationClient
 from freerein.clients.sim import SimClient as SimClient
-from freerein.clients.synchronous import Synchronous as Synchronous
+from freerein.clients.sync_client import SyncClient as SyncClient

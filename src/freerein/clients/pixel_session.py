@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from freerein.clients.channel import Channel
 from freerein.clients.sim import SimClient
-from freerein.clients.synchronous import Synchronous
+from freerein.clients.sync_client import SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -47,7 +47,7 @@ class PixelSession:
     """
 
     def __init__(self, channel: Channel, request: CreateSessionRequest, *, cameras: Sequence[str]) -> None:
-        self._sim = Synchronous(SimClient(channel))
+        self._sim = SyncClient(SimClient(channel))
         with ExitStack() as on_error:
             on_error.callback(self._sim.close)
             created: CreateSessionResponse = self._sim.create_session(request)

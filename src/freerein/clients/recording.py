@@ -12,8 +12,9 @@ from typing import Any, Self
 
 from freerein import wire
 from freerein.atomic_files import write_atomic
+from freerein.clients.tasks import select_task
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Unavailable
+from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
 _ASKED = "recording.json"
@@ -35,7 +36,7 @@ class Recording:
 
     def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
         spec = dataset_spec(
-            find_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
+            select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
         )
         asked = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
         self._request = request
@@ -104,22 +105,6 @@ def open_recording(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> W
         writer.close()
         raise
     return writer
-
-
-def find_task(tasks: ListTasksResponse, name: str) -> Task:
-    """Returns a task by its name.
-
-    Raises:
-        NotFound: There is none.
-    """
-    found = {task.name: task for task in tasks.tasks}
-    if name not in found:
-        raise NotFound(
-            f"The task must be one of the {len(found)} that the sim service has; got another name.",
-            field="task",
-            hint="`freerein sim tasks` names them.",
-        )
-    return found[name]
 
 
 def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:

@@ -1,1 +1,1 @@
-"""What learned services share of training: encoders, checkpoints, the resumable loop. Torch lives here alone."""
+"""Training library shared by learned services: encoders, checkpoints, the resumable fit loop. Imports torch."""

@@ -1,12 +1,12 @@
-"""Checkpoints that a crash, at any instruction, leaves either whole or absent.
+"""Atomic checkpoints: after a crash at any instruction, each is either complete or absent.
 
     <folder>/step-000000400/state.safetensors   tensors
                             state.json          everything else
                             manifest.json       sha256 of both
-             step-000000500/ ...                the last three are kept
+             step-000000500/ ...                the newest three are kept
 
-A checkpoint is written beside its place, synced, renamed, and the folder synced. What is read is checked against the
-manifest; when the newest is damaged, the one before it serves.
+A checkpoint is written to a temporary folder, synced and renamed. Reading verifies the manifest; when the newest
+checkpoint is corrupt, the previous one is used.
 """
 
 import hashlib
@@ -34,12 +34,12 @@ _NAME = re.compile(r"step-(\d{9})")
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The whole state of a training between two updates.
+    """The full state of a training run between two updates.
 
     Attributes:
-        step: Updates made.
-        tensors: Weights, optimiser, generators, by name.
-        document: The rest.
+        step: Updates done.
+        tensors: Weights, optimiser state and generators, by name.
+        document: Everything else.
     """
 
     step: int
@@ -51,7 +51,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
     """Writes a checkpoint, then deletes all but the newest `KEPT`.
 
     Raises:
-        OSError: The disk is full or broken; the checkpoints before are untouched.
+        OSError: The disk is full or broken; earlier checkpoints are untouched.
     """
     folder.mkdir(parents=True, exist_ok=True)
     fsync_folder(folder.parent)
@@ -60,7 +60,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
         _write(unfinished, checkpoint)
-        if target.exists():  # left there by a damaged save that was passed over
+        if target.exists():  # a corrupt checkpoint that was skipped
             shutil.rmtree(target)
         unfinished.rename(target)
         fsync_folder(folder)
@@ -71,11 +71,11 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
 
 
 def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoint | None:
-    """Returns the newest checkpoint that is whole, None when there is none.
+    """Returns the newest intact checkpoint, None without one.
 
     Args:
-        folder: Where `save` wrote.
-        on_corrupt: Told the step of each damaged checkpoint that was passed over, and what is wrong with it.
+        folder: Written by `save`.
+        on_corrupt: Called with the step of each corrupt checkpoint, and the reason.
     """
     for step, path in _newest_first(folder):
         try:
@@ -96,18 +96,18 @@ def _write(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def _read(path: Path, step: int) -> Checkpoint:
-    """Every byte is hashed before it is parsed, and parsed from the same read: nothing can change in between."""
+    """Hashes and parses the same bytes, so that a file cannot change in between."""
     hashes = _object(_read_json(path / _MANIFEST)).get("files")
     document, tensors = _read_json(path / _DOCUMENT), (path / _TENSORS).read_bytes()
     found = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
     if hashes != found:
-        raise InvalidInput("A checkpoint's files must have the sha256 of its manifest; one has another.")
+        raise InvalidInput("A checkpoint's files must match the sha256 in its manifest; one does not.")
     return Checkpoint(step, tensor_files.parse(tensors), _object(document))
 
 
 def _read_json(path: Path) -> bytes:
     if path.stat().st_size > _MAX_JSON_BYTES:
-        raise InvalidInput(f"A checkpoint's JSON may have {_MAX_JSON_BYTES} bytes; got {path.stat().st_size}.")
+        raise InvalidInput(f"A checkpoint's JSON must have at most {_MAX_JSON_BYTES} bytes; got {path.stat().st_size}.")
     return path.read_bytes()
 
 
@@ -115,7 +115,7 @@ def _object(data: bytes) -> dict[str, JSON]:
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise InvalidInput("A checkpoint's JSON cannot be parsed.") from error
+        raise InvalidInput("A checkpoint's JSON is malformed.") from error
     if not isinstance(value, dict):
         raise InvalidInput("A checkpoint's JSON must be an object; got something else.")
     return value

@@ -1,4 +1,4 @@
-"""Strict parsing of a configuration: a frozen dataclass says names, types, bounds, defaults; nothing else is taken."""
+"""Strict parsing of configurations: a frozen dataclass declares names, types, bounds and defaults."""
 
 import difflib
 from collections.abc import Iterable, Mapping
@@ -19,12 +19,12 @@ N = TypeVar("N", int, float)
 
 
 def bounded(default: N, *, least: float, most: float) -> N:
-    """Returns a dataclass field for a number in [least, most]: outside of them, none of that dataclass can be made."""
+    """Returns a dataclass field for a number in [least, most], checked whenever an instance is constructed."""
     return cast(N, _Bounded(default, least, most))
 
 
 class _Bounded:
-    """A descriptor-typed field, which a dataclass's `__init__` sets as any other."""
+    """A descriptor-typed dataclass field with bounds."""
 
     def __init__(self, default: float, least: float, most: float) -> None:
         self._default = default
@@ -42,7 +42,7 @@ class _Bounded:
 
     def __set__(self, instance: object, value: float) -> None:
         self.check(
-            value, field=self._name, hint="What a dataset decides, such as the size of frames, is recorded anew."
+            value, field=self._name, hint="Values that a dataset decides, such as the frame size, need another dataset."
         )
         vars(instance)[self._name] = value
 
@@ -54,23 +54,23 @@ class _Bounded:
 
 
 def parse(kind: type[C], values: Mapping[str, object]) -> C:
-    """Returns the configuration that `values` describe; what is left out has its default.
+    """Returns the configuration of the given values; other fields take their defaults.
 
-    JSON and protobuf's Struct have one kind of number: 3.0 is taken where an int is wanted, 3.5 is not.
+    JSON and protobuf's Struct have one number type: for an int, 3.0 is accepted and 3.5 is not.
 
     Args:
-        kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], a tuple of
-            any number of str or dict[str, Any], or one of several of these.
-        values: By field name.
+        kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], tuples of
+            str or dict[str, Any] of any length, or unions of these.
+        values: Values by field name.
 
     Raises:
-        InvalidInput: A key is unknown, or missing where there is no default, or a value is of the wrong type or size.
+        InvalidInput: A key is unknown or missing, or a value has the wrong type or is out of bounds.
     """
     types, names = get_type_hints(kind), [each.name for each in fields(kind)]
     for key in values:
         if key not in names:
             raise InvalidInput(
-                f"The configuration may hold {', '.join(names)}; got another key.",
+                f"The configuration may hold {', '.join(names)}; got an unknown key.",
                 field="config",
                 hint=_suggestion(key, names),
             )
@@ -78,7 +78,7 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     missing = [name for name in needed if name not in values]
     if missing:
         raise InvalidInput(
-            f"The configuration must hold {', '.join(missing)}; got none.", field="config", hint="Add what is missing."
+            f"The configuration must hold {', '.join(missing)}; got none.", field="config", hint="Add the missing keys."
         )
     parsed: dict[str, Any] = {key: _convert(key, types[key], value) for key, value in values.items()}
     for key, value in parsed.items():
@@ -101,12 +101,12 @@ def _convert(key: str, kind: object, value: object) -> Any:
     raise InvalidInput(
         f"`{key}` must be {_describe(kind)}; got something else.",
         field=f"config.{key}",
-        hint="Give it so, or leave it out for the default.",
+        hint="Correct it, or leave it out for the default.",
     )
 
 
 def _converted(kind: object, value: object) -> Any:
-    """Returns the value as one of a kind, MISSING where it is none."""
+    """Returns the value converted to a type, MISSING when it has another."""
     if get_origin(kind) is tuple and isinstance(value, list | tuple):
         items = tuple(_converted(get_args(kind)[0], each) for each in value)
         return MISSING if MISSING in items else items

@@ -1,27 +1,26 @@
-"""What every fit may choose."""
+"""The configuration keys that every fit shares."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
 from freerein.learning.config import bounded, parse
-from freerein.learning.fit import Plan
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """What every fit may choose; each kind of fit adds what is its own, and may have other defaults.
+    """Base configuration of a fit; each kind of fit adds keys and may change defaults.
 
     Attributes:
-        steps: Updates.
-        batch_size: Items per update.
-        lr: Of Adam, at its highest: it rises over `warmup_steps` and falls to zero as a cosine.
-        warmup_steps: Updates.
-        evaluate_every: Updates between looks at what is held out.
-        checkpoint_every: Updates between checkpoints.
-        log_every: Updates between rows of metrics.
-        seed: Of every random draw.
-        threads: Of torch on the CPU; one is usually as fast as two, the networks being small.
+        steps: Optimiser steps.
+        batch_size: Items per optimiser step.
+        lr: Peak learning rate of Adam: linear warm-up over `warmup_steps`, then cosine decay to zero.
+        warmup_steps: Optimiser steps of the learning rate's warm-up.
+        evaluate_every: Optimiser steps between evaluations on the validation split.
+        checkpoint_every: Optimiser steps between checkpoints.
+        log_every: Optimiser steps between rows of metrics.
+        seed: Seed of every random draw.
+        threads: Torch threads on the CPU; one is usually as fast as two, because the networks are small.
     """
 
     steps: int = bounded(1000, least=1, most=10_000_000)
@@ -36,22 +35,9 @@ class FitConfig:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Self:
-        """Returns the configuration that `values` describe; what is left out has its default.
+        """Returns the configuration of the given values; other keys take their defaults.
 
         Raises:
             InvalidInput: A key is unknown, or a value has the wrong type or is out of bounds.
         """
         return parse(cls, values)
-
-    @property
-    def plan(self) -> Plan:
-        """How long to train, and how often to look."""
-        return Plan(
-            steps=self.steps,
-            batch_size=self.batch_size,
-            evaluate_every=self.evaluate_every,
-            checkpoint_every=self.checkpoint_every,
-            log_every=self.log_every,
-            seed=self.seed,
-            threads=self.threads,
-        )

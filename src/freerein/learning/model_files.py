@@ -1,7 +1,7 @@
-"""A trained network as a folder: its weights, and a card that says what it is.
+"""A trained network as a folder.
 
 <folder>/model.safetensors   weights
-         card.json           `spec`: what the network is; and what it was trained on, how, with which figures
+         card.json           model card: `spec`, the network's architecture; data, configuration, figures
 """
 
 import json
@@ -24,27 +24,27 @@ _MAX_CARD_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
-class Names:
-    """What the two files are called.
+class ModelFileNames:
+    """File names of a model folder.
 
     Attributes:
-        weights: The file of the weights.
-        card: The card.
+        weights: The weights.
+        card: The model card.
     """
 
     weights: str = WEIGHTS
     card: str = CARD
 
 
-MODEL = Names()
+MODEL = ModelFileNames()
 
 
-class Specified(Protocol):
-    """A network that knows what it is: `spec`, a frozen dataclass from which another like it can be made."""
+class HasSpec(Protocol):
+    """A network whose `spec`, a frozen dataclass, defines its architecture."""
 
     @property
     def spec(self) -> Any:
-        """What the network is."""
+        """The architecture."""
 
     def state_dict(self) -> Mapping[str, torch.Tensor]:
         """Returns the weights."""
@@ -53,35 +53,37 @@ class Specified(Protocol):
 N = TypeVar("N", bound=nn.Module)
 
 
-def save_model(network: Specified, folder: Path, *, card: Mapping[str, JSON], names: Names = MODEL) -> None:
-    """Writes a trained network as a folder that `load` reads.
+def save_model(network: HasSpec, folder: Path, *, card: Mapping[str, JSON], names: ModelFileNames = MODEL) -> None:
+    """Writes a trained network as a folder that `load_model` reads.
 
     Args:
-        network: Trained.
-        folder: Made when missing; its files are written over.
-        card: What to tell about the model beside its `spec`: kind, configuration, seed, data, figures.
-        names: What the files are called.
+        network: The network.
+        folder: Created when missing; existing files are overwritten.
+        card: Entries of the model card beside `spec`.
+        names: File names.
     """
     write_atomic(folder / names.weights, tensor_files.dump(dict(network.state_dict())))
     document = {**card, "spec": asdict(network.spec)}
     write_atomic(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def load_model(folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: Names = MODEL) -> N:
+def load_model(
+    folder: Path, spec_class: type[C], make: Callable[[C], N], *, device: str, names: ModelFileNames = MODEL
+) -> N:
     """Returns the network in a folder, in evaluation mode.
 
     Args:
-        folder: Written by `export`; read as untrusted.
-        spec_class: The dataclass of its spec.
-        make: Returns a network of a spec; its weights come from the file.
+        folder: Written by `save_model`; read as untrusted.
+        spec_class: Dataclass of the card's `spec`.
+        make: Constructs the network of a spec.
         device: `auto`, `cpu` or `cuda:N`.
-        names: What the files are called.
+        names: File names.
 
     Raises:
-        InvalidInput: A file is missing, or is not what `export` writes.
+        InvalidInput: A file is missing or malformed.
     """
     spec = _spec(read_card(folder, names=names), spec_class)
-    with torch.device("meta"):  # no weights are drawn
+    with torch.device("meta"):  # allocates no weights
         network = make(spec)
     try:
         weights = tensor_files.parse((folder / names.weights).read_bytes())
@@ -91,17 +93,17 @@ def load_model(folder: Path, spec_class: type[C], make: Callable[[C], N], *, dev
         network.load_state_dict(weights, assign=True)
     except (OSError, RuntimeError) as error:
         raise InvalidInput(
-            "A model's weights must be those that its card describes; some are missing or have another shape or type.",
+            "A model's weights must have the names, shapes and types that its card describes; some do not.",
             hint="Fit the model again, or restore its folder from a copy.",
         ) from error
     return network.to(choose_device(device)).eval()
 
 
-def read_card(folder: Path, *, names: Names = MODEL) -> dict[str, Any]:
-    """Returns what the card in a folder says.
+def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
+    """Returns the model card of a folder.
 
     Raises:
-        InvalidInput: There is none, or it is no JSON object.
+        InvalidInput: It is missing, or not a JSON object.
     """
     path = folder / names.card
     try:
@@ -113,7 +115,7 @@ def read_card(folder: Path, *, names: Names = MODEL) -> dict[str, Any]:
 
 
 def choose_device(device: str) -> torch.device:
-    """Returns the device of a name; `auto` is a CUDA device where there is one, else the CPU."""
+    """Returns the device of a name; `auto` is CUDA when available, else the CPU."""
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     return torch.device(chosen)
 

@@ -1,17 +1,35 @@
-"""Which trajectories a training learns from, and which are held out to choose the best weights by."""
+"""The train/validation split of a dataset."""
 
 import numpy as np
 import numpy.typing as npt
 
+from freerein.errors import InvalidInput
 
-def train_validation_split(items: npt.ArrayLike, *, share: float, seed: int) -> tuple[list[int], list[int]]:
-    """Returns the items to learn from and those held out, in order, at least one of each.
+
+def train_validation_split(
+    items: npt.ArrayLike,
+    *,
+    fraction: float,
+    seed: int,
+    unit: str = "trajectories",
+    hint: str = "Record more: freerein sim demonstrate TASK --out NAME.",
+) -> tuple[list[int], list[int]]:
+    """Returns the training items and the validation items, each sorted and not empty.
 
     Args:
-        items: int (n,), 2 or more.
-        share: Of the items, to hold out.
-        seed: Of the draw.
+        items: int (n,).
+        fraction: Validation fraction, in [0, 1].
+        seed: Seed of the random split.
+        unit: What `items` are, for the error.
+        hint: How to get more of them, for the error.
+
+    Raises:
+        InvalidInput: There are fewer than 2 items.
     """
     order = np.random.default_rng(seed).permutation(np.asarray(items, np.int64)).tolist()
-    count = min(max(1, round(share * len(order))), len(order) - 1)
+    if len(order) < 2:
+        raise InvalidInput(
+            f"A fit needs at least 2 {unit}, one of them for validation; got {len(order)}.", field="dataset", hint=hint
+        )
+    count = min(max(1, round(fraction * len(order))), len(order) - 1)
     return sorted(order[count:]), sorted(order[:count])

@@ -1,4 +1,4 @@
-"""Tensors on disk: safetensors, with caps of our own, and never anything that runs code when it is read."""
+"""Tensors as safetensors files, with limits on the header; reading never runs code."""
 
 import json
 import struct
@@ -17,41 +17,39 @@ _MEND = "Restore the file from a copy; convert weights of another format with sa
 
 
 def dump(tensors: Mapping[str, Tensor]) -> bytes:
-    """Returns the bytes of a safetensors file; the same tensors give the same bytes, wherever they lie in memory."""
+    """Returns the bytes of a safetensors file; equal tensors give equal bytes, whatever their memory layout."""
     return safetensors.torch.save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()})
 
 
 def parse(data: bytes) -> dict[str, Tensor]:
-    """Returns the tensors that the bytes of a safetensors file hold, on the CPU.
+    """Returns the tensors of a safetensors file, on the CPU.
 
     Raises:
-        InvalidInput: They are not safetensors, or the header is over a cap.
+        InvalidInput: The bytes are not safetensors, or the header is over a limit.
     """
     _check_header(data)
     try:
         return safetensors.torch.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError, RuntimeError) as error:
-        raise InvalidInput(
-            "A file of tensors must be safetensors; its header does not fit its data.", hint=_MEND
-        ) from error
+        raise InvalidInput("A safetensors file must be valid; its header does not fit its data.", hint=_MEND) from error
 
 
 def _check_header(data: bytes) -> None:
     if len(data) < _LENGTH.size:
-        raise InvalidInput(f"A file of tensors must have at least {_LENGTH.size} bytes; got {len(data)}.", hint=_MEND)
+        raise InvalidInput(f"A safetensors file must have at least {_LENGTH.size} bytes; got {len(data)}.", hint=_MEND)
     (length,) = _LENGTH.unpack_from(data)
     available = min(MAX_HEADER_BYTES, len(data) - _LENGTH.size)
     if length > available:
         raise InvalidInput(
-            f"A file of tensors must be safetensors with a header of at most {available} bytes; it claims {length}.",
+            f"A safetensors file must have a header of at most {available} bytes; got {length}.",
             hint=_MEND,
         )
     try:
         header = json.loads(data[_LENGTH.size : _LENGTH.size + length])
     except (ValueError, RecursionError) as error:
-        raise InvalidInput("A file of tensors must be safetensors; its header is not JSON.", hint=_MEND) from error
+        raise InvalidInput("A safetensors file must be valid; its header is not JSON.", hint=_MEND) from error
     if not isinstance(header, dict) or len(header) > MAX_ENTRIES:
-        entries = f"{len(header)} of them" if isinstance(header, dict) else "something else"
+        entries = str(len(header)) if isinstance(header, dict) else "something else"
         raise InvalidInput(
-            f"The header of a file of tensors must hold at most {MAX_ENTRIES} entries; got {entries}.", hint=_MEND
+            f"The header of a safetensors file must hold at most {MAX_ENTRIES} entries; got {entries}.", hint=_MEND
         )

@@ -1,4 +1,4 @@
-"""Where a training stands: everything that the next update depends on, as a checkpoint and back, bit by bit."""
+"""Training state, and its exact conversion to a checkpoint and back."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,21 +8,21 @@ import torch
 from torch import Tensor, nn
 
 from freerein.errors import FailedPrecondition
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.shuffle import Shuffle
 
 N = TypeVar("N", bound=nn.Module)
 
 
 @dataclass(frozen=True, eq=False)
 class TrainState(Generic[N]):
-    """What an update changes.
+    """What an optimiser step changes.
 
     Attributes:
-        network: Its weights are changed in place.
-        optimiser: As its moments are.
-        generator: Every random draw of an update comes from it; on the CPU.
-        step: Updates made.
+        network: Updated in place.
+        optimiser: Updated in place.
+        generator: Source of all randomness of an optimiser step, on the CPU.
+        step: Optimiser steps done.
     """
 
     network: N
@@ -30,15 +30,21 @@ class TrainState(Generic[N]):
     generator: torch.Generator
     step: int = 0
 
+    @classmethod
+    def with_adam(cls, network: N, lr: float, *, generator: torch.Generator) -> "TrainState[N]":
+        """Returns the initial state of a network that Adam trains; frozen parameters stay as they are."""
+        trainable = [parameter for parameter in network.parameters() if parameter.requires_grad]
+        return cls(network, torch.optim.Adam(trainable, lr, fused=True), generator)
+
 
 @dataclass(frozen=True, eq=False)
-class Best:
-    """The weights that did best on held-out data so far.
+class BestWeights:
+    """The weights with the lowest validation loss so far.
 
     Attributes:
-        step: After how many updates.
-        loss: What they did; infinite before the first evaluation.
-        weights: The network's state, copied.
+        step: Optimiser steps after which it was reached.
+        loss: The validation loss; infinite before the first evaluation.
+        weights: A copy of the network's state dict.
     """
 
     step: int = 0
@@ -48,53 +54,53 @@ class Best:
 
 @dataclass(frozen=True, eq=False)
 class FitLoopState(Generic[N]):
-    """The whole state of a training between two updates.
+    """The full state of a fit between two optimiser steps.
 
     Attributes:
         state: Network, optimiser, generator, step.
-        shuffle: The order of the data.
-        best: The best weights so far.
-        sums: By metric, its sum since the last row of metrics.
-        summed: How many updates are in `sums`.
+        sampler: Sampler of the training items.
+        best: Best weights so far.
+        metric_sums: Sum of each metric since the last row of metrics.
+        metric_count: Number of optimiser steps in `metric_sums`.
     """
 
     state: TrainState[N]
-    shuffle: Shuffle
-    best: Best = Best()
-    sums: Mapping[str, float] = field(default_factory=dict)
-    summed: int = 0
+    sampler: BatchSampler
+    best: BestWeights = BestWeights()
+    metric_sums: Mapping[str, float] = field(default_factory=dict)
+    metric_count: int = 0
 
 
 def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Checkpoint:
-    """Returns all of a training's progress, and what it was made from."""
+    """Returns the checkpoint of a state; `identity` is what the result depends on, compared on resume."""
     state, best = progress.state, progress.best
     tensors = {
         **{f"network/{name}": tensor for name, tensor in state.network.state_dict().items()},
         **{f"best/{name}": tensor for name, tensor in best.weights.items()},
         **_moments(state.optimiser),
         "generator": state.generator.get_state(),
-        "order": torch.from_numpy(progress.shuffle.order),
+        "order": torch.from_numpy(progress.sampler.order),
     }
     document: dict[str, JSON] = {
         "identity": dict(identity),
-        "rng": cast(JSON, progress.shuffle.rng.bit_generator.state),
-        "position": progress.shuffle.position,
+        "rng": cast(JSON, progress.sampler.rng.bit_generator.state),
+        "position": progress.sampler.position,
         "best": {"step": best.step, "loss": best.loss} if best.weights else None,
-        "sums": dict(progress.sums),
-        "summed": progress.summed,
+        "metric_sums": dict(progress.metric_sums),
+        "metric_count": progress.metric_count,
     }
     return Checkpoint(state.step, tensors, document)
 
 
 def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Mapping[str, JSON]) -> FitLoopState[N]:
-    """Returns the progress that a checkpoint holds, in the objects of a training just begun.
+    """Returns the state of a checkpoint, loaded into the objects of a fresh state.
 
     Raises:
-        FailedPrecondition: The checkpoint was made from something else than `identity` says.
+        FailedPrecondition: The checkpoint has another identity.
     """
     document = checkpoint.document
     _check_identity(cast(Mapping[str, JSON], document["identity"]), identity)
-    state, rng = fresh.state, fresh.shuffle.rng
+    state, rng = fresh.state, fresh.sampler.rng
     state.network.load_state_dict(_under("network/", checkpoint.tensors))
     _load_moments(state.optimiser, checkpoint.tensors)
     state.generator.set_state(checkpoint.tensors["generator"])
@@ -102,10 +108,10 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Ma
     best = cast(Mapping[str, float] | None, document["best"])
     return FitLoopState(
         TrainState(state.network, state.optimiser, state.generator, checkpoint.step),
-        Shuffle(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
-        Best(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else Best(),
-        cast(Mapping[str, float], document["sums"]),
-        cast(int, document["summed"]),
+        BatchSampler(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
+        BestWeights(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else BestWeights(),
+        cast(Mapping[str, float], document["metric_sums"]),
+        cast(int, document["metric_count"]),
     )
 
 
@@ -123,7 +129,7 @@ def _moments(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def _load_moments(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Lays each moment out in memory as its parameter is: another layout may round differently."""
+    """Gives each moment its parameter's memory layout: another layout may round differently."""
     parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for path, tensor in _under("optimiser/", tensors).items():
@@ -140,9 +146,9 @@ def _check_identity(then: Mapping[str, JSON], now: Mapping[str, JSON]) -> None:
     if changed:
         changes = ", ".join(f"{name} was {before.get(name)} and is {after.get(name)}" for name in changed)
         raise FailedPrecondition(
-            f"A training can only be resumed as it was begun; {changes}.",
+            f"A fit must be resumed with the settings that it was started with; {changes}.",
             field=changed[0],
-            hint="Resume with the settings it was begun with, or begin a new one.",
+            hint="Restore these settings, or start a new fit.",
         )
 
 

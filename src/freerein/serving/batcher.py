@@ -25,7 +25,7 @@ _LAST_BATCH_S = 1.0
 
 
 @dataclass(frozen=True)
-class Done(Generic[O]):
+class BatchResult(Generic[O]):
     """What came of an item.
 
     Attributes:
@@ -46,7 +46,7 @@ class _Waiting(Generic[I, O]):
     item: I
     key: Hashable
     deadline: float
-    future: "asyncio.Future[Done[O]]"
+    future: "asyncio.Future[BatchResult[O]]"
     since_ns: int
 
 
@@ -81,7 +81,7 @@ class Batcher(Generic[I, O]):
         """Returns why the model cannot answer, empty when it can: its last five calls all failed."""
         return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY else ""
 
-    async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> Done[O]:
+    async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> BatchResult[O]:
         """Returns what the model made of an item. Cancelled, it is dropped before it reaches the model.
 
         Args:
@@ -96,7 +96,7 @@ class Batcher(Generic[I, O]):
             Unavailable: The batcher is closed.
             ServiceError: Whatever the model returned in the item's place.
         """
-        future: asyncio.Future[Done[O]] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[BatchResult[O]] = asyncio.get_running_loop().create_future()
         waiting = _Waiting(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
         with self._lock:
             if self._closed:
@@ -145,7 +145,7 @@ class Batcher(Generic[I, O]):
                 if isinstance(output, ServiceError):
                     _settle(waiting.future, output)
                 else:
-                    _settle(waiting.future, Done(output, begun_ns - waiting.since_ns, infer_ns, len(batch)))
+                    _settle(waiting.future, BatchResult(output, begun_ns - waiting.since_ns, infer_ns, len(batch)))
 
     def _next_batch(self) -> list[_Waiting[I, O]]:
         """Returns the next items of one key, waiting for them; none when closed."""
@@ -195,13 +195,13 @@ def _still_wanted(waiting: "_Waiting[I, O]") -> bool:
     return True
 
 
-def _settle(future: "asyncio.Future[Done[O]]", result: "Done[O] | ServiceError") -> None:
+def _settle(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
     """Sets a future of another thread's event loop, unless its caller is gone."""
     if not future.get_loop().is_closed():
         future.get_loop().call_soon_threadsafe(_set, future, result)
 
 
-def _set(future: "asyncio.Future[Done[O]]", result: "Done[O] | ServiceError") -> None:
+def _set(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
     if future.done():
         return
     if isinstance(result, ServiceError):

@@ -148,7 +148,7 @@ class Fits:
             sequence = max(sequence, len(events))
             if events[-1].ended:
                 return
-            if await self._health.unless_draining(self._records.wait_beyond(request.id, sequence)) is None:
+            if await self._health.await_or_drain(self._records.wait_beyond(request.id, sequence)) is None:
                 return
 
     async def cancel_fit(self, request: CancelFitRequest) -> CancelFitResponse:

@@ -43,7 +43,7 @@ class Health:
         """Returns when the service has been told to stop."""
         await self._draining.wait()
 
-    async def unless_draining(self, step: Awaitable[T]) -> T | None:
+    async def await_or_drain(self, step: Awaitable[T]) -> T | None:
         """Returns what `step` returns, or None, with `step` cancelled, when draining begins first."""
         work = asyncio.ensure_future(step)
         drain = asyncio.ensure_future(self._draining.wait())
@@ -54,7 +54,7 @@ class Health:
             work.cancel()
             drain.cancel()
 
-    async def until_draining(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
+    async def iterate_until_drain(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
         """Yields what `items` yields, and ends when it ends or draining begins."""
         drain = asyncio.ensure_future(self._draining.wait())
         following: asyncio.Future[T] | None = None

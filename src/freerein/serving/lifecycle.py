@@ -26,7 +26,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcDoor
+from freerein.serving.rpc import GrpcServer
 from freerein.serving.settings import ServiceSettings
 
 _log = logging.getLogger(__name__)
@@ -84,7 +84,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     service = build(settings, limits, metrics, health)
     core.append(service)
     app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits, token=token)
-    door = GrpcDoor(service.methods, health=health, metrics=metrics, limits=limits, token=token)
+    door = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)
     try:
         listener, grpc_port = _open(door, settings)
     except (OSError, RuntimeError):
@@ -125,7 +125,7 @@ async def _warm_up(service: Service, server: http.Server, health: Health) -> Non
         raise
 
 
-def _open(door: GrpcDoor, settings: ServiceSettings) -> tuple[socket.socket, int]:
+def _open(door: GrpcServer, settings: ServiceSettings) -> tuple[socket.socket, int]:
     """Returns the REST door's socket, which takes connections already, and the gRPC door's port."""
     with _bound(settings.host, settings.grpc_port):
         pass  # gRPC would say on stderr, too, that the port is taken
@@ -149,7 +149,7 @@ def _bound(host: str, port: int) -> socket.socket:
     return bound
 
 
-def _bind(door: GrpcDoor, settings: ServiceSettings) -> int:
+def _bind(door: GrpcServer, settings: ServiceSettings) -> int:
     address = (
         f"[{settings.host}]:{settings.grpc_port}" if ":" in settings.host else f"{settings.host}:{settings.grpc_port}"
     )

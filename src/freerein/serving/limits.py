@@ -1,6 +1,10 @@
 """The bounds of a service. docs/protocol.md shows them as a table."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+from freerein.errors import Overloaded
 
 
 @dataclass(frozen=True)
@@ -30,3 +34,33 @@ class Limits:
     streams: int = 64
     concurrent_calls: int = 512
     drain_s: float = 8.0
+
+
+class StreamSlots:
+    """Bounds how many streams one server has open.
+
+    Args:
+        limit: Streams open at once.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._open = 0
+
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Holds one slot for the length of the block.
+
+        Raises:
+            Overloaded: All slots are held.
+        """
+        if self._open >= self._limit:
+            raise Overloaded(
+                f"At most {self._limit} streams may be open at once; the limit is reached.",
+                hint="Close a stream first, or call another replica.",
+            )
+        self._open += 1
+        try:
+            yield
+        finally:
+            self._open -= 1

@@ -33,7 +33,7 @@ class Method:
         response: The dataclass returned, or yielded.
         call: The core's method: a coroutine function `(request) -> response`, for server streaming an async generator
             function `(request)`, for bidirectional streaming an async generator function `(requests)`, which gets an
-            `Unreadable` in place of a message that is none of its requests.
+            `InvalidMessage` in place of a message that is none of its requests.
     """
 
     descriptor: MethodDescriptor
@@ -69,7 +69,7 @@ class Method:
 
 
 @dataclass(frozen=True, eq=False)
-class Unreadable:
+class InvalidMessage:
     """A message of a stream that could not be made a dataclass.
 
     Attributes:

@@ -19,7 +19,7 @@ from freerein.types.learning import (
 
 M = TypeVar("M")
 
-_KEPT = 4
+_MAX_INACTIVE = 4
 
 
 class ModelCache(Generic[M]):
@@ -95,7 +95,19 @@ class ModelCache(Generic[M]):
             async with self._loading:
                 if ref not in self._loaded:
                     self._loaded[ref] = await asyncio.to_thread(lambda: self._load(self._store.folder(ref)))
+                self._loaded.move_to_end(ref)
+                self._evict()
         self._loaded.move_to_end(ref)
-        while len(self._loaded) > _KEPT:
-            self._loaded.popitem(last=False)
         return self._loaded[ref]
+
+    def _evict(self) -> None:
+        """Drops the least recently used inactive models above the limit; active models always stay in memory."""
+        inactive = [ref for ref in self._loaded if not self._is_active(ref)]
+        for ref in inactive[:-_MAX_INACTIVE]:
+            del self._loaded[ref]
+
+    def _is_active(self, ref: ModelRef) -> bool:
+        try:
+            return self._store.active_version(ref.name) == ref.version
+        except FailedPrecondition:  # the active.json of another model is damaged; requests for that model report it
+            return False

@@ -2,8 +2,9 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import aclosing
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack, aclosing
+from dataclasses import replace
 from functools import cache
 from typing import Any, cast
 
@@ -14,13 +15,14 @@ from google.protobuf.descriptor import Descriptor
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from freerein import __version__, wire
-from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, Overloaded, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
 from freerein.serving import body, problems
 from freerein.serving.edge import Edge
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits
+from freerein.serving.limits import Limits, StreamSlots
 from freerein.serving.methods import Method, RestForm
 from freerein.serving.metrics import Metrics
 from freerein.serving.schemas import schema_of
@@ -83,15 +85,9 @@ def make_app(
     """
     served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
-    streams = asyncio.Semaphore(limits.streams)
+    slots = StreamSlots(limits.streams)
     for method in served:
-        match method.rest_form:
-            case "events":
-                answer = _stream(method, health, streams)
-            case "file":
-                answer = _file(method, streams)
-            case _:
-                answer = _unary(method, limits)
+        answer = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
         app.add_route(method.path, answer, methods=["GET"] if method.reads else ["POST"], include_in_schema=False)
     _add_operations(app, health, metrics)
     app.add_exception_handler(ServiceError, _answer_service_error)
@@ -113,56 +109,52 @@ def _unary(method: Method, limits: Limits) -> Callable[[Request], Awaitable[Resp
     return answer
 
 
-def _stream(method: Method, health: Health, streams: asyncio.Semaphore) -> Callable[[Request], Awaitable[Response]]:
-    """Server-sent events: the id of each is its `sequence`; `Last-Event-ID` resumes after it."""
+def _stream(method: Method, slots: StreamSlots) -> Callable[[Request], Awaitable[Response]]:
+    """Answers with server-sent events, or with the bytes of a file.
+
+    The id of an event is its `sequence`; the header `Last-Event-ID` resumes after it.
+    """
 
     async def answer(request: Request) -> Response:
         message = body.read_query(request, method.request)
-        if (last := request.headers.get("last-event-id", "")).isdecimal():
-            message = type(message)(**{**vars(message), "from_sequence": int(last[:18]) + 1})
-        _check_streams(streams)
-        events = method.call(message)
-        async with streams:
-            # before the reply begins, so that an unknown id is a 404, not a broken stream
-            first = await _unless_disconnected(request, anext(events, None), None)
-        return StreamingResponse(_events(first, events, health, streams), media_type="text/event-stream")
+        if method.rest_form == "events" and (last := request.headers.get("last-event-id", "")).isdecimal():
+            message = replace(message, from_sequence=int(last[:18]) + 1)
+        async with AsyncExitStack() as resources:
+            resources.enter_context(slots.hold())
+            items = await resources.enter_async_context(aclosing(method.call(message)))
+            # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
+            first = await _unless_disconnected(request, anext(items, None), None)
+            write = _event if method.rest_form == "events" else _part
+            return _Stream(_written(first, items, write), _MEDIA_TYPES[method.rest_form], resources.pop_all())
 
     return answer
 
 
-async def _events(
-    first: Any, events: AsyncIterator[Any], health: Health, streams: asyncio.Semaphore
-) -> AsyncIterator[bytes]:
-    event = first
-    async with streams:
-        while event is not None:
-            yield b"id: %d\ndata: %s\n\n" % (event.sequence, orjson.dumps(wire.to_json(event)))
-            event = await health.unless_draining(anext(events, None))
+class _Stream(StreamingResponse):
+    """A streaming reply that releases what it holds when it ends, whether or not its body was iterated."""
+
+    def __init__(self, content: AsyncIterator[bytes], media_type: str, resources: AsyncExitStack) -> None:
+        super().__init__(content, media_type=media_type)
+        self._resources = resources
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with self._resources:
+            await super().__call__(scope, receive, send)
 
 
-def _file(method: Method, streams: asyncio.Semaphore) -> Callable[[Request], Awaitable[Response]]:
-    """A file, in the parts that the core yields; it is read no faster than it is taken."""
-
-    async def answer(request: Request) -> Response:
-        _check_streams(streams)
-        parts = method.call(body.read_query(request, method.request))
-        async with streams:  # before the reply begins, so that an unknown name is a 404, not a broken body
-            first = await _unless_disconnected(request, anext(parts), None)
-        return StreamingResponse(_bytes(first, parts, streams), media_type="application/octet-stream")
-
-    return answer
+async def _written(first: Any, rest: AsyncIterator[Any], write: Callable[[Any], bytes]) -> AsyncIterator[bytes]:
+    if first is not None:
+        yield write(first)
+        async for item in rest:
+            yield write(item)
 
 
-async def _bytes(first: Any, parts: AsyncGenerator[Any, None], streams: asyncio.Semaphore) -> AsyncIterator[bytes]:
-    async with streams, aclosing(parts):
-        yield first.data
-        async for part in parts:
-            yield part.data
+def _event(item: Any) -> bytes:
+    return b"id: %d\ndata: %s\n\n" % (item.sequence, orjson.dumps(wire.to_json(item)))
 
 
-def _check_streams(streams: asyncio.Semaphore) -> None:
-    if streams.locked():
-        raise Overloaded("As many streams as may be open are open.", hint="Close one first.")
+def _part(item: Any) -> bytes:
+    return cast(bytes, item.data)
 
 
 async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float | None) -> Any:
@@ -182,6 +174,7 @@ async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s
     finally:
         work.cancel()
         gone.cancel()
+        await asyncio.gather(work, gone, return_exceptions=True)  # a generator must not be closed while it runs
 
 
 async def _disconnected(request: Request) -> None:

@@ -16,11 +16,11 @@ from grpc_health.v1.health import aio as health_aio
 from grpc_reflection.v1alpha import reflection
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, Overloaded, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError
 from freerein.serving import auth, grpc_errors
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits
-from freerein.serving.methods import Method, Unreadable, service_names
+from freerein.serving.limits import Limits, StreamSlots
+from freerein.serving.methods import InvalidMessage, Method, service_names
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ _Context = grpc.aio.ServicerContext[Any, Any]
 T = TypeVar("T")
 
 
-class GrpcDoor:
+class GrpcServer:
     """The gRPC door of one service.
 
     Args:
@@ -47,7 +47,7 @@ class GrpcDoor:
         self._health = health
         self._metrics = metrics
         self._limits = limits
-        self._streams = 0
+        self._slots = StreamSlots(limits.streams)
         self._names = service_names(methods)
         self._health_servicer = health_aio.HealthServicer()
         self.server = grpc.aio.server(
@@ -86,7 +86,7 @@ class GrpcDoor:
                 status = now
                 for name in ("", *self._names):
                     await self._health_servicer.set(name, status)
-            await self._health.unless_draining(asyncio.sleep(_HEALTH_PERIOD_S))
+            await self._health.await_or_drain(asyncio.sleep(_HEALTH_PERIOD_S))
         await self._health_servicer.enter_graceful_shutdown()
 
     def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
@@ -115,27 +115,15 @@ class GrpcDoor:
     def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
         async def answer(incoming: Any, context: _Context) -> None:
             async def work() -> None:
-                self._admit_stream()
-                try:
-                    if method.descriptor.client_streaming:
-                        request: Any = _requests(incoming, method.request)
-                    else:
-                        request = _read(incoming, method.request)
-                    async with contextlib.aclosing(method.call(request)) as responses:
+                with self._slots.hold():
+                    read: Any = _requests if method.descriptor.client_streaming else _read
+                    async with contextlib.aclosing(method.call(read(incoming, method.request))) as responses:
                         async for response in responses:
                             await context.write(wire.pack(response).SerializeToString())
-                finally:
-                    self._streams -= 1
 
             await self._guarded(method, context, work())
 
         return answer
-
-    def _admit_stream(self) -> None:
-        self._streams += 1  # taken back by the caller's `finally`
-        if self._streams > self._limits.streams:
-            self._streams -= 1
-            raise Overloaded(f"At most {self._limits.streams} streams may be open; they are.", hint="Close one first.")
 
     async def _guarded(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
         """Awaits a call's work; counts it, logs it, and turns its errors into statuses."""
@@ -216,7 +204,7 @@ def _parse(message: bytes, cls: type[Any]) -> Message:
 
 
 async def _requests(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
-    """Yields each message as its dataclass, or as the `Unreadable` that says why it is none."""
+    """Yields each message as its dataclass, or as the `InvalidMessage` that says why it is none."""
     async for message in messages:
         yield _request(message, cls)
 
@@ -227,7 +215,7 @@ def _request(message: bytes, cls: type[Any]) -> Any:
         parsed = _parse(message, cls)
         return wire.unpack(parsed, cls)
     except ServiceError as error:
-        return Unreadable(error, parsed)
+        return InvalidMessage(error, parsed)
 
 
 def _seconds(context: _Context, longest: float) -> float:

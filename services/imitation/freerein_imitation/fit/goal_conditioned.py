@@ -33,7 +33,7 @@ def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) 
     """Writes the model into the fit's folder and returns True, or returns False when it was stopped before."""
     learner = _learner(source.dataset, GoalConditionedConfig.from_mapping(values), device)
     with stop_on_sigterm() as stop:
-        fitted = fit(learner, learner.config.plan, folder, stop=stop)
+        fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
     save_model(fitted.network, folder / "model", card=_card(source.dataset, learner, fitted))

@@ -50,7 +50,7 @@ def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) 
     tower = minilm.read()
     learner = _learner(source.dataset, tower, LanguageConfig.from_mapping(values), device)
     with stop_on_sigterm() as stop:
-        fitted = fit(learner, learner.config.plan, folder, stop=stop)
+        fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
     card = {**_card(source.dataset, learner, fitted), **supervision_of(teachers.read(source.root))}

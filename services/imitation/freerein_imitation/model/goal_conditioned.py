@@ -79,8 +79,8 @@ class GoalConditionedNetwork(nn.Module):
 
     def calibrate(self, frames: Tensor) -> None:
         """Takes the mean image, and the deviation from it, from training frames, uint8 (N, H, W, C)."""
-        self.policy.image.calibrate(frames)
-        self.recognizer.image.calibrate(frames)
+        self.policy.image.fit_normalisation(frames)
+        self.recognizer.image.fit_normalisation(frames)
 
 
 class SkillPolicyNetwork(nn.Module):

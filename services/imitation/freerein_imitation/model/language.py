@@ -89,7 +89,7 @@ class LanguageNetwork(nn.Module):
             frames: uint8 (N, H, W, C).
             codes: Of the different goal texts, float32 (n, text_width).
         """
-        self.image.calibrate(frames)
+        self.image.fit_normalisation(frames)
         self.usual.copy_(codes.mean(dim=0))
         self.basis.copy_(differences(codes))
 

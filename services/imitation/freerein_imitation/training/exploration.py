@@ -71,5 +71,5 @@ def hold_out(exploration: Exploration, *, share: float, seed: int, shortest: int
             field="dataset",
             hint="Record more, or longer ones: freerein sim demonstrate TASK --behaviour random --out NAME.",
         )
-    learnt, held_out = train_validation_split(usable, share=share, seed=seed)
+    learnt, held_out = train_validation_split(usable, fraction=share, seed=seed)
     return exploration.subset(learnt), exploration.subset(held_out)

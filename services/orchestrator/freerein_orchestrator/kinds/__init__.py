@@ -1,17 +1,18 @@
-"""The kinds of runs: what each can be told, and what it does."""
+"""The kinds of runs: the configuration and the work of each."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from freerein.types.orchestrator import RunKind
 from freerein_orchestrator.kinds import collect, distill, evaluate, fit, ppo
 from freerein_orchestrator.kinds.kind import Kind as Kind
-from freerein_orchestrator.kinds.pipeline import Pipeline
+from freerein_orchestrator.kinds.pipeline import pipeline_kind
 
-_SIMPLE: Mapping[RunKind, Kind] = {
+_SINGLE: Mapping[RunKind, Kind[Any]] = {
     "collect": collect.KIND,
     "distill": distill.KIND,
     "evaluate": evaluate.KIND,
     "fit": fit.KIND,
     "ppo": ppo.KIND,
 }
-KINDS: Mapping[RunKind, Kind] = {**_SIMPLE, "pipeline": Pipeline(_SIMPLE).kind}
+KINDS: Mapping[RunKind, Kind[Any]] = {**_SINGLE, "pipeline": pipeline_kind(_SINGLE)}

@@ -1,44 +1,43 @@
-"""Kind `fit`: a fit of a learned service, started once and followed to its end, whoever is killed meanwhile.
+"""Kind `fit`: starts a fit of a learned service once, and follows it to its end.
 
-<folder>/fit.json   how many fits were given up, because they failed or were cancelled: each has a key of its own
+<folder>/fit.json   the number of abandoned fits, failed or cancelled: each attempt has a key of its own
 """
 
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, cast
 
-import numpy as np
-
 from freerein.atomic_files import write_atomic
-from freerein.clients import Synchronous
+from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
 from freerein.types.learning import CancelFitRequest, Fit, StartFitRequest, WatchFitRequest
-from freerein_orchestrator.curve import Curve
+from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
-from freerein_orchestrator.patience import Patience, Stopped
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
+from freerein_orchestrator.rl.errors import Stopped
 
-_LOOK_S = 0.5
+_WATCH_S = 0.5
 _CANCEL_S = 1.0
-_MOST_STEPS = 2**31
+_MAX_STEPS = 2**31
 
 
 @dataclass(frozen=True)
 class FitRunConfig:
-    """What to fit.
+    """Configuration of a run of kind `fit`.
 
     Attributes:
-        service: Whose model it is.
-        dataset: A dataset's name.
+        service: The learned service.
+        dataset: The dataset's name.
         model_name: The model's name.
-        config: The service's own configuration; what is left out has its default there.
+        config: The service's own configuration.
 
     Raises:
-        InvalidInput: A name is none, or `steps` of the configuration is no number of steps.
+        InvalidInput: A name, or `steps` of the service's configuration, is invalid.
     """
 
     service: Literal["segmentation", "imitation", "reward"]
@@ -53,73 +52,70 @@ class FitRunConfig:
 
 
 def check_steps(config: Mapping[str, Any]) -> None:
-    """Checks what a service's configuration says of steps, which a run's own steps follow from.
+    """Checks `steps` of a service's configuration, which the run's own steps derive from.
 
     Raises:
-        InvalidInput: It is no whole number, or negative, or too large to be meant.
+        InvalidInput: It is not a whole number in range.
     """
     asked = config.get("steps", 0)
     is_number = isinstance(asked, int | float) and not isinstance(asked, bool)
-    if not (is_number and 0 <= asked < _MOST_STEPS and asked == int(asked)):
+    if not (is_number and 0 <= asked < _MAX_STEPS and asked == int(asked)):
         raise InvalidInput(
-            f"`steps` must be a whole number from 0 to {_MOST_STEPS - 1}; got another value.",
+            f"`steps` must be a whole number from 0 to {_MAX_STEPS - 1}; got another value.",
             field="config.config.steps",
             hint="Leave it out for the service's default.",
         )
 
 
-def resolve(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the whole configuration; the service checks the rest of its own when the fit is started."""
-    return asdict(parse(FitRunConfig, values))
-
-
-def steps(config: Mapping[str, Any]) -> int:
-    """Returns the updates that were asked for; 0 where the service's default decides."""
-    return int(config["config"].get("steps", 0))
-
-
-def run(work: Work) -> bool:
+def run(context: RunContext, config: FitRunConfig) -> None:
     """Starts the fit, or finds the one that was started, and follows it to its end.
 
-    When told to stop it leaves the fit to go on: the next attempt at this run follows it. A cancelled run cancels it.
+    Told to stop, it leaves the fit running: the next attempt at this run follows it. A cancelled run cancels it.
 
     Raises:
+        Stopped: The run is to stop.
         FailedPrecondition: The fit failed, or was cancelled at the service.
         ServiceError: The service refuses the fit.
     """
-    fits = work.fits(work.config["service"])
-    patience = Patience(np.random.default_rng(), stop=work.stop, say=work.say)
-    following = None
+    fits, retry = context.fits(config.service), context.retry()
+    watch = None
     try:
-        following = _Following(fits, patience.ask(lambda: _start(fits, work)), work.curve(last_step=0))
-        while not following.fit.ended:
-            patience.ask(following.look)
+        watch = _FitWatch(fits, retry.call(lambda: _start(fits, context, config)), context.metrics_logger(0))
+        while not watch.fit.ended:
+            retry.call(watch.poll)
     except Stopped:
-        if following is not None and work.cancelled():
-            _cancel(fits, following.fit.id, work)
-        return False
-    _conclude(following.fit, work)
-    return True
+        if watch is not None and context.cancelled():
+            _cancel(fits, watch.fit.id, context)
+        raise
+    if watch.fit.model is None:
+        _abandon(context)
+        raise FailedPrecondition(
+            f"The fit must succeed; it has {watch.fit.state}. {watch.fit.error}"
+            if watch.fit.error
+            else "The fit was cancelled.",
+            hint="Resume the run once the cause is mended: it starts another fit.",
+        )
+    context.record_model(watch.fit.model)
 
 
-KIND = Kind(resolve, steps, run)
+KIND = Kind(partial(parse, FitRunConfig), steps=lambda config: int(config.config.get("steps", 0)), run=run)
 
 
-class _Following:
-    """Follows a fit, and mirrors its metrics.
+class _FitWatch:
+    """Follows a fit, and copies its metrics.
 
     Attributes:
-        fit: As it stands.
+        fit: Its latest state.
     """
 
-    def __init__(self, fits: Synchronous, fit: Fit, curve: Curve) -> None:
+    def __init__(self, fits: SyncClient, fit: Fit, metrics: MetricsLogger) -> None:
         self.fit = fit
         self._fits = fits
-        self._curve = curve
+        self._metrics = metrics
         self._sequence = 0
         self._step = 0
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Watches for a moment.
 
         Raises:
@@ -127,51 +123,38 @@ class _Following:
         """
         request = WatchFitRequest(self.fit.id, from_sequence=self._sequence)
         with suppress(DeadlineExceeded):
-            for event in self._fits.watch_fit(request, timeout_s=_LOOK_S):
+            for event in self._fits.watch_fit(request, timeout_s=_WATCH_S):
                 self._sequence = event.sequence + 1
-                self._note(event.fit)
+                self.fit = event.fit
+                if self.fit.step > self._step and self.fit.metrics:  # a killed fit repeats some steps
+                    self._step = self.fit.step
+                    self._metrics.append(self.fit.step, self.fit.metrics)
             if not self.fit.ended:
-                raise Unavailable("The events of a fit must go on to its end; they broke off.", hint="Watch it again.")
-
-    def _note(self, fit: Fit) -> None:
-        self.fit = fit
-        if fit.step > self._step and fit.metrics:  # a fit whose process was killed makes some steps again
-            self._step = fit.step
-            self._curve.append(fit.step, fit.metrics)
+                raise Unavailable("A fit's events must continue to its end; they broke off.", hint="Watch it again.")
 
 
-def _start(fits: Synchronous, work: Work) -> Fit:
-    """Returns the one fit of this work that was not given up."""
-    asked = FitRunConfig(**work.config)
+def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
+    """Returns the one fit of this run that was not abandoned."""
     while True:
-        key = work.key if not _given_up(work) else f"{work.key}-{_given_up(work)}"
-        request = StartFitRequest(asked.dataset, asked.model_name, asked.config, idempotency_key=key)
+        abandoned = _abandoned(context)
+        key = f"{context.key}-{abandoned}" if abandoned else context.key
+        request = StartFitRequest(config.dataset, config.model_name, config.config, idempotency_key=key)
         fit = cast(Fit, fits.start_fit(request).fit)
         if fit.state != "cancelled":
             return fit
-        _give_up(work)  # with the run, which is resumed now
+        _abandon(context)  # it was cancelled with the run, which is resumed now
 
 
-def _cancel(fits: Synchronous, fit_id: str, work: Work) -> None:
-    with suppress(ServiceError):  # a service that is away goes on with the fit, and so does the run when resumed
+def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
+    with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
         fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S)
-        _give_up(work)
+        _abandon(context)
 
 
-def _conclude(fit: Fit, work: Work) -> None:
-    if fit.model is None:
-        _give_up(work)
-        raise FailedPrecondition(
-            f"The fit must succeed; it has {fit.state}. {fit.error}" if fit.error else "The fit was cancelled.",
-            hint="Once that is mended, resume the run: it begins another fit.",
-        )
-    work.note_model(fit.model)
+def _abandoned(context: RunContext) -> int:
+    path = context.folder / "fit.json"
+    return int(json.loads(path.read_bytes())["abandoned"]) if path.is_file() else 0
 
 
-def _given_up(work: Work) -> int:
-    path = work.folder / "fit.json"
-    return int(json.loads(path.read_bytes())["given_up"]) if path.is_file() else 0
-
-
-def _give_up(work: Work) -> None:
-    write_atomic(work.folder / "fit.json", json.dumps({"given_up": _given_up(work) + 1}).encode())
+def _abandon(context: RunContext) -> None:
+    write_atomic(context.folder / "fit.json", json.dumps({"abandoned": _abandoned(context) + 1}).encode())

@@ -1,28 +1,33 @@
 """What a kind of run is."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+C = TypeVar("C", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A kind of run.
+class Kind(Generic[C]):
+    """A kind of run, with a configuration of class C.
 
     Attributes:
-        resolve: Returns the whole configuration for a partial one, defaults filled in; raises InvalidInput for what
-            cannot be. It asks no service.
-        steps: Returns how many steps a run of a whole configuration takes.
-        run: Does the work, or goes on with it, and returns True; saves and returns False once `stop` says so. A
-            `ServiceError` that it raises ends the run; what trying again may mend it waits for itself.
-        check: Before a run of a whole configuration is queued, raises InvalidInput where it builds on what is not there
-            or does not fit. Given the work, whose folder is not made yet, and the names of what will be there by
-            then: the earlier steps of the same pipeline. It asks no service.
+        parse: Returns the configuration of JSON values, defaults filled in; raises InvalidInput.
+        steps: Returns the number of steps of a run.
+        run: Does the work, or resumes it. Raises `Stopped` once the context says so; a `ServiceError` fails the run.
+        check: Before a run is queued, raises InvalidInput if it builds on what does not exist or does not fit. Given
+            the stored policies and runs, and the names of earlier steps of the same pipeline. Calls no service.
+        dump: Returns a configuration as JSON values that `parse` reads.
     """
 
-    resolve: Callable[[Mapping[str, Any]], dict[str, Any]]
-    steps: Callable[[Mapping[str, Any]], int]
-    run: Callable[[Work], bool]
-    check: Callable[[Work, Collection[str]], None] = lambda _work, _earlier: None
+    parse: Callable[[Mapping[str, Any]], C]
+    steps: Callable[[C], int]
+    run: Callable[[RunContext, C], None]
+    check: Callable[[C, PolicyStore, Collection[str]], None] = lambda _config, _store, _earlier: None
+    dump: Callable[[C], dict[str, Any]] = asdict

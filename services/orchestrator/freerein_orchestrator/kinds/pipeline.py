@@ -1,37 +1,37 @@
-"""Kind `pipeline`: runs of other kinds, one after the other, each as a part of one run.
+"""Kind `pipeline`: runs of other kinds in order, as steps of one run.
 
-<folder>/parts/<step>/           what would be the folder of a run of its own
-         parts/<step>/done.json  how many steps it made, once it is done: it is not done again
-         artifacts/<step>.<name> the artifacts of the parts that are done
+<folder>/parts/<step>/           the step's own folder
+         parts/<step>/done.json  its number of steps, once it is done: it is not repeated
+         artifacts/<step>.<name> the artifacts of the steps that are done
 """
 
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.errors import InvalidInput, ServiceError
 from freerein.learning.config import parse
 from freerein.types.common import check_name
-from freerein.types.orchestrator import RunKind
-from freerein_orchestrator.curve import last_step
+from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.kinds.metrics_logger import last_step
+from freerein_orchestrator.kinds.policy_store import PolicyStore
 
-_LONGEST_NAME = 24
-"""Characters: the key of a step, and names of its artifacts, are no longer than names may be."""
+_MAX_NAME = 24
+"""Characters: a step's key, and the names of its artifacts, must not exceed what names may have."""
 _DONE = "done.json"
 
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """What to do.
+    """Configuration of a run of kind `pipeline`.
 
     Attributes:
-        steps: In order, each an object; see `StepConfig`.
+        steps: The steps in order, each an object; see `StepConfig`.
     """
 
     steps: tuple[dict[str, Any], ...]
@@ -42,8 +42,8 @@ class StepConfig:
     """A step of a pipeline.
 
     Attributes:
-        name: Its own; later steps may give it where a run's id is wanted.
-        kind: What it does.
+        name: Its name; later steps may use it in place of a run's id.
+        kind: Its kind.
         config: The kind's configuration.
     """
 
@@ -52,113 +52,104 @@ class StepConfig:
     config: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Step:
+    """A parsed step."""
+
+    name: str
+    kind: str
+    config: Any
+
+
+@dataclass(frozen=True)
 class Pipeline:
-    """The kind, over the kinds that its steps may be of.
+    """A parsed pipeline."""
 
-    Args:
-        kinds: These.
-    """
+    steps: tuple[Step, ...]
 
-    def __init__(self, kinds: Mapping[RunKind, Kind]) -> None:
-        self._kinds: Mapping[str, Kind] = dict(kinds.items())
 
-    @property
-    def kind(self) -> Kind:
-        """The kind, as the others."""
-        return Kind(self.resolve, self.steps, self.run, self.check)
+def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
+    """Returns the kind `pipeline`, whose steps may be of `kinds`."""
 
-    def resolve(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the whole configuration, with the whole one of every step.
-
-        Raises:
-            InvalidInput: There is no step; two have one name; one is of a kind that there is not, or is wrong itself.
-        """
+    def parse_pipeline(values: Mapping[str, Any]) -> Pipeline:
         steps = [parse(StepConfig, step) for step in parse(PipelineConfig, values).steps]
-        names = [_checked_name(step.name) for step in steps]
-        if not steps or len(set(names)) < len(names):
+        _check_names([step.name for step in steps])
+        return Pipeline(tuple(parse_step(step) for step in steps))
+
+    def parse_step(step: StepConfig) -> Step:
+        if step.kind not in kinds:
             raise InvalidInput(
-                f"A pipeline must have steps, and each a name of its own; got {len(names)} steps and "
-                f"{len(set(names))} names.",
-                field="config.steps",
-                hint="Later steps name the earlier ones whose results they want.",
-            )
-        return {"steps": [{**asdict(step), "config": self._resolved(step)} for step in steps]}
-
-    def steps(self, config: Mapping[str, Any]) -> int:
-        """Returns the steps of all parts together."""
-        return sum(self._kinds[step["kind"]].steps(step["config"]) for step in config["steps"])
-
-    def check(self, work: Work, _earlier: Collection[str]) -> None:
-        """Refuses a step that builds on what will not be there, such as a later step."""
-        earlier: list[str] = []
-        for step in map(_step, work.config["steps"]):
-            with _named(step):
-                self._kinds[step.kind].check(work.part(step.name, step.config, first_step=0), earlier)
-            earlier.append(step.name)
-
-    def run(self, work: Work) -> bool:
-        """Does the steps that are not done.
-
-        Raises:
-            ServiceError: A step failed.
-        """
-        made = 0
-        for step in map(_step, work.config["steps"]):
-            part = work.part(step.name, step.config, first_step=made)
-            part.folder.mkdir(parents=True, exist_ok=True)
-            if not (part.folder / _DONE).is_file():
-                with _named(step), part.closing:
-                    if not self._kinds[step.kind].run(part):
-                        return False
-                _finish(work, part, step.name)
-            made += int(json.loads((part.folder / _DONE).read_bytes())["steps"])
-        return True
-
-    def _resolved(self, step: StepConfig) -> dict[str, Any]:
-        if step.kind not in self._kinds:
-            raise InvalidInput(
-                f"The kind of a step must be one of {', '.join(self._kinds)}; got another.",
+                f"The kind of a step must be one of {', '.join(kinds)}; got another.",
                 field="config.steps.kind",
                 hint="A pipeline holds no other pipeline.",
             )
-        with _named(step):
-            return self._kinds[step.kind].resolve(step.config)
+        with _step_errors(step.name):
+            return Step(step.name, step.kind, kinds[step.kind].parse(step.config))
+
+    def dump(pipeline: Pipeline) -> dict[str, Any]:
+        steps = pipeline.steps
+        return {"steps": [{**vars(step), "config": kinds[step.kind].dump(step.config)} for step in steps]}
+
+    def steps(pipeline: Pipeline) -> int:
+        return sum(kinds[step.kind].steps(step.config) for step in pipeline.steps)
+
+    def check(pipeline: Pipeline, store: PolicyStore, _earlier: Collection[str]) -> None:
+        earlier: list[str] = []
+        for step in pipeline.steps:
+            with _step_errors(step.name):
+                kinds[step.kind].check(step.config, store, earlier)
+            earlier.append(step.name)
+
+    def run(context: RunContext, pipeline: Pipeline) -> None:
+        done = 0
+        for step in pipeline.steps:
+            child = context.child(step.name, first_step=done)
+            child.folder.mkdir(parents=True, exist_ok=True)
+            if not (child.folder / _DONE).is_file():
+                with _step_errors(step.name), child.closing:
+                    kinds[step.kind].run(child, step.config)
+                _finish(context, child, step.name)
+            done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
+
+    return Kind(parse_pipeline, steps, run, check, dump)
 
 
-def _step(values: Mapping[str, Any]) -> StepConfig:
-    return StepConfig(**values)
-
-
-def _checked_name(name: str) -> str:
-    if len(check_name(name, field="config.steps.name")) > _LONGEST_NAME:
+def _check_names(names: list[str]) -> None:
+    if not names or len(set(names)) < len(names):
         raise InvalidInput(
-            f"The name of a step must have at most {_LONGEST_NAME} characters; got {len(name)}.",
-            field="config.steps.name",
-            hint="Choose a shorter one.",
+            f"A pipeline must have steps with different names; got {len(names)} steps and {len(set(names))} names.",
+            field="config.steps",
+            hint="Later steps refer to earlier ones by name.",
         )
-    return name
+    for name in names:
+        if len(check_name(name, field="config.steps.name")) > _MAX_NAME:
+            raise InvalidInput(
+                f"The name of a step must have at most {_MAX_NAME} characters; got {len(name)}.",
+                field="config.steps.name",
+                hint="Choose a shorter one.",
+            )
 
 
 @contextmanager
-def _named(step: StepConfig) -> Iterator[None]:
-    """Says in errors which step they are about."""
+def _step_errors(name: str) -> Iterator[None]:
+    """Adds the step's name to errors."""
     try:
         yield
     except ServiceError as error:
         raise type(error)(
-            f"In step {step.name}: {error.detail}",
+            f"In step {name}: {error.detail}",
             field=error.field.replace("config", "config.steps.config", 1),
             hint=error.hint,
             retry_after_s=error.retry_after_s,
         ) from error
 
 
-def _finish(work: Work, part: Work, name: str) -> None:
-    """Shows a part's artifacts among those of the whole, and notes that it is done."""
-    for artifact in part.artifacts.iterdir():
-        shown = work.artifacts / f"{name}.{artifact.name}"
-        shown.unlink(missing_ok=True)
-        os.link(artifact, shown)
-    fsync_folder(work.artifacts)
-    made = max(0, last_step(work.run) - part.first_step)
-    write_atomic(part.folder / _DONE, json.dumps({"steps": made}).encode())
+def _finish(context: RunContext, child: RunContext, name: str) -> None:
+    """Links a step's artifacts into the run's, and records that it is done."""
+    for artifact in child.artifacts.iterdir():
+        link = context.artifacts / f"{name}.{artifact.name}"
+        link.unlink(missing_ok=True)
+        os.link(artifact, link)
+    fsync_folder(context.artifacts)
+    steps = max(0, last_step(context.run_folder) - child.first_step)
+    write_atomic(child.folder / _DONE, json.dumps({"steps": steps}).encode())

@@ -1,98 +1,214 @@
-"""Runs of the kind `ppo`: a policy for one task, taught by rewards for what is seen, over the network.
+"""Kind `ppo`: trains a policy for one task by PPO over the network, on a reward for what its frames show.
 
-<run>/checkpoints/   freerein_orchestrator.ppo_course
-      artifacts/     the policy, freerein_orchestrator.policy_artifact
+An unprivileged session returns frames only, and rewards are computed from them. Only the oracle's reward, to compare
+with, takes a privileged session.
+
+<run>/checkpoints/   freerein_orchestrator.rl.trainer
+      artifacts/     the policy, freerein_orchestrator.rl.policy_files
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import asdict
-from typing import Any, cast
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Literal, TypeAlias, cast
 
-import numpy as np
-
+from freerein.clients.tasks import find_task
+from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import parse
-from freerein_orchestrator import policy_artifact
+from freerein.learning.model_files import choose_device
+from freerein.types.common import Camera, ModelRef
+from freerein.types.sim import CreateSessionRequest, Task
+from freerein_orchestrator.envs.recovery import RecoveringCollector
+from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
-from freerein_orchestrator.patience import Patience, Stopped
-from freerein_orchestrator.ppo_config import PPORunConfig, RewardForm
-from freerein_orchestrator.ppo_course import Course
-from freerein_orchestrator.ppo_training import PPOTraining
-from freerein_orchestrator.served_task import ServedTask
-from freerein_orchestrator.taught import policy_folder
-from freerein_orchestrator.work import Work
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.networks import ActorCriticSpec
+from freerein_orchestrator.rl.policy_files import StoredPolicy, save_policy
+from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
+from freerein_orchestrator.rl.trainer import Trainer
 
+RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
+
+_GROUNDING = "grounding"
+_FIELD = "config.init_from"
 _SUPERVISION: Mapping[RewardForm, str] = {
-    "learned": "goal text; the reward model saw images, noun phrases and captions told from pixels",
+    "learned": "goal text; the reward model saw images, noun phrases and captions made from pixels",
     "base": "goal text; the grounding model saw captions of single objects",
     "oracle": "the task's true reward, which is privileged: to compare with",
 }
 
 
-def resolve(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the whole configuration for a partial one.
+@dataclass(frozen=True, kw_only=True)
+class PPORunConfig(PPOConfig):
+    """Configuration of a run of kind `ppo`.
+
+    Attributes:
+        task: The task's name.
+        goal_text: The goal in words; empty for the task's own.
+        camera: The camera that policy and reward see; empty for the task's first.
+        reward: `learned`, 1 where a reward model prefers the goal text to its rival captions; `base`, the similarity of
+            goal text and frame by the grounding model; `oracle`, the true reward, to compare with.
+        reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
+            that is active when the run starts is used to its end.
+        init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
+            the orchestrator; empty for random weights.
+    """
+
+    task: str
+    goal_text: str = ""
+    camera: str = ""
+    reward: RewardForm = "learned"
+    reward_model: str = ""
+    init_from: str = ""
+
+
+def run(context: RunContext, config: PPORunConfig) -> None:
+    """Trains the policy, or resumes its training.
 
     Raises:
-        InvalidInput: It cannot be.
+        Stopped: The run is to stop.
+        InvalidInput: The configuration does not fit the task, or there is no such task.
+        FailedPrecondition: Three iterations in a row were rejected, the disk is full, or the run was started with other
+            inputs.
+        ServiceError: A service failed permanently.
     """
-    return asdict(parse(PPORunConfig, config))
-
-
-def run(work: Work) -> bool:
-    """Trains the policy, or goes on training it; returns True when it is done and False when it was stopped.
-
-    Raises:
-        InvalidInput: The configuration does not fit the task.
-        NotFound: There is no such task or model.
-        FailedPrecondition: Three iterations in a row were worthless, or the disk is full, or the run was begun with
-            something else.
-    """
-    config = parse(PPORunConfig, work.config)
-    patience = Patience(np.random.default_rng(), stop=work.stop, say=work.say)
-    task = ServedTask(work, config, patience)
-    course = Course(
-        work.folder,
-        begin=task.begin,
-        resume=task.resume,
-        rollouts=task.rollouts,
-        curve=lambda last_step: work.curve(last_step=last_step),
-        interrupt=patience.interrupt,
-        say=work.say,
+    training = _Training(context, config)
+    trainer = Trainer(
+        context.folder,
+        init=lambda: training.retry.call(training.init),
+        load=partial(from_checkpoint, config=config, device=training.device, inputs={"sims": len(training.sims)}),
+        collector=training.collector,
+        metrics_log=context.metrics_logger,
+        interrupt=training.retry.interrupt,
+        say=context.say,
     )
-    try:
-        training = course.finish()
-    except Stopped:
-        return False
-    policy_artifact.save(training.network, work.artifacts, card=_card(config, training))
-    return True
+    state = trainer.train()
+    save_policy(state.network, context.artifacts, card=_card(config, state))
 
 
-def check(work: Work, earlier: Collection[str]) -> None:
-    """Checks that the policy to start from is there, or will be.
+def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+    """Checks that the initial policy exists, or will.
 
     Raises:
-        InvalidInput: It is not.
+        InvalidInput: It does not.
     """
-    name = parse(PPORunConfig, work.config).start_from
-    if name and name not in earlier:
-        policy_artifact.load(policy_folder(work, name, field="config.start_from"), device="cpu")
+    if config.init_from and config.init_from not in earlier:
+        store.load(config.init_from, field=_FIELD)
 
 
-KIND = Kind(resolve=resolve, steps=lambda config: int(config["iterations"]), run=run, check=check)
+KIND = Kind(partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check)
 
 
-def _card(config: PPORunConfig, training: PPOTraining) -> dict[str, JSON]:
-    start = cast(Mapping[str, JSON], training.terms.get("start"))
-    before = f"; it began as a policy with this supervision: {start['supervision']}" if start else ""
+class _Training:
+    """The environments and rewards of a run.
+
+    The state's `inputs` are what a run is bound to when it starts: `goal_text`, `camera`, `model` (name and version of
+    the reward model; empty for the oracle), the number of `sims`, the initial policy's sha256 and supervision (`init`),
+    and whether any of that is `privileged`.
+    """
+
+    def __init__(self, context: RunContext, config: PPORunConfig) -> None:
+        self.retry = context.retry()
+        self.device = choose_device(context.device)
+        self.sims = context.replicas("sim")[: config.num_envs]
+        self._context = context
+        self._config = config
+        self._privileged = config.reward == "oracle"
+        self._reward = context.client("reward")
+
+    def init(self) -> PPOState:
+        """Returns the state before the first iteration."""
+        config, task = self._config, find_task(self.sims[0], self._config.task)
+        camera, goal_text = self._camera(task), config.goal_text or task.goal_text
+        spec = network_spec(
+            config,
+            observation=(camera.height, camera.width, camera.channels),
+            action_size=task.action.size,
+            action_choices=task.action.choices,
+        )
+        policy = self._initial_policy(spec)
+        inputs: dict[str, JSON] = {
+            "goal_text": goal_text,
+            "camera": camera.name,
+            "model": asdict(self._reward_model(goal_text, camera)),
+            "sims": len(self.sims),
+            "init": {name: policy.card.get(name) for name in ("supervision", "sha256")} if policy else {},
+            "privileged": self._privileged or (policy is not None and policy.card.get("privileged") is True),
+        }
+        with closing(self._open_envs(zero_reward, camera.name, ())) as envs:
+            return init_state(
+                config, spec, envs, device=self.device, init_from=policy.network if policy else None, inputs=inputs
+            )
+
+    def collector(self, state: PPOState) -> RecoveringCollector:
+        """Returns what collects the rollouts of a state."""
+        inputs = cast(dict[str, Any], state.inputs)
+        reward_fn: RewardFn = oracle_reward
+        if not self._privileged:
+            reward_fn = self._learned_reward(inputs["goal_text"], inputs["camera"], ModelRef(**inputs["model"]))
+        open_envs = partial(self._open_envs, reward_fn, inputs["camera"])
+        return RecoveringCollector(open_envs, num_steps=self._config.num_steps, retry=self.retry)
+
+    def _initial_policy(self, spec: ActorCriticSpec) -> StoredPolicy | None:
+        if not self._config.init_from:
+            return None
+        policy = self._context.policies.load(self._config.init_from, field=_FIELD)
+        if policy.network.spec != spec:
+            raise InvalidInput(
+                f"The initial policy must have the network {spec}; it has {policy.network.spec}.",
+                field=_FIELD,
+                hint="Choose the task, feature_size, hidden_size and recurrent that it was trained with.",
+            )
+        return policy
+
+    def _camera(self, task: Task) -> Camera:
+        cameras = {camera.name: camera for camera in task.cameras}
+        name = self._config.camera or task.cameras[0].name
+        if name not in cameras:
+            raise InvalidInput(
+                f"`camera` must be one of the task's, {', '.join(cameras)}; got another.", field="config.camera"
+            )
+        return cameras[name]
+
+    def _reward_model(self, goal_text: str, camera: Camera) -> ModelRef:
+        if self._privileged:
+            return ModelRef()
+        name = self._config.reward_model or (_GROUNDING if self._config.reward == "base" else "")
+        reward_fn = self._learned_reward(goal_text, camera.name, ModelRef(name))
+        return reward_fn.resolve_model(camera.height, camera.width, camera.channels)
+
+    def _learned_reward(self, goal_text: str, camera: str, model: ModelRef) -> LearnedReward:
+        mode: Literal["raw", "binary"] = "raw" if self._config.reward == "base" else "binary"
+        return LearnedReward(self._reward, goal_text, camera, model, mode)
+
+    def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> RemoteVectorEnv:
+        config = self._config
+        request = CreateSessionRequest(
+            config.task, num_envs=config.num_envs, seed=config.seed, privileged=self._privileged
+        )
+        return RemoteVectorEnv(
+            self.sims,
+            request,
+            camera=camera,
+            reward_fn=reward_fn,
+            snapshots=snapshots,
+            interrupt=self.retry.interrupt,
+        )
+
+
+def _card(config: PPORunConfig, state: PPOState) -> dict[str, JSON]:
+    init = cast(Mapping[str, JSON], state.inputs["init"])
+    before = f"; the initial policy had this supervision: {init['supervision']}" if init else ""
     return {
         "task": config.task,
-        **training.terms,
+        **state.inputs,
         "reward": config.reward,
         "supervision": _SUPERVISION[config.reward] + before,
         "config": asdict(config),
-        "figures": {
-            "iterations": training.iteration,
-            "timesteps": training.iteration * config.num_envs * config.steps,
-            **training.metrics,
-        },
+        "figures": {"iterations": state.iteration, "timesteps": state.timesteps, **state.metrics},
     }

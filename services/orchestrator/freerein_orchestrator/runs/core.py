@@ -166,7 +166,7 @@ class Runs:
                 return
             if clock() > heard_s + _SILENCE_S and (looking is None or looking.done()):
                 heard_s, looking = clock(), self._in_thread(lambda: self._try_to_look(request.id))
-            if await self._health.unless_draining(asyncio.sleep(_LOOK_S, True)) is None:
+            if await self._health.await_or_drain(asyncio.sleep(_LOOK_S, True)) is None:
                 return
 
     async def cancel_run(self, request: CancelRunRequest) -> CancelRunResponse:

@@ -102,7 +102,7 @@ class Temperature(nn.Module):
         super().__init__()
         self.log_scale = nn.Parameter(torch.empty(()))
 
-    def draw(self, generator: torch.Generator) -> None:
+    def initialise(self, generator: torch.Generator) -> None:
         """Sets the first value, which is not random."""
         nn.init.constant_(self.log_scale, math.log(_FIRST_SCALE))
 

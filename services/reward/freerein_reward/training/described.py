@@ -139,7 +139,7 @@ def hold_out(
     has_caption = (described.relations != UNSAID).any(axis=(1, 2))
     training, validation = (
         np.flatnonzero(has_caption & np.isin(trajectories, side))
-        for side in train_validation_split(np.arange(len(lengths)), share=share, seed=seed)
+        for side in train_validation_split(np.arange(len(lengths)), fraction=share, seed=seed)
     )
     if not len(training) or not len(validation):
         raise InvalidInput(

@@ -79,7 +79,7 @@ class GroundingLearner:
             features=self.config.features,
         )
         network = DualEncoder(spec)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         return begin(network, self.config.lr, generator=generator, device=self.device)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:

@@ -66,7 +66,7 @@ class RewardLearner:
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update: what is where is seen, and relations are to be learnt."""
         network = DualEncoder(self.spec)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         adopt(network, self.grounding, self.config.phrases)
         return begin(network, self.config.lr, generator=generator, device=self.device)
 

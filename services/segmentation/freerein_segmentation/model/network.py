@@ -1,4 +1,4 @@
-"""The segmentation network: a CNN per frame, a layer per action, an LSTM over time, a score per skill (section 2.3)."""
+"""The segmentation network: a CNN per frame, a dense layer per action, an LSTM over time (section 2.3)."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -20,20 +20,20 @@ _TIMESTEPS_AT_ONCE = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSpec:
-    """What a network labels, what it sees, and how large it is.
+    """Architecture of a segmentation network.
 
     Attributes:
-        skills: What it labels.
-        camera: Which camera's frames it sees.
-        height: Of the frames, in pixels.
-        width: In pixels.
+        skills: Names of the skills.
+        camera: Name of the camera.
+        height: Frame height in pixels.
+        width: Frame width in pixels.
         channels: 1 or 3.
-        action_size: Numbers per action; 0 for a network that sees no actions.
-        action_choices: How many different actions there are when they are discrete, else 0.
-        stride: Timesteps from one that the LSTM sees to the next; timesteps in between belong to passes of their own.
-        context: What a timestep's score may depend on: the past, as in the dissertation, or all of the trajectory.
-        features: Image features.
-        hidden: Units of the LSTM, in each direction.
+        action_size: Numbers per action; 0 for a network without actions.
+        action_choices: Number of discrete actions; 0 for continuous ones.
+        stride: Temporal stride of the LSTM; the timesteps of each phase are a sequence of their own.
+        context: Whether scores depend on the past only (the dissertation's) or on the whole trajectory.
+        features: Number of image features.
+        hidden: LSTM units per direction.
 
     Raises:
         InvalidInput: There are no skills, or 2 channels.
@@ -54,18 +54,14 @@ class ModelSpec:
     def __post_init__(self) -> None:
         if not self.skills or self.channels == 2:
             raise InvalidInput(
-                f"A network must label at least 1 skill and see 1 or 3 channels; "
+                f"A network needs at least 1 skill and 1 or 3 image channels; "
                 f"got {len(self.skills)} skills and {self.channels} channels.",
                 hint="Tag the trajectories, and store frames as gray or RGB.",
             )
 
 
 class SegmentationNetwork(nn.Module):
-    """f_t(k), eq. 2.1: a score for each skill at each timestep; softmax over k gives P(y_t = k).
-
-    Args:
-        spec: What it labels and sees.
-    """
+    """Scores f_t(k), eq. 2.1, of each skill at each timestep; softmax over k gives P(y_t = k)."""
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
@@ -78,22 +74,19 @@ class SegmentationNetwork(nn.Module):
         self.head = nn.Linear(spec.hidden * (2 if self.future else 1), len(spec.skills))
 
     def forward(self, frames: Tensor, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the scores of several trajectories, and which of them are of timesteps that exist.
+        """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
 
         Args:
-            frames: uint8 (N, H, W, C), the frames of all trajectories one after the other.
-            actions: float32 (N, A) or int64 (N, 1), as the frames.
-            lengths: int64 (B,), the timesteps of each trajectory, N together.
-
-        Returns:
-            Scores, float32 (B, T, K) with T the longest length, and their mask, bool (B, T).
+            frames: uint8 (N, H, W, C), all trajectories concatenated.
+            actions: float32 (N, A) or int64 (N, 1), likewise.
+            lengths: int64 (B,), timesteps of each trajectory, with sum N.
         """
         features, ends = self.features(frames, actions), lengths.cumsum(dim=0).cpu()  # (N, D), (B,)
         padded = pad_sequence(list(features.tensor_split(ends[:-1])), batch_first=True)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden)
         if self.future is not None:
-            # Reversed within each length, so that padding comes last here, too.
+            # Reversed within each length, so that padding stays last.
             mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
             reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden)
             ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
@@ -102,7 +95,7 @@ class SegmentationNetwork(nn.Module):
         return scores, time < lengths[:, None]
 
     def features(self, frames: Tensor, actions: Tensor) -> Tensor:
-        """Returns what the LSTM sees, float32 (N, D), of frames uint8 (N, H, W, C) and actions (N, A)."""
+        """Returns the LSTM's inputs, float32 (N, D), of frames uint8 (N, H, W, C) and actions (N, A)."""
         seen: Tensor = self.image(frames)  # (N, features)
         if self.action is None:
             return seen
@@ -111,9 +104,9 @@ class SegmentationNetwork(nn.Module):
         return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
 
     def score(self, features: Tensor) -> Tensor:
-        """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does, whatever T.
+        """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does.
 
-        The LSTM runs a window at a time and carries its state, so that memory beyond in- and output does not grow.
+        The LSTM runs window by window and carries its state, so that working memory is bounded.
         """
         memory = _run(self.past, features)  # (T, hidden)
         if self.future is not None:

@@ -1,4 +1,4 @@
-"""What a fit may choose."""
+"""Configuration of a segmentation fit."""
 
 from dataclasses import dataclass
 
@@ -10,19 +10,19 @@ from freerein_segmentation.objectives import ObjectiveName
 
 @dataclass(frozen=True)
 class SegmentationConfig(FitConfig):
-    """Everything that a fit may choose; the rest is the network of section 2.3.
+    """Configuration of a segmentation fit; the rest is the network of section 2.3.
 
     Attributes:
-        camera: Whose frames to learn from; empty where the dataset has one camera.
-        stride: Timesteps from one that the network sees to the next: 1 where skills may last a few timesteps only, more
-            where they are long and frames alike, to see more trajectories in the same time.
+        camera: Camera to learn from; empty for the dataset's only camera.
         objective: `lse`, the dissertation's, or `lse_per_timestep`, ours.
-        context: `causal`, the dissertation's, or `bidirectional`: labelling is done after the fact.
-        use_actions: Whether the network sees the executed actions.
-        batch_size: Trajectories per update.
-        features: Image features.
-        hidden: Units of the LSTM, in each direction.
-        validation_fraction: The share of trajectories held out to choose the best weights, by their tags alone.
+        context: `causal`, the dissertation's, or `bidirectional`.
+        use_actions: Whether executed actions are an input.
+        stride: Temporal stride in timesteps: 1 where skills may be short; more where they are long, to see more
+            trajectories in the same time.
+        batch_size: Trajectories per optimiser step.
+        features: Number of image features.
+        hidden: LSTM units per direction.
+        validation_fraction: Fraction of trajectories whose tags choose the best weights.
     """
 
     camera: str = ""

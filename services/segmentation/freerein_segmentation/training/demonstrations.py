@@ -1,89 +1,72 @@
-"""What the learner sees of demonstrations; labels of timesteps have no way in."""
+"""Training data: frames, actions and tags of demonstrations; there are no labels of timesteps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning.split import train_validation_split
+from freerein.learning.trajectories import TrajectoryArrays
 from freerein_segmentation.model import ModelSpec
-
-D_co = TypeVar("D_co", bound=np.generic, covariant=True)
-
-
-class Trajectories(Protocol[D_co]):
-    """One array (T, ...) per trajectory: a list of arrays, or `freerein.data.cache.StepCache`."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> npt.NDArray[D_co]: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """Frames, executed actions, and the set of skills of each trajectory.
+    """Frames, executed actions and tags of each trajectory.
 
     Attributes:
-        frames: By trajectory, uint8 (T, H, W, C).
-        actions: By trajectory, float32 (T, A) in [-1, 1] or int64 (T, 1).
-        skills: By trajectory, the set of skills that occur, at least one.
+        frames: uint8 (T, H, W, C) per trajectory.
+        actions: float32 (T, A) in [-1, 1] or int64 (T, 1) per trajectory.
+        skills: The set of skills of each trajectory, at least one.
 
     Raises:
-        InvalidInput: The three do not belong together, or a trajectory has no tags.
+        InvalidInput: The lengths differ, or a trajectory has no tags.
     """
 
-    frames: Trajectories[np.uint8]
-    actions: Trajectories[np.float32] | Trajectories[np.int64]
+    frames: TrajectoryArrays[np.uint8]
+    actions: TrajectoryArrays[np.float32] | TrajectoryArrays[np.int64]
     skills: Sequence[tuple[str, ...]]
 
     def __post_init__(self) -> None:
         counts = len(self.frames), len(self.actions), len(self.skills)
         if len(set(counts)) > 1 or counts[0] == 0:
-            raise InvalidInput(f"Frames, actions and skills must be of as many trajectories, at least 1; got {counts}.")
+            raise InvalidInput(f"Frames, actions, skills must cover the same trajectories, 1 or more; got {counts}.")
         for index in range(counts[0]):
             timesteps = len(self.frames[index]), len(self.actions[index])
             if timesteps[0] != timesteps[1] or timesteps[0] == 0 or not self.skills[index]:
                 raise InvalidInput(
                     f"Trajectory {index} must have as many frames as actions, at least 1, and a skill; "
                     f"got {timesteps[0]}, {timesteps[1]} and {len(self.skills[index])} skills.",
-                    hint="Leave it out of the dataset, or tag it with the skills that occur in it.",
+                    hint="Remove it from the dataset, or tag it with the skills that occur in it.",
                 )
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def subset(self, items: Sequence[int]) -> "Demonstrations":
-        """Returns some of the trajectories, without copying a frame."""
+        """Returns a subset of the trajectories, without copying frames."""
         actions: Any = [self.actions[item] for item in items]
         return Demonstrations([self.frames[item] for item in items], actions, [self.skills[item] for item in items])
 
-
-def hold_out(demonstrations: Demonstrations, *, share: float, seed: int) -> tuple[Demonstrations, Demonstrations]:
-    """Returns the trajectories to learn from and those held out, a random `share`, at least one of each.
-
-    Raises:
-        InvalidInput: There is only one.
-    """
-    if len(demonstrations) < 2:
-        raise InvalidInput("A fit needs at least 2 trajectories, one of them to hold out; got 1.")
-    learnt, held_out = train_validation_split(np.arange(len(demonstrations)), share=share, seed=seed)
-    return demonstrations.subset(learnt), demonstrations.subset(held_out)
+    def split(self, *, fraction: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
+        """Returns the training and the validation trajectories; see `train_validation_split`."""
+        training, validation = train_validation_split(range(len(self)), fraction=fraction, seed=seed)
+        return self.subset(training), self.subset(validation)
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Some trajectories, one after the other.
+    """Concatenated trajectories.
 
     Attributes:
         frames: uint8 (N, H, W, C).
         actions: float32 (N, A) or int64 (N, 1).
-        lengths: int64 (B,), the timesteps of each trajectory, N together.
-        tags: bool (B, K), the skills of each trajectory.
+        lengths: int64 (B,), timesteps of each trajectory, with sum N.
+        tags: bool (B, K), skills of each trajectory.
     """
 
     frames: Tensor
@@ -100,20 +83,20 @@ def gather(
     spec: ModelSpec,
     device: torch.device,
 ) -> Batch:
-    """Returns some trajectories, every `spec.stride`-th timestep of each, as tensors on a device.
+    """Returns every `spec.stride`-th timestep of some trajectories, as tensors on a device.
 
     Args:
-        demonstrations: Where they are.
-        items: Which.
-        phases: The first timestep of each; taken modulo its length where it is shorter than the stride.
-        spec: The network that they are for.
-        device: Where it is.
+        demonstrations: The trajectories.
+        items: Indices of the trajectories.
+        phases: First timestep of each, modulo its length.
+        spec: Architecture of the network.
+        device: Device of the batch.
     """
     frames, actions = [], []
     for item, phase in zip(items, phases, strict=True):
-        seen, done = demonstrations.frames[item], demonstrations.actions[item]
-        frames.append(seen[phase % len(seen) :: spec.stride])
-        actions.append(done[phase % len(seen) :: spec.stride])
+        timesteps = slice(phase % len(demonstrations.frames[item]), None, spec.stride)
+        frames.append(demonstrations.frames[item][timesteps])
+        actions.append(demonstrations.actions[item][timesteps])
     tags = [[skill in demonstrations.skills[item] for skill in spec.skills] for item in items]
     return Batch(
         torch.from_numpy(np.concatenate(frames)).to(device),

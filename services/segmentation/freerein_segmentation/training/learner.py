@@ -1,4 +1,4 @@
-"""Segmentation as the resumable loop of `freerein.learning.fit` knows it."""
+"""The learner of the segmentation network."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -6,28 +6,37 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
+from freerein.learning import weights
 from freerein.learning.checkpoints import JSON
+from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import sample_frames
 from freerein.types.common import ActionSpec
-from freerein_segmentation.model import ModelSpec
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.demonstrations import Demonstrations, gather
-from freerein_segmentation.training.updates import State, evaluate, init, update
+from freerein_segmentation.training.demonstrations import Batch, Demonstrations, gather
+
+State = TrainState[SegmentationNetwork]
+
+_NORMALISATION_FRAMES = 2000
 
 
-def design(
+def network_spec(
     config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the network that fits demonstrations.
+    """Returns the architecture for a dataset.
 
     Args:
-        config: What was chosen.
-        frame: H, W, C of the frames.
-        action: What was executed.
+        config: The configuration.
+        frame: Frame shape H, W, C.
+        action: The dataset's action spec.
         skills: All skills, in the order of their labels.
 
     Raises:
-        InvalidInput: There is no network for such frames, actions or skills.
+        InvalidInput: Frames, actions or skills are out of bounds.
     """
     height, width, channels = frame
     return ModelSpec(
@@ -47,15 +56,15 @@ def design(
 
 @dataclass(frozen=True, eq=False)
 class SegmentationLearner:
-    """A network to fit to some demonstrations, and others to choose the best weights by.
+    """A `freerein.learning.fit.Learner` of a segmentation network.
 
     Attributes:
-        config: What was chosen.
-        spec: The network.
-        training: To learn from.
-        validation: Held out.
-        fingerprint: Of the dataset.
-        device: Where to compute.
+        config: The configuration.
+        spec: Architecture of the network.
+        training: Training trajectories.
+        validation: Validation trajectories.
+        fingerprint: Fingerprint of the dataset.
+        device: Device to train on.
     """
 
     config: SegmentationConfig
@@ -67,7 +76,7 @@ class SegmentationLearner:
 
     @property
     def size(self) -> int:
-        """Trajectories to learn from."""
+        """Number of training trajectories."""
         return len(self.training)
 
     @property
@@ -76,15 +85,32 @@ class SegmentationLearner:
         return {"config": asdict(self.config), "data": self.fingerprint}
 
     def init(self, generator: torch.Generator) -> State:
-        """Returns the state before the first update."""
-        return init(self.config, self.spec, self.training, generator=generator, device=self.device)
+        """Returns the initial state; the encoder is normalised by the training frames."""
+        network = SegmentationNetwork(self.spec)
+        weights.initialise(network, generator=generator)
+        frames = sample_frames(self.training.frames, _NORMALISATION_FRAMES)
+        network.image.fit_normalisation(torch.from_numpy(frames))
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one update on some trajectories, and its metrics."""
+        """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
+        config = self.config
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        return update(state, batch, config=self.config)
+        loss = self._losses(state.network, batch).mean()
+        lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
+        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
 
+    @torch.no_grad()
     def evaluate(self, state: State) -> float:
-        """Returns the loss on the held-out trajectories."""
-        return evaluate(state, self.validation, config=self.config)
+        """Returns the mean loss of the validation trajectories' tags."""
+        losses = []
+        for start in range(0, len(self.validation), self.config.batch_size):
+            items = range(start, min(start + self.config.batch_size, len(self.validation)))
+            batch = gather(self.validation, items, [0] * len(items), spec=self.spec, device=self.device)
+            losses.append(self._losses(state.network, batch))
+        return torch.cat(losses).mean().item()
+
+    def _losses(self, network: SegmentationNetwork, batch: Batch) -> Tensor:
+        scores, mask = network(batch.frames, batch.actions, batch.lengths)
+        return OBJECTIVES[self.config.objective](scores, mask, batch.tags)

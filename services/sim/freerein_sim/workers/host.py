@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from uuid import uuid4
 
-from freerein.errors import Internal, NotFound, ServiceError
+from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
 from freerein_sim.workers import demonstrations, framing
 from freerein_sim.workers.envs import Envs
@@ -112,7 +112,7 @@ class Host:
 
     def _envs(self, session: str) -> Envs:
         if (envs := self._sessions.get(session)) is None:
-            raise NotFound("There is no such session.", field="session", hint="Create the session anew.")
+            raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
         return envs
 
     def _discard(self, session: str) -> None:

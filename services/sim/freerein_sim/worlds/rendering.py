@@ -3,9 +3,7 @@
 Shadows, reflections, haze, the skybox and multisampling are off and the offscreen buffer has the size asked for.
 """
 
-import ctypes
 import importlib
-import os
 import threading
 from typing import Protocol, cast
 
@@ -13,6 +11,7 @@ import mujoco
 import numpy as np
 
 from freerein.errors import FailedPrecondition, Unimplemented
+from freerein_sim.worlds.opengl import INSTALL_HINT, choose_backend
 from freerein_sim.worlds.world import Frame
 
 _MAX_GEOMS = 200
@@ -110,27 +109,8 @@ class _GL(Protocol):
 
 
 def _open_gl(size_px: int) -> _GL:
-    asked = os.environ.get("MUJOCO_GL", "").lower()
-    backend = asked or ("egl" if _has_egl_device() else "osmesa")
+    backend = choose_backend()
     try:
         return cast("_GL", importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px))
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # what PyOpenGL raises without its library
-        raise Unimplemented(
-            f"Expected to render with {backend}; this machine cannot.",
-            hint="apt-get install libegl1 libgl1 for MUJOCO_GL=egl, or libosmesa6 for MUJOCO_GL=osmesa.",
-        ) from error
-
-
-def _has_egl_device() -> bool:
-    """Asks EGL itself: PyOpenGL commits to one platform at its import, so there is no second try."""
-    try:
-        egl = ctypes.CDLL("libEGL.so.1")
-    except OSError:
-        return False
-    egl.eglGetProcAddress.restype = ctypes.c_void_p
-    address = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
-    if not address:
-        return False
-    count = ctypes.c_int(0)
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(address)
-    return bool(query(0, None, ctypes.byref(count))) and count.value > 0
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # what PyOpenGL raises
+        raise Unimplemented(f"Expected to render with {backend}; this machine cannot.", hint=INSTALL_HINT) from error

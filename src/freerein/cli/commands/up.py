@@ -29,12 +29,12 @@ _Show = Callable[[tuple["ServiceStatus", ...]], None]
 @command
 def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
     """Run the services until Ctrl-C; restart them when they crash."""
-    from freerein.cli.services import Stack, choose
+    from freerein.cli.services import Stack, choose, configured_ports
     from freerein.cli.services import free_ports as find_free_ports
     from freerein.cli.settings import CliSettings
 
     chosen = choose(services or ())
-    ports = find_free_ports(chosen) if free_ports else None
+    ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, os.environ)
     stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
     with _display(as_json=as_json) as show:
         asyncio.run(_run(stack, show))

@@ -33,10 +33,9 @@ _PPO = {
     "reward_model": reward.MODEL,
     "iterations": 40,
     "num_envs": 16,
-    "steps": 32,
+    "num_steps": 32,
     "lr": 3e-4,
-    "entropy_weight": 0.0,
-    "scale_rewards": True,
+    "init_from": INIT_FROM,
 }
 
 
@@ -112,11 +111,9 @@ class Student:
 
 async def start_baselines(context: Context) -> str:
     """Starts to evaluate random actions in both tasks and the shipped policy in the left one; returns the run."""
-    frozen = {**_PPO, "iterations": 1, "lr": 1e-7, "seed": context.seed, "start_from": INIT_FROM}
-    shipped = {"name": "shipped-policy", "kind": "ppo", "config": frozen}
     evaluations = {f"random-{side}": _evaluation(context, side, "random") for side in SIDES}
-    evaluations["checkpoint"] = _evaluation(context, "left", {"run": "shipped-policy", "is_stochastic": True})
-    return await _start_evaluations(context, evaluations, shipped)
+    evaluations["checkpoint"] = _evaluation(context, "left", {"stored": INIT_FROM, "stochastic": True})
+    return await _start_evaluations(context, evaluations)
 
 
 async def finish_baselines(context: Context, run: str) -> dict[str, Returns]:
@@ -128,10 +125,10 @@ async def learn_by_ppo(context: Context) -> PPOResult:
     """Trains a policy on images and the learned reward, and evaluates it."""
     context.reporter.line(f"PPO starts from {INIT_FROM}, which came with freerein.")
     started_s = time.perf_counter()
-    run = await context.start_run("ppo", {**_PPO, "start_from": INIT_FROM, "seed": context.seed})
+    run = await context.start_run("ppo", {**_PPO, "seed": context.seed})
     curves = await context.follow_run("ppo", run, metrics=(_RETURN,))
     training_s = time.perf_counter() - started_s
-    evaluations = {"ppo": _evaluation(context, "left", {"run": run, "is_stochastic": True})}
+    evaluations = {"ppo": _evaluation(context, "left", {"run": run, "stochastic": True})}
     evaluation = await _start_evaluations(context, evaluations)
     returns = await _finish_evaluations(context, "evaluate ppo", evaluation, "ppo")
     return PPOResult(run, curves.points(_RETURN), returns["ppo"], training_s)
@@ -143,7 +140,7 @@ async def distill(context: Context, teacher: str) -> Student:
         "teachers": [teacher, *SHIPPED_TEACHERS],
         "rollouts": _ROLLOUTS,
         "num_envs": _ROLLOUTS,
-        "is_stochastic": False,  # the student would have to average noise away
+        "stochastic": False,  # the student would have to average noise away
         "seed": context.seed,
         "config": {"steps": _UPDATES},
     }
@@ -160,12 +157,10 @@ async def distill(context: Context, teacher: str) -> Student:
     return Student({names[name]: found for name, found in returns.items()}, training_s)
 
 
-async def _start_evaluations(
-    context: Context, evaluations: Mapping[str, dict[str, Any]], *before: dict[str, Any]
-) -> str:
-    """Starts a pipeline of evaluations after other steps; returns the run."""
+async def _start_evaluations(context: Context, evaluations: Mapping[str, dict[str, Any]]) -> str:
+    """Starts a pipeline of evaluations; returns the run."""
     steps = [{"name": name, "kind": "evaluate", "config": config} for name, config in evaluations.items()]
-    return await context.start_run("pipeline", {"steps": [*before, *steps]})
+    return await context.start_run("pipeline", {"steps": steps})
 
 
 async def _finish_evaluations(context: Context, title: str, run: str, *names: str) -> dict[str, Returns]:

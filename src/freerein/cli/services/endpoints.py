@@ -3,15 +3,16 @@
 import contextlib
 import socket
 import ssl
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 
-from freerein.errors import FailedPrecondition, NotFound
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.ports import PORTS, Ports, address
 
 GROUP = "freerein.services"
 LOOPBACK = "127.0.0.1"
+_MAX_PORT = 65535
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,38 @@ def free_ports(names: Iterable[str]) -> dict[str, Ports]:
     """Returns a free REST port and a free gRPC port on loopback for each service."""
     with contextlib.ExitStack() as held:
         return {name: Ports(_free_port(held), _free_port(held)) for name in names}
+
+
+def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict[str, Ports]:
+    """Returns the ports of services: the port table's, or for a single service those that the environment sets.
+
+    Args:
+        names: Keys of `PORTS`.
+        environ: The environment; `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read, 0 meaning a free port.
+
+    Raises:
+        InvalidInput: A variable holds no port, or is set for several services.
+    """
+    ports = {name: PORTS[name] for name in names}
+    for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
+        if not (value := environ.get(variable)):
+            continue
+        if len(ports) != 1:
+            raise InvalidInput(
+                f"{variable} sets the port of one service; got {len(ports)} services.",
+                field=variable,
+                hint=f"Unset {variable}, name one service, or use --free-ports.",
+            )
+        if not (value.isdecimal() and int(value) <= _MAX_PORT):
+            raise InvalidInput(
+                f"{variable} must be a port, 0 to {_MAX_PORT}; got another value.",
+                field=variable,
+                hint="Set it to a number such as 8104, or to 0 for a free port.",
+            )
+        (name,) = ports
+        port = int(value) or getattr(free_ports([name])[name], attribute)
+        ports[name] = replace(ports[name], **{attribute: port})
+    return ports
 
 
 def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:

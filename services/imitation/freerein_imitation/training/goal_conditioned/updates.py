@@ -53,7 +53,7 @@ def init(
 ) -> State:
     """Returns the state before the first update; the encoders' background is that of the exploration."""
     network = GoalConditionedNetwork(spec)
-    weights.draw(network, generator=generator)
+    weights.initialise(network, generator=generator)
     network.calibrate(torch.from_numpy(exploration.spread(_CALIBRATION_FRAMES)))
     network = network.to(device)
     return TrainState(network, torch.optim.Adam(network.parameters(), config.lr, fused=True), generator)

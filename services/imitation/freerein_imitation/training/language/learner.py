@@ -53,7 +53,7 @@ class LanguageLearner:
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update."""
         network = LanguageNetwork(self.spec)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         frames = torch.from_numpy(self.training.exploration.spread(_CALIBRATION_FRAMES))
         network.calibrate(frames, self.training.different_codes())
         network = network.to(self.device)

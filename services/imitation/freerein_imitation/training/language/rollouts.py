@@ -80,7 +80,7 @@ def hold_out(rollouts: Rollouts, *, share: float, seed: int) -> tuple[Rollouts, 
     learnt, held_out = list[int](), list[int]()
     for text in sorted(set(rollouts.texts)):
         items = [item for item, each in enumerate(rollouts.texts) if each == text]
-        sides = train_validation_split(items, share=share, seed=seed) if len(items) > 1 else (items, [])
+        sides = train_validation_split(items, fraction=share, seed=seed) if len(items) > 1 else (items, [])
         learnt += sides[0]
         held_out += sides[1]
     if not held_out:

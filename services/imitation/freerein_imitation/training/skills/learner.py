@@ -64,7 +64,7 @@ class SkillsLearner:
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update."""
         network = SkillsNetwork(self.spec)
-        weights.draw(network, generator=generator)
+        weights.initialise(network, generator=generator)
         network.image.load_state_dict(self.codebook.state_dict())
         network.calibrate(torch.cat(list(self.training.places)), generator=generator)
         network = network.to(self.device)

@@ -89,7 +89,7 @@ def hold_out(segments: Segments, *, share: float, seed: int) -> tuple[Segments, 
             field="dataset",
             hint="Record more demonstrations, and label them.",
         )
-    sides = [set(side) for side in train_validation_split(trajectories, share=share, seed=seed)]
+    sides = [set(side) for side in train_validation_split(trajectories, fraction=share, seed=seed)]
     parts = [[item for item in segments.items if item.trajectory in side] for side in sides]
     training, validation = (Segments(part, segments.places, segments.actions) for part in parts)
     return training, validation

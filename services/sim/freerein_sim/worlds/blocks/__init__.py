@@ -9,6 +9,7 @@ from itertools import permutations
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.blocks.relations import Goal, Relation
+from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import Task, World, WorldSpec
 
 COLOURS = ("red", "green", "yellow", "blue")
@@ -47,18 +48,21 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
 
 
 def _make_free_play() -> World:
+    check_mujoco_gl()
     from freerein_sim.worlds.blocks import simulation, starts
 
     return simulation.Blocks(_FREE_PLAY, COLOURS, starts.line)
 
 
 def _make_scatter() -> World:
+    check_mujoco_gl()
     from freerein_sim.worlds.blocks import simulation, starts
 
     return simulation.Blocks(_SCATTER, COLOURS, starts.scatter, pad=True)
 
 
 def _make_goal(spec: WorldSpec, goal: Goal) -> World:
+    check_mujoco_gl()
     from freerein_sim.worlds.blocks import simulation, starts
 
     return simulation.Blocks(spec, (goal.first, goal.second), starts.pair, goal=goal)

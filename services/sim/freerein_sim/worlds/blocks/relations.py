@@ -14,7 +14,10 @@ BLOCK_M = 0.05
 """Edge of a block."""
 
 _HALF = BLOCK_M / 2
-_BESIDE_GAP_M = 0.035
+_GAP_M = (-0.002, 0.035)
+"""Gap between two blocks that lie beside one another. Negative is contact, where MuJoCo lets bodies overlap a little:
+blocks that the gripper presses together overlap by up to half a millimetre."""
+
 _RESTING_M = 0.008
 
 Position = npt.NDArray[np.float64]
@@ -70,7 +73,7 @@ def holds(relation: Relation, first: Position, second: Position) -> bool:
         is_on_table(first)
         and is_on_table(second)
         and abs(beside[0]) < _HALF
-        and 0 < beside[1] - BLOCK_M < _BESIDE_GAP_M
+        and _GAP_M[0] < beside[1] - BLOCK_M < _GAP_M[1]
     )
 
 

@@ -1,0 +1,251 @@
+"""Vectorised environments over the network: one task, hosted by one or several sim services.
+
+Rewards are computed behind the steps that follow, for the frames of several steps together.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.clients import SyncClient
+from freerein.errors import ServiceError
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CreateSessionRequest,
+    ResetRequest,
+    RestoreRequest,
+    SnapshotRequest,
+    StepRequest,
+    StepResponse,
+)
+from freerein_orchestrator.envs.reward_fns import Frames, RewardFn
+from freerein_orchestrator.rl.errors import IterationRejected
+from freerein_orchestrator.rl.vec_env import Actions, Rewards, VecStep
+
+T = TypeVar("T")
+
+LEASE_S = 300.0
+_FRAMES_PER_REWARD_CALL = 32
+_CLOSE_TIMEOUT_S = 0.5
+_POLL_S = 0.1
+
+
+def split(num_envs: int, sims: int) -> tuple[int, ...]:
+    """Returns the number of environments per sim service, as even as possible."""
+    return tuple(num_envs // sims + (index < num_envs % sims) for index in range(sims))
+
+
+class RemoteVectorEnv:
+    """N environments in one session per sim service, seen by one camera.
+
+    A session is lost with the process that hosts it; open others from the last snapshots.
+
+    Args:
+        sims: Clients of the sim services, at most N; each hosts its share, with a seed of its own.
+        request: The session, as if it were one.
+        camera: The camera that is observed.
+        reward_fn: Rewards frames; called on a thread of its own.
+        snapshots: One per sim service, to restore; empty for new episodes.
+        interrupt: Called before each step and while waiting; raises to stop.
+
+    Raises:
+        ServiceError: As every method: a service refused, could not be reached or did not answer in time.
+    """
+
+    def __init__(
+        self,
+        sims: Sequence[SyncClient],
+        request: CreateSessionRequest,
+        *,
+        camera: str,
+        reward_fn: RewardFn,
+        snapshots: Sequence[bytes] = (),
+        interrupt: Callable[[], None] = lambda: None,
+    ) -> None:
+        shares = split(request.num_envs, len(sims))
+        self.num_envs = request.num_envs
+        self._cuts = np.cumsum(shares)[:-1]
+        self._interrupt = interrupt
+        self._closing = ExitStack()
+        self._rewards = _RewardPipeline(reward_fn, steps=max(1, _FRAMES_PER_REWARD_CALL // request.num_envs))
+        self._closing.callback(self._rewards.close)
+        self._stepping = ThreadPoolExecutor(len(sims), thread_name_prefix="sim")
+        self._closing.callback(self._stepping.shutdown, wait=False)
+        self._sessions: list[_Session] = []
+        self._closing.callback(self._close_sessions)
+        with ExitStack() as on_error:
+            on_error.callback(self.close)
+            for index, (sim, own) in enumerate(zip(sims, _split_request(request, shares), strict=True)):
+                session = _Session(sim, own, camera=camera)
+                self._sessions.append(session)
+                if snapshots:
+                    session.restore(snapshots[index])
+            on_error.pop_all()
+
+    def reset(self) -> Frames:
+        """Starts an episode in every environment; returns the first frames, uint8 (N, H, W, C)."""
+        return np.concatenate(self._map(_Session.reset))
+
+    def step(self, actions: Actions) -> VecStep:
+        """Takes one action in every environment; its rewards are computed in the background."""
+        self._interrupt()
+        self._rewards.check()
+        parts = self._map(_Session.step, np.split(actions, self._cuts))
+        final = np.concatenate([part.final_frames for part in parts])
+        oracles = [part.oracle for part in parts if part.oracle is not None]
+        self._rewards.add(final, np.concatenate(oracles) if oracles else None)
+        return VecStep(
+            observations=np.concatenate([part.frames for part in parts]),
+            terminated=np.concatenate([part.terminated for part in parts]),
+            truncated=np.concatenate([part.truncated for part in parts]),
+            final_observations=final,
+        )
+
+    def rewards(self) -> Rewards:
+        """Returns the rewards of the T steps since the last call, float32 (T, N); waits for them."""
+        return np.concatenate(self._results(self._rewards.finish())).reshape(-1, self.num_envs)
+
+    def snapshots(self) -> tuple[bytes, ...]:
+        """Returns what restores the environments, one snapshot per sim service."""
+        return tuple(self._map(_Session.snapshot))
+
+    def close(self) -> None:
+        """Closes the sessions that can be reached; the others expire with their leases."""
+        self._closing.close()
+
+    def _map(self, call: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
+        """Returns the results of a call to each session, all at once."""
+        return self._results(
+            [self._stepping.submit(call, *each) for each in zip(self._sessions, *arguments, strict=True)]
+        )
+
+    def _results(self, futures: list[Future[T]]) -> list[T]:
+        while wait(futures, _POLL_S).not_done:
+            self._interrupt()
+        return [future.result() for future in futures]
+
+    def _close_sessions(self) -> None:
+        """Closes all at once, on new threads: those that step may hang."""
+        with ThreadPoolExecutor(max(1, len(self._sessions)), thread_name_prefix="close") as closing:
+            list(closing.map(_Session.close, self._sessions))
+
+
+def _split_request(request: CreateSessionRequest, shares: Sequence[int]) -> list[CreateSessionRequest]:
+    """Returns the request of each sim service."""
+    seeds = np.random.SeedSequence(request.seed).spawn(len(shares))
+    return [
+        replace(request, num_envs=count, seed=int(seed.generate_state(1)[0]), lease_s=LEASE_S)
+        for count, seed in zip(shares, seeds, strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _SessionStep:
+    """One step of one session; `final_frames` are `frames`, but the last of the old episode where one ended."""
+
+    frames: Frames
+    final_frames: Frames
+    terminated: npt.NDArray[np.bool_]
+    truncated: npt.NDArray[np.bool_]
+    oracle: Rewards | None
+
+
+class _Session:
+    """A session on one sim service."""
+
+    def __init__(self, sim: SyncClient, request: CreateSessionRequest, *, camera: str) -> None:
+        self._sim = sim
+        self._session: str = sim.create_session(request).session
+        self._num_envs = request.num_envs
+        self._camera = camera
+        self._steps = 0
+
+    def restore(self, snapshot: bytes) -> None:
+        self._steps = self._sim.restore(RestoreRequest(self._session, snapshot)).step_id
+
+    def reset(self) -> Frames:
+        frames = self._sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
+        return cast(Frames, frames[self._camera])
+
+    def step(self, actions: Actions) -> _SessionStep:
+        request = StepRequest(self._session, self._steps + 1, actions, cameras=(self._camera,))
+        reply: StepResponse = self._sim.step(request)
+        self._steps += 1
+        frames, done = reply.frames.get(self._camera), reply.terminated | reply.truncated
+        if frames is None or len(frames) != self._num_envs or len(done) != self._num_envs:
+            raise _malformed()
+        final = frames
+        if done.any():
+            last = reply.final_frames.get(self._camera)
+            if last is None or last.shape != (done.sum(), *frames.shape[1:]):
+                raise _malformed()
+            final = frames.copy()
+            final[done] = last
+        oracle = None if reply.truth is None else reply.truth.reward
+        return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
+
+    def snapshot(self) -> bytes:
+        return cast(bytes, self._sim.snapshot(SnapshotRequest(self._session)).snapshot)
+
+    def close(self) -> None:
+        with suppress(ServiceError):
+            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
+
+
+def _malformed() -> IterationRejected:
+    return IterationRejected(
+        "The sim service must return a frame per environment, and a final one per episode that ended; it did not.",
+        hint="See its log.",
+    )
+
+
+class _RewardPipeline:
+    """Computes rewards on a thread of its own, always for the same few steps together."""
+
+    def __init__(self, reward_fn: RewardFn, *, steps: int) -> None:
+        self._reward_fn = reward_fn
+        self._steps = steps
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="reward")
+        self._pending: list[tuple[Frames, Rewards | None]] = []
+        self._submitted: list[Future[Rewards]] = []
+
+    def add(self, frames: Frames, oracle: Rewards | None) -> None:
+        self._pending.append((frames, oracle))
+        if len(self._pending) == self._steps:
+            self._submit()
+
+    def check(self) -> None:
+        """Raises the error of a call that has failed, earlier than `finish` would."""
+        for future in self._submitted:
+            if future.done():
+                future.result()
+
+    def finish(self) -> list[Future[Rewards]]:
+        """Returns the rewards of all steps since the last call."""
+        if self._pending:
+            self._submit()
+        submitted, self._submitted = self._submitted, []
+        return submitted
+
+    def close(self) -> None:
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _submit(self) -> None:
+        frames = np.concatenate([frames for frames, _ in self._pending])
+        oracles = [oracle for _, oracle in self._pending if oracle is not None]
+        self._pending = []
+        self._submitted.append(self._thread.submit(self._call, frames, np.concatenate(oracles) if oracles else None))
+
+    def _call(self, frames: Frames, oracle: Rewards | None) -> Rewards:
+        rewards = self._reward_fn(frames, oracle)
+        if rewards.shape != (len(frames),):
+            raise IterationRejected(
+                f"Rewards must be one per frame, of {len(frames)}; got shape {rewards.shape}.",
+                hint="See the log of the service that computes rewards.",
+            )
+        return rewards

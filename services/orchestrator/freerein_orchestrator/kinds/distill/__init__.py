@@ -1,0 +1,182 @@
+"""Kind `distill`: clones single-task policies into one policy that follows sentences.
+
+The teachers' rollouts become a dataset with goal texts; the imitation service fits a language policy on it.
+
+    <folder>/rollouts/                the dataset while it is recorded; then it moves to `<data>/datasets/<name>`
+             artifacts/dataset.json   its name, size and fingerprint, once it is complete
+             parts/fit/               the fit, as kind `fit`
+"""
+
+import errno
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+
+from freerein.atomic_files import fsync_folder, write_atomic
+from freerein.data import Dataset, dataset_path, teachers
+from freerein.errors import AlreadyExists, InvalidInput
+from freerein.learning.config import bounded, parse
+from freerein.types.common import check_name
+from freerein_orchestrator.envs.policy_spec import PolicySpec, check_teachers
+from freerein_orchestrator.kinds import fit
+from freerein_orchestrator.kinds.collect import CARD
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.distill.rollouts import ROLLOUTS, Keep, RolloutPlan, record_rollouts
+from freerein_orchestrator.kinds.fit import FitRunConfig
+from freerein_orchestrator.kinds.kind import Kind
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.rl.policy_files import StoredPolicy
+
+_TORCH_THREADS = 1
+_FIELD = "config.teachers"
+_TEACHER_CARD = ("task", "goal_text", "reward", "supervision", "privileged", "sha256")
+
+
+@dataclass(frozen=True)
+class DistillConfig:
+    """Configuration of a run of kind `distill`.
+
+    Attributes:
+        teachers: The policies: ids of ppo runs, names of earlier steps of the same pipeline, or of policies among the
+            models of the orchestrator. Each card holds the policy's goal text and task.
+        rollouts: Episodes per teacher; the dissertation has 50 (4.3).
+        num_envs: Number of parallel environments.
+        stochastic: Whether teachers' actions are sampled; else the most likely one is taken.
+        keep: `all` rollouts, as in the dissertation, or those whose last frame the teacher's reward model rewards.
+        seed: Seed of every episode.
+        dataset: Name for the dataset of rollouts; empty for the run's id.
+        model_name: Name for the student.
+        config: Configuration of the fit of a language policy in the imitation service.
+
+    Raises:
+        InvalidInput: There is no teacher, a name is invalid, or the fit is not of a language policy.
+    """
+
+    teachers: tuple[str, ...]
+    rollouts: int = bounded(50, least=1, most=100_000)
+    num_envs: int = bounded(10, least=1, most=64)
+    stochastic: bool = False
+    keep: Keep = "all"
+    seed: int = bounded(0, least=0, most=2**31 - 1)
+    dataset: str = ""
+    model_name: str = "language"
+    config: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.teachers:
+            raise InvalidInput(
+                "`teachers` must name a policy; got none.", field=_FIELD, hint="Name a ppo run that succeeded."
+            )
+        for name in self.teachers:
+            check_name(name, field=_FIELD)
+        if self.dataset:
+            check_name(self.dataset, field="config.dataset")
+        check_name(self.model_name, field="config.model_name")
+        if self.config.get("policy", "language") != "language":
+            raise InvalidInput(
+                "The student follows sentences: `policy` must be language; got another.",
+                field="config.config.policy",
+                hint="Leave it out.",
+            )
+        fit.check_steps(self.config)
+
+    @property
+    def fit(self) -> FitRunConfig:
+        """The student's fit."""
+        config = {**self.config, "policy": "language"}
+        return FitRunConfig("imitation", self.dataset or "unnamed", self.model_name, config)
+
+
+def steps(config: DistillConfig) -> int:
+    """Returns the number of rollouts and of the fit's updates."""
+    return len(config.teachers) * config.rollouts + fit.KIND.steps(config.fit)
+
+
+def check(config: DistillConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+    """Checks that the teachers exist, or will, and can have one student."""
+    if found := [store.load(name, field=_FIELD) for name in config.teachers if name not in earlier]:
+        _check_teachers(config, found)
+
+
+def run(context: RunContext, config: DistillConfig) -> None:
+    """Records the rollouts, then fits; killed at any moment, it resumes to the same dataset and the same model.
+
+    Raises:
+        Stopped: The run is to stop.
+        InvalidInput: A teacher is missing, or they cannot have one student.
+        ServiceError: A service refuses.
+    """
+    config = replace(config, dataset=config.dataset or context.key)
+    torch.set_num_threads(_TORCH_THREADS)
+    if not (context.artifacts / CARD).is_file():
+        if dataset_path(context.data_dir, config.dataset).exists():
+            raise _name_taken()
+        context.policies.pin(config.teachers)
+        policies = [context.policies.load(name, field=_FIELD, device=context.device) for name in config.teachers]
+        _check_teachers(config, policies)
+        plan = RolloutPlan(config.rollouts, config.num_envs, config.stochastic, config.seed, config.keep)
+        record_rollouts(context, policies, plan)
+        _write_card(context, config.dataset, policies)
+    _publish(context, config.dataset)
+    fit.run(context.child("fit", first_step=len(config.teachers) * config.rollouts), config.fit)
+
+
+def _parse(values: Mapping[str, Any]) -> DistillConfig:
+    return parse(DistillConfig, values)
+
+
+KIND = Kind(_parse, steps, run, check)
+
+
+def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> None:
+    check_teachers(
+        [PolicySpec.of_stored(policy) for policy in policies], student_camera=config.config.get("camera", "")
+    )
+    rewards = [policy.card.get("reward") for policy in policies]
+    if config.keep == "rewarded" and set(rewards) != {"learned"}:
+        raise InvalidInput(
+            "To keep rewarded rollouts, every teacher must have been trained on a learned reward; "
+            f"got {', '.join(map(str, rewards))}.",
+            field="config.keep",
+            hint="Keep all.",
+        )
+
+
+def _write_card(context: RunContext, name: str, policies: Sequence[StoredPolicy]) -> None:
+    """Records, durably, that the dataset is complete; only then is it published."""
+    dataset = Dataset(context.folder / ROLLOUTS)
+    cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
+    teachers.save(context.folder / ROLLOUTS, cards)
+    card = {
+        "dataset": name,
+        "trajectories": len(dataset),
+        "timesteps": int(dataset.lengths.sum()),
+        "fingerprint": dataset.fingerprint,
+        "teachers": cards,
+    }
+    write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
+
+
+def _publish(context: RunContext, name: str) -> None:
+    rollouts, target = context.folder / ROLLOUTS, dataset_path(context.data_dir, name)
+    if not rollouts.is_dir():  # published already
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        rollouts.rename(target)
+    except OSError as error:
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY):
+            raise _name_taken() from None
+        raise
+    fsync_folder(target.parent)
+
+
+def _name_taken() -> AlreadyExists:
+    return AlreadyExists(
+        "The rollouts need a new dataset; there is one of this name.",
+        field="config.dataset",
+        hint="Choose another name, or leave it out.",
+    )

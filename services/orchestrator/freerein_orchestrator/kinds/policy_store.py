@@ -1,0 +1,103 @@
+"""Policies and runs that a run may build on: other runs, earlier steps of its pipeline, and stored models."""
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from freerein.atomic_files import write_atomic
+from freerein.errors import InvalidInput, NotFound
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.types.common import ModelRef, check_name
+from freerein_orchestrator.rl.policy_files import StoredPolicy, load_policy
+
+_RUN_ID = re.compile(r"[0-9a-f]{32}")
+
+
+@dataclass(frozen=True)
+class PolicyStore:
+    """Finds policies and runs by name.
+
+    Attributes:
+        runs: Folder of all runs.
+        models: Policies that were published, and those that came with freerein.
+        siblings: Folder of the steps of the same pipeline; None outside one.
+        pins: File that pins names to versions of models.
+    """
+
+    runs: Path
+    models: ModelStore
+    siblings: Path | None = None
+    pins: Path | None = None
+
+    @classmethod
+    def open(
+        cls, data_dir: Path, environ: Mapping[str, str], *, siblings: Path | None = None, pins: Path | None = None
+    ) -> "PolicyStore":
+        """Returns the store of a data directory; `FREEREIN_SHIPPED_DIR` says where shipped models are."""
+        shipped = Path(environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS)
+        models = ModelStore(data_dir / "models" / "orchestrator", shipped=shipped / "orchestrator")
+        return cls(data_dir / "runs", models, siblings, pins)
+
+    def load(self, name: str, *, field: str, device: str = "cpu") -> StoredPolicy:
+        """Returns a policy.
+
+        Args:
+            name: A run's id, an earlier step of the pipeline, or a stored policy: its pinned, else its active version.
+            field: The configuration's field that holds the name.
+            device: `auto`, `cpu` or `cuda:N`.
+
+        Raises:
+            InvalidInput: There is none of that name.
+        """
+        return load_policy(self.folder(name, field=field), device=device)
+
+    def folder(self, name: str, *, field: str) -> Path:
+        """Returns a policy's folder; arguments and errors as of `load`."""
+        check_name(name, field=field)
+        version = self._pinned().get(name) or self._active_version(name)
+        if not version:
+            return self.run_folder(name) / "artifacts"
+        return self.model_folder(ModelRef(name, version), field=field)
+
+    def model_folder(self, ref: ModelRef, *, field: str) -> Path:
+        """Returns the folder of a stored policy; without a version, of its active one.
+
+        Raises:
+            InvalidInput: There is no such policy.
+        """
+        version = ref.version or self.models.active_version(check_name(ref.name, field=field))
+        try:
+            return self.models.folder(ModelRef(ref.name, version or "none"))
+        except NotFound as error:
+            raise InvalidInput(error.detail, field=field, hint=error.hint) from error
+
+    def run_folder(self, name: str) -> Path:
+        """Returns the folder of a run, by its id, or of an earlier step of the same pipeline, by its name.
+
+        Raises:
+            InvalidInput: There is neither.
+        """
+        check_name(name, field="config")
+        for parent in (self.siblings, self.runs):
+            if parent is not None and (parent / name).is_dir():
+                return parent / name
+        raise InvalidInput(
+            "A run to build on must exist, or be an earlier step of the pipeline; there is none of that name.",
+            field="config",
+            hint="`freerein runs list` names the runs.",
+        )
+
+    def pin(self, names: Iterable[str]) -> None:
+        """Pins, durably and once, the active versions of models: later attempts at the run use the same ones."""
+        if self.pins is not None and not self.pins.is_file():
+            write_atomic(self.pins, json.dumps({name: self._active_version(name) for name in names}).encode())
+
+    def _active_version(self, name: str) -> str:
+        """Returns a model's active version; empty for the names of runs and earlier steps, which take precedence."""
+        is_run = _RUN_ID.fullmatch(name) or (self.siblings is not None and (self.siblings / name).is_dir())
+        return "" if is_run else self.models.active_version(name)
+
+    def _pinned(self) -> Mapping[str, str]:
+        return dict(json.loads(self.pins.read_bytes())) if self.pins is not None and self.pins.is_file() else {}

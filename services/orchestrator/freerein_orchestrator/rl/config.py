@@ -1,0 +1,87 @@
+"""Hyperparameters of PPO."""
+
+from dataclasses import dataclass
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded
+
+_MAX_ROLLOUT = 131_072
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyperparameters of PPO; the defaults suit image observations and rewards of 0 and 1.
+
+    Attributes:
+        iterations: Number of rollouts, each followed by `epochs` passes over it.
+        num_envs: Number of parallel environments.
+        num_steps: Timesteps per environment and rollout.
+        epochs: Passes over each rollout.
+        batch_size: Timesteps per minibatch. Divides `num_envs * num_steps`; a multiple of `num_steps` for a recurrent
+            policy, which learns from whole sequences.
+        lr: Initial learning rate of Adam; decays to zero as a half cosine.
+        gamma: Discount factor.
+        gae_lambda: Lambda of generalised advantage estimation.
+        clip_range: PPO's clipping range of the probability ratio.
+        ent_coef: Coefficient of the entropy bonus.
+        vf_coef: Coefficient of the value loss.
+        recurrent: Whether the policy has an LSTM.
+        normalise_rewards: Whether rewards are divided by the running standard deviation of the discounted return.
+        feature_size: Image features.
+        hidden_size: Units per hidden layer, and of the LSTM.
+        init_log_std: Initial log standard deviation of continuous actions.
+        seed: Seed of the learner; environments have their own.
+        threads: Torch threads on the CPU.
+
+    Raises:
+        InvalidInput: A rollout is too large, or `batch_size` does not divide it.
+    """
+
+    iterations: int = bounded(100, least=1, most=1_000_000)
+    num_envs: int = bounded(16, least=1, most=1024)
+    num_steps: int = bounded(32, least=2, most=65_536)
+    epochs: int = bounded(4, least=1, most=100)
+    batch_size: int = bounded(256, least=2, most=1_048_576)
+    lr: float = bounded(1e-3, least=1e-7, most=1.0)
+    gamma: float = bounded(0.98, least=0.0, most=1.0)
+    gae_lambda: float = bounded(0.95, least=0.0, most=1.0)
+    clip_range: float = bounded(0.2, least=0.01, most=1.0)
+    ent_coef: float = bounded(0.0, least=0.0, most=1.0)
+    vf_coef: float = bounded(0.5, least=0.0, most=10.0)
+    recurrent: bool = False
+    normalise_rewards: bool = True
+    feature_size: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(64, least=2, most=1024)
+    init_log_std: float = bounded(-0.5, least=-5.0, most=2.0)
+    seed: int = bounded(0, least=0, most=2**31 - 1)
+    threads: int = bounded(1, least=1, most=256)
+
+    def __post_init__(self) -> None:
+        if self.rollout_size > _MAX_ROLLOUT:
+            raise InvalidInput(
+                f"num_envs * num_steps must be at most {_MAX_ROLLOUT}; got {self.rollout_size}.",
+                field="num_steps",
+                hint="Use more iterations of fewer steps.",
+            )
+        if self.rollout_size % self.batch_size or self.batch_size % self.sequence_length:
+            raise InvalidInput(
+                f"`batch_size` must divide num_envs * num_steps = {self.rollout_size} and be a multiple of "
+                f"{self.sequence_length}; got {self.batch_size}.",
+                field="batch_size",
+                hint=f"Choose {self.rollout_size // next(n for n in (4, 2, 1) if self.num_envs % n == 0)}.",
+            )
+
+    @property
+    def rollout_size(self) -> int:
+        """Timesteps per rollout, over all environments."""
+        return self.num_envs * self.num_steps
+
+    @property
+    def sequence_length(self) -> int:
+        """Timesteps per training sequence: a whole rollout's for a recurrent policy, else 1."""
+        return self.num_steps if self.recurrent else 1
+
+    @property
+    def updates(self) -> int:
+        """Optimiser steps per iteration."""
+        return self.epochs * self.rollout_size // self.batch_size

@@ -1,0 +1,183 @@
+"""Actor and critic with a shared image encoder and, optionally, a shared LSTM."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded
+from freerein.learning.encoders import SpatialEncoder
+from freerein_orchestrator.rl.distributions import Categorical, Distribution, Gaussian
+
+_HIDDEN_GAIN = 2**0.5
+_ACTOR_GAIN, _CRITIC_GAIN = 0.01, 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActorCriticSpec:
+    """Observations, actions and sizes of a network.
+
+    Attributes:
+        action_size: Numbers per action.
+        action_choices: Number of discrete actions, 0 if continuous.
+        vector_size: Numbers per vector observation, 0 for frames.
+        height: Frame height in pixels; unused for vectors, as are width, channels and feature_size.
+        width: Frame width in pixels.
+        channels: 1 or 3.
+        feature_size: Image features.
+        hidden_size: Units per hidden layer, and of the LSTM.
+        recurrent: Whether there is an LSTM.
+        init_log_std: Initial log standard deviation of continuous actions.
+
+    Raises:
+        InvalidInput: There are 2 channels, or a discrete action has more than one number.
+    """
+
+    action_size: int = bounded(1, least=1, most=256)
+    action_choices: int = bounded(0, least=0, most=4096)
+    vector_size: int = bounded(0, least=0, most=4096)
+    height: int = bounded(64, least=4, most=1024)
+    width: int = bounded(64, least=4, most=1024)
+    channels: int = bounded(3, least=1, most=3)
+    feature_size: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(64, least=2, most=1024)
+    recurrent: bool = False
+    init_log_std: float = bounded(-0.5, least=-5.0, most=2.0)
+
+    def __post_init__(self) -> None:
+        if self.channels == 2:
+            raise InvalidInput("Frames must have 1 or 3 channels; got 2.", hint="Render frames as gray or RGB.")
+        if self.action_choices and self.action_size > 1:
+            raise InvalidInput(
+                f"A discrete action must be one number; got {self.action_size}.", hint="Number the combinations."
+            )
+
+    @property
+    def observation_shape(self) -> tuple[int, ...]:
+        """Shape of one observation: (H, W, C) or (D,)."""
+        return (self.vector_size,) if self.vector_size else (self.height, self.width, self.channels)
+
+    @property
+    def recurrent_size(self) -> int:
+        """Size of the recurrent state, hidden state and cell together; 0 without LSTM."""
+        return 2 * self.hidden_size if self.recurrent else 0
+
+
+@dataclass(frozen=True, eq=False)
+class ActorCriticOutput:
+    """Output of the network for T timesteps of B environments.
+
+    Attributes:
+        actions: Action distributions (T, B).
+        values: float32 (T, B).
+        recurrent_state: After the last timestep, float32 (B, recurrent_size).
+    """
+
+    actions: Distribution
+    values: Tensor
+    recurrent_state: Tensor
+
+
+class ActorCritic(nn.Module):
+    """Image encoder, optional LSTM, and an actor and a critic of two hidden layers each.
+
+    Args:
+        spec: Observations, actions and sizes.
+    """
+
+    def __init__(self, spec: ActorCriticSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        self.image = None if spec.vector_size else _image_encoder(spec)
+        features = spec.vector_size or spec.feature_size
+        self.lstm = nn.LSTM(features, spec.hidden_size) if spec.recurrent else None
+        inputs = spec.hidden_size if spec.recurrent else features
+        self.actor = _mlp(inputs, spec.hidden_size, spec.action_choices or spec.action_size, gain=_ACTOR_GAIN)
+        self.critic = _mlp(inputs, spec.hidden_size, 1, gain=_CRITIC_GAIN)
+        self.gaussian = None if spec.action_choices else _DiagonalGaussian(spec.action_size, spec.init_log_std)
+
+    def calibrate(self, observations: Tensor) -> None:
+        """Calibrates the image encoder on frames uint8 (N, H, W, C); does nothing for vectors."""
+        if self.image is not None:
+            self.image.fit_normalisation(observations)
+
+    def forward(self, observations: Tensor, episode_starts: Tensor, recurrent_state: Tensor) -> ActorCriticOutput:
+        """Returns action distributions and values of T timesteps of B environments.
+
+        Args:
+            observations: uint8 (T, B, H, W, C) or float32 (T, B, D).
+            episode_starts: bool (T, B); the recurrent state is reset there.
+            recurrent_state: Before the first timestep, float32 (B, recurrent_size).
+        """
+        features = observations
+        if self.image is not None:
+            features = self.image(observations.flatten(end_dim=1)).unflatten(0, episode_starts.shape)  # (T, B, F)
+        if self.lstm is not None:
+            features, recurrent_state = _run_lstm(self.lstm, features, episode_starts, recurrent_state)  # (T, B, H)
+        scores = self.actor(features)  # (T, B, action_choices or action_size)
+        actions = (
+            Categorical(functional.log_softmax(scores, dim=-1)) if self.gaussian is None else self.gaussian(scores)
+        )
+        return ActorCriticOutput(actions, self.critic(features)[..., 0], recurrent_state)
+
+
+def _image_encoder(spec: ActorCriticSpec) -> SpatialEncoder:
+    return SpatialEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size)
+
+
+def _run_lstm(lstm: nn.LSTM, features: Tensor, starts: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns an LSTM's outputs (T, B, hidden) and its state after them, (B, 2 * hidden).
+
+    Consecutive timesteps without an episode start share one call.
+    """
+    hidden, cell = state[None].chunk(2, dim=-1)  # (1, B, hidden) each
+    splits = (starts[1:].any(dim=1).nonzero()[:, 0] + 1).tolist()
+    outputs = []
+    for begin, end in pairwise([0, *splits, len(starts)]):
+        keep = (~starts[begin]).float()[None, :, None]  # (1, B, 1)
+        output, (hidden, cell) = lstm(features[begin:end], (hidden * keep, cell * keep))
+        outputs.append(output)
+    return torch.cat(outputs), torch.cat([hidden, cell], dim=-1)[0]
+
+
+def _mlp(inputs: int, hidden: int, outputs: int, *, gain: float) -> nn.Sequential:
+    return nn.Sequential(
+        _OrthogonalLinear(inputs, hidden, gain=_HIDDEN_GAIN),
+        nn.Tanh(),
+        _OrthogonalLinear(hidden, hidden, gain=_HIDDEN_GAIN),
+        nn.Tanh(),
+        _OrthogonalLinear(hidden, outputs, gain=gain),
+    )
+
+
+class _OrthogonalLinear(nn.Linear):
+    """A linear layer with orthogonal initial weights and zero bias."""
+
+    def __init__(self, inputs: int, outputs: int, *, gain: float) -> None:
+        super().__init__(inputs, outputs)
+        self._gain = gain
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Initialises the weights."""
+        nn.init.orthogonal_(self.weight, self._gain, generator=generator)
+        nn.init.zeros_(self.bias)
+
+
+class _DiagonalGaussian(nn.Module):
+    """Turns means into Gaussians whose standard deviation is learned and the same in every state."""
+
+    def __init__(self, size: int, init_log_std: float) -> None:
+        super().__init__()
+        self._init_log_std = init_log_std
+        self.log_std = nn.Parameter(torch.empty(size))
+
+    def initialise(self, generator: torch.Generator) -> None:  # nothing random
+        """Initialises the standard deviation."""
+        nn.init.constant_(self.log_std, self._init_log_std)
+
+    def forward(self, mean: Tensor) -> Gaussian:
+        """Returns the distributions around means float32 (..., A)."""
+        return Gaussian(mean, self.log_std)

@@ -1,0 +1,191 @@
+"""Rollouts: T timesteps of N environments, collected with the learner's own weights."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.vec_env import (
+    Observations,
+    VecEnv,
+    env_actions,
+    observation_tensor,
+    reward_tensor,
+    step_observations,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutBuffer:
+    """T timesteps of N environments; all on the CPU.
+
+    Attributes:
+        observations: uint8 (T, N, H, W, C) or float32 (T, N, D).
+        episode_starts: Whether an episode starts there, bool (T, N).
+        actions: As sampled, float32 (T, N, A) or int64 (T, N, 1).
+        log_probs: float32 (T, N).
+        values: float32 (T, N).
+        rewards: Those of the environments, float32 (T, N).
+        dones: Whether an episode ended, bool (T, N).
+        truncated_values: Value of the final observation of a truncated episode, 0 elsewhere, float32 (T, N).
+        final_observations: Final observations of the K episodes that ended, by time and environment, (K, ...).
+        last_observations: Those after the last timestep, (N, ...).
+        last_values: Their values, float32 (N,).
+        recurrent_state: The policy's before the first timestep, float32 (N, recurrent_size).
+    """
+
+    observations: Tensor
+    episode_starts: Tensor
+    actions: Tensor
+    log_probs: Tensor
+    values: Tensor
+    rewards: Tensor
+    dones: Tensor
+    truncated_values: Tensor
+    final_observations: Tensor
+    last_observations: Tensor
+    last_values: Tensor
+    recurrent_state: Tensor
+
+    @property
+    def executed_actions(self) -> Tensor:
+        """Actions as executed: continuous ones clipped to [-1, 1]."""
+        return self.actions.clamp(-1, 1) if self.actions.is_floating_point() else self.actions
+
+    @property
+    def next_observations(self) -> Tensor:
+        """Observations that each action led to, (T, N, ...); the final one where an episode ended."""
+        following = torch.cat([self.observations[1:], self.last_observations[None]])
+        following[self.dones] = self.final_observations
+        return following
+
+
+@dataclass(frozen=True, eq=False)
+class CollectorState:
+    """Everything that the next rollout depends on, besides the network; all on the CPU.
+
+    Attributes:
+        observations: Present ones, uint8 (N, H, W, C) or float32 (N, D).
+        episode_starts: Whether an episode starts with them, bool (N,).
+        recurrent_state: float32 (N, recurrent_size).
+        generator: State of the generator that samples actions, uint8.
+        env_snapshots: What restores the environments.
+    """
+
+    observations: Tensor
+    episode_starts: Tensor
+    recurrent_state: Tensor
+    generator: Tensor
+    env_snapshots: tuple[bytes, ...]
+
+    @classmethod
+    def init(cls, envs: VecEnv, spec: ActorCriticSpec, generator: torch.Generator) -> "CollectorState":
+        """Resets the environments and returns the state before the first rollout.
+
+        Raises:
+            InvalidInput: The observations are not what the network takes.
+        """
+        observations: Observations = envs.reset()
+        return cls(
+            observations=observation_tensor(observations, spec, envs.num_envs),
+            episode_starts=torch.ones(envs.num_envs, dtype=torch.bool),
+            recurrent_state=torch.zeros(envs.num_envs, spec.recurrent_size),
+            generator=generator.get_state(),
+            env_snapshots=envs.snapshots(),
+        )
+
+
+class Collector(Protocol):
+    """Collects rollouts.
+
+    Attributes:
+        recoveries: How often a rollout was restarted after a failure.
+    """
+
+    recoveries: int
+
+    def collect(self, network: ActorCritic, state: CollectorState) -> tuple[RolloutBuffer, CollectorState]:
+        """Returns the rollout that starts at `state`, and the state after it."""
+
+    def close(self) -> None:
+        """Frees the environments."""
+
+
+@torch.no_grad()
+def collect(
+    network: ActorCritic, envs: VecEnv, state: CollectorState, *, num_steps: int
+) -> tuple[RolloutBuffer, CollectorState]:
+    """Returns a rollout of `num_steps` timesteps, and the collector's state after it.
+
+    Args:
+        network: The policy; not changed.
+        envs: In the state that `state.env_snapshots` restores.
+        state: The collector's state before the rollout.
+        num_steps: T.
+
+    Raises:
+        IterationRejected: The environments returned something malformed, or a reward is not finite.
+    """
+    device, num_envs = next(network.parameters()).device, len(state.episode_starts)
+    generator = torch.Generator()
+    generator.set_state(state.generator)
+    observations, starts, recurrent_state = state.observations, state.episode_starts, state.recurrent_state
+    columns: dict[str, list[Tensor]] = {name: [] for name in _COLUMNS}
+    final_observations: list[Tensor] = []
+    for _ in range(num_steps):
+        outputs = network(observations[None].to(device), starts[None].to(device), recurrent_state.to(device))
+        actions = outputs.actions.sample(generator)
+        step = envs.step(env_actions(actions[0]))
+        following, final = step_observations(step, network.spec, num_envs)
+        dones = torch.from_numpy(step.terminated | step.truncated)
+        recurrent_state = outputs.recurrent_state.cpu()
+        row = {
+            "observations": observations,
+            "episode_starts": starts,
+            "actions": actions[0].cpu(),
+            "log_probs": outputs.actions.log_prob(actions)[0].cpu(),
+            "values": outputs.values[0].cpu(),
+            "dones": dones,
+            "truncated_values": _truncated_values(
+                network, final, dones, torch.from_numpy(step.truncated & ~step.terminated), recurrent_state
+            ),
+        }
+        for name, value in row.items():
+            columns[name].append(value)
+        final_observations.append(final)
+        observations, starts = following, dones
+    stacked = {name: torch.stack(values) for name, values in columns.items()}
+    rollout = RolloutBuffer(
+        **stacked,
+        rewards=reward_tensor(envs.rewards(), stacked["dones"].shape),
+        final_observations=torch.cat(final_observations),
+        last_observations=observations,
+        last_values=_values(network, observations, starts, recurrent_state),
+        recurrent_state=state.recurrent_state,
+    )
+    return rollout, CollectorState(observations, starts, recurrent_state, generator.get_state(), envs.snapshots())
+
+
+_COLUMNS = ("observations", "episode_starts", "actions", "log_probs", "values", "dones", "truncated_values")
+
+
+def _values(network: ActorCritic, observations: Tensor, starts: Tensor, recurrent_state: Tensor) -> Tensor:
+    """Returns the values of one timestep's observations, float32 (N,)."""
+    device = next(network.parameters()).device
+    outputs = network(observations[None].to(device), starts[None].to(device), recurrent_state.to(device))
+    values: Tensor = outputs.values[0].cpu()
+    return values
+
+
+def _truncated_values(
+    network: ActorCritic, final: Tensor, dones: Tensor, truncated: Tensor, recurrent_state: Tensor
+) -> Tensor:
+    """Returns values of the final observations of truncated episodes, 0 elsewhere, float32 (N,)."""
+    values = torch.zeros(len(dones))
+    if truncated.any():
+        within = truncated[dones]  # final observations are those of all ended episodes
+        continuing = torch.zeros(int(truncated.sum()), dtype=torch.bool)
+        values[truncated] = _values(network, final[within], continuing, recurrent_state[truncated])
+    return values

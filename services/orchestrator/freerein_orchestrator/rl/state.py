@@ -1,0 +1,289 @@
+"""The complete state of a PPO training between two iterations, as a checkpoint and back, bit for bit.
+
+No rollout is saved: the collector's state says where the next one starts, environments included.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import TypeAlias, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from freerein.errors import InvalidInput
+from freerein.learning import train_state, weights
+from freerein.learning.batch_sampler import BatchSampler
+from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning.config import parse
+from freerein.learning.train_state import FitLoopState, TrainState
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.episode_stats import EpisodeStats
+from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
+from freerein_orchestrator.rl.rewards import EnvRewards, RewardLearner
+from freerein_orchestrator.rl.rollout import CollectorState
+from freerein_orchestrator.rl.vec_env import Observations, VecEnv, env_actions, observation_tensor
+
+_CALIBRATION_STEPS = 64
+_ADAM_EPSILON = 1e-5
+
+MakeRewardLearner: TypeAlias = Callable[[ActorCritic], RewardLearner]
+"""Returns the untrained reward learner of a policy network."""
+
+
+def env_rewards(_network: ActorCritic) -> RewardLearner:
+    """Returns the reward learner that passes the environments' rewards on."""
+    return EnvRewards()
+
+
+@dataclass(frozen=True, eq=False)
+class PPOState:
+    """Everything that the next iteration depends on.
+
+    Attributes:
+        config: Hyperparameters.
+        learner: Network, optimiser, optimiser steps, data order.
+        collector: Where the next rollout starts.
+        episodes: Statistics of the episodes under way.
+        normaliser: Scales rewards; None without normalisation.
+        reward_learner: Rewards rollouts; changed in place.
+        inputs: What else the training was started with and must be resumed with.
+        recorded: Trajectories recorded so far.
+        metrics: Those of the last iteration.
+    """
+
+    config: PPOConfig
+    learner: FitLoopState[ActorCritic]
+    collector: CollectorState
+    episodes: EpisodeStats
+    normaliser: ReturnNormaliser | None
+    reward_learner: RewardLearner
+    inputs: Mapping[str, JSON] = field(default_factory=dict)
+    recorded: int = 0
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def network(self) -> ActorCritic:
+        """The policy and its value, as trained so far."""
+        return self.learner.state.network
+
+    @property
+    def iteration(self) -> int:
+        """Completed iterations."""
+        return self.learner.state.step // self.config.updates
+
+    @property
+    def timesteps(self) -> int:
+        """Environment steps so far."""
+        return self.iteration * self.config.rollout_size
+
+
+def network_spec(
+    config: PPOConfig, *, observation: tuple[int, ...], action_size: int = 1, action_choices: int = 0
+) -> ActorCriticSpec:
+    """Returns the network of a configuration.
+
+    Args:
+        config: Hyperparameters.
+        observation: Shape of an observation: (H, W, C) or (D,).
+        action_size: Numbers per action.
+        action_choices: Number of discrete actions, 0 if continuous.
+
+    Raises:
+        InvalidInput: There is no network for such observations or actions.
+    """
+    match observation:
+        case (height, width, channels):
+            shape = {"height": height, "width": width, "channels": channels}
+        case (size,):
+            shape = {"vector_size": size}
+        case _:
+            raise InvalidInput(f"An observation must have the shape (H, W, C) or (D,); got {observation}.")
+    return ActorCriticSpec(
+        **shape,
+        action_size=action_size,
+        action_choices=action_choices,
+        feature_size=config.feature_size,
+        hidden_size=config.hidden_size,
+        recurrent=config.recurrent,
+        init_log_std=config.init_log_std,
+    )
+
+
+def init_state(
+    config: PPOConfig,
+    spec: ActorCriticSpec,
+    envs: VecEnv,
+    *,
+    device: torch.device,
+    init_from: ActorCritic | None = None,
+    make_reward_learner: MakeRewardLearner = env_rewards,
+    inputs: Mapping[str, JSON] | None = None,
+) -> PPOState:
+    """Returns the state before the first iteration; resets the environments.
+
+    The image encoder of new weights is calibrated on the frames that random actions lead to.
+
+    Args:
+        config: Hyperparameters.
+        spec: The network.
+        envs: The environments.
+        device: Where the network is trained.
+        init_from: A network of the same spec to copy.
+        make_reward_learner: Returns the reward learner.
+        inputs: What else the training must be resumed with.
+
+    Raises:
+        InvalidInput: The environments' number or observations are not the configuration's.
+    """
+    if envs.num_envs != config.num_envs:
+        raise InvalidInput(f"There must be {config.num_envs} environments; got {envs.num_envs}.", field="num_envs")
+    learner = _init_learner(config, spec, device)
+    network, generator = learner.state.network, learner.state.generator
+    if init_from is not None:
+        network.load_state_dict(init_from.state_dict())
+    else:
+        calibrate(network, envs, generator)
+    return PPOState(
+        config=config,
+        learner=learner,
+        collector=CollectorState.init(envs, spec, generator),
+        episodes=EpisodeStats.init(config.num_envs),
+        normaliser=ReturnNormaliser.init(config.num_envs) if config.normalise_rewards else None,
+        reward_learner=make_reward_learner(network),
+        inputs=inputs or {},
+    )
+
+
+def init_network(spec: ActorCriticSpec, generator: torch.Generator) -> ActorCritic:
+    """Returns a network with initial weights, not yet calibrated."""
+    network = ActorCritic(spec)
+    weights.initialise(network, generator=generator)
+    return network
+
+
+def calibrate(network: ActorCritic, envs: VecEnv, generator: torch.Generator) -> None:
+    """Calibrates a network's image encoder on frames that random actions lead to; does nothing for vectors."""
+    spec = network.spec
+    if spec.vector_size:
+        return
+    frames: list[Observations] = [envs.reset()]
+    size = envs.num_envs, spec.action_size
+    for _ in range(_CALIBRATION_STEPS):
+        if spec.action_choices:
+            actions = torch.randint(spec.action_choices, size, generator=generator)
+        else:
+            actions = 2 * torch.rand(size, generator=generator) - 1
+        frames.append(envs.step(env_actions(actions)).observations)
+    envs.rewards()  # unused
+    seen = torch.cat([observation_tensor(each, spec, envs.num_envs) for each in frames])
+    network.calibrate(seen.to(next(network.parameters()).device))
+
+
+def to_checkpoint(state: PPOState) -> Checkpoint:
+    """Returns a copy of a state, unaffected by what follows."""
+    made = train_state.to_checkpoint(state.learner, _identity(state.config, state.network, state.inputs))
+    reward = state.reward_learner.snapshot()
+    tensors = {
+        **made.tensors,
+        **{f"collector/{name}": tensor for name, tensor in _collector_tensors(state).items()},
+        **{f"reward/{name}": tensor for name, tensor in reward.tensors.items()},
+    }
+    document: dict[str, JSON] = {
+        **made.document,
+        "metrics": dict(state.metrics),
+        "recorded": state.recorded,
+        "reward": {**reward.document, "step": reward.step},
+    }
+    return replace(made, tensors={name: tensor.detach().clone() for name, tensor in tensors.items()}, document=document)
+
+
+def from_checkpoint(
+    checkpoint: Checkpoint,
+    config: PPOConfig,
+    *,
+    device: torch.device,
+    make_reward_learner: MakeRewardLearner = env_rewards,
+    inputs: Mapping[str, JSON] | None = None,
+) -> PPOState:
+    """Returns the state of a checkpoint.
+
+    Args:
+        checkpoint: From `to_checkpoint`.
+        config: As the training was started with.
+        device: As well.
+        make_reward_learner: As well.
+        inputs: Those of its inputs that may have changed.
+
+    Raises:
+        FailedPrecondition: The training was started with another configuration or other inputs, on another device or
+            with another torch version.
+    """
+    started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
+    fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
+    inputs = {**started["inputs"], **(inputs or {})}
+    learner = train_state.from_checkpoint(checkpoint, fresh, _identity(config, fresh.state.network, inputs))
+    reward_learner = make_reward_learner(learner.state.network)
+    reward = cast(dict[str, JSON], checkpoint.document["reward"])
+    reward_learner.restore(Checkpoint(cast(int, reward["step"]), _under("reward/", checkpoint.tensors), reward))
+    collector = _under("collector/", checkpoint.tensors)
+    normaliser = ReturnNormaliser(collector["discounted"], collector["moments"]) if "moments" in collector else None
+    snapshots = [collector[f"env/{index}"] for index in range(len(_under("env/", collector)))]
+    return PPOState(
+        config=config,
+        learner=learner,
+        collector=CollectorState(
+            observations=collector["observations"],
+            episode_starts=collector["episode_starts"],
+            recurrent_state=collector["recurrent_state"],
+            generator=collector["generator"],
+            env_snapshots=tuple(each.numpy().tobytes() for each in snapshots),
+        ),
+        episodes=EpisodeStats(collector["returns"], collector["lengths"]),
+        normaliser=normaliser,
+        reward_learner=reward_learner,
+        inputs=inputs,
+        recorded=cast(int, checkpoint.document["recorded"]),
+        metrics=cast(Mapping[str, float], checkpoint.document["metrics"]),
+    )
+
+
+def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> FitLoopState[ActorCritic]:
+    generator = torch.Generator().manual_seed(config.seed)
+    network = init_network(spec, generator).to(device)
+    optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_ADAM_EPSILON, fused=True)
+    sequences = config.rollout_size // config.sequence_length
+    sampler = BatchSampler.start(sequences, rng=np.random.default_rng(config.seed))
+    return FitLoopState(TrainState(network, optimiser, generator), sampler)
+
+
+def _identity(config: PPOConfig, network: ActorCritic, inputs: Mapping[str, JSON]) -> dict[str, JSON]:
+    return {
+        "config": asdict(config),
+        "network": asdict(network.spec),
+        "torch": torch.__version__,
+        "device": str(next(network.parameters()).device),
+        "inputs": dict(inputs),
+    }
+
+
+def _collector_tensors(state: PPOState) -> dict[str, Tensor]:
+    collector, normaliser = state.collector, state.normaliser
+    tensors = {
+        "observations": collector.observations,
+        "episode_starts": collector.episode_starts,
+        "recurrent_state": collector.recurrent_state,
+        "generator": collector.generator,
+        "returns": state.episodes.returns,
+        "lengths": state.episodes.lengths,
+    }
+    if normaliser is not None:
+        tensors |= {"discounted": normaliser.returns, "moments": normaliser.moments}
+    for index, snapshot in enumerate(collector.env_snapshots):
+        tensors[f"env/{index}"] = torch.from_numpy(np.frombuffer(snapshot, np.uint8).copy())
+    return tensors
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

@@ -1,0 +1,71 @@
+"""Inference with a trained segmentation network: numpy in, numpy out."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freerein.learning import model_files
+from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
+
+_FRAMES_AT_ONCE = 256
+
+
+class SegmentationModel:
+    """Runs a trained network on its own device; see `freerein_segmentation.core.SkillModel` for the attributes."""
+
+    def __init__(self, network: SegmentationNetwork) -> None:
+        spec = network.spec
+        self.skills = spec.skills
+        self.camera = spec.camera
+        self.height, self.width, self.channels = spec.height, spec.width, spec.channels
+        self.action_size, self.action_choices = spec.action_size, spec.action_choices
+        self._stride = spec.stride
+        self._network = network.eval()
+        self._device = next(network.parameters()).device
+
+    @torch.inference_mode()
+    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
+        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in bounded working memory.
+
+        Args:
+            frames: uint8 (T, H, W, C), T at least 1.
+            actions: float32 (T, A) or int64 (T, 1); ignored by a model without actions.
+        """
+        if actions is None:
+            actions = np.zeros((len(frames), 0), np.float32)
+        probabilities = np.empty((len(frames), len(self.skills)), np.float32)
+        for phase in range(min(self._stride, len(frames))):
+            timesteps = slice(phase, None, self._stride)
+            probabilities[timesteps] = self._strided_probabilities(frames[timesteps], actions[timesteps])
+        return probabilities
+
+    def _strided_probabilities(
+        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]
+    ) -> npt.NDArray[np.float32]:
+        """Returns the probabilities of timesteps that are one stride apart, as in training."""
+        windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
+        features = torch.cat(
+            [self._network.features(*self._tensors(frames[at], actions[at])) for at in windows]
+        )  # (T, D)
+        probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
+        return probabilities
+
+    def _tensors(self, *arrays: npt.NDArray[Any]) -> tuple[torch.Tensor, ...]:
+        """Returns copies on the network's device: arrays from the wire are read-only."""
+        return tuple(torch.tensor(array, device=self._device) for array in arrays)
+
+
+def load(folder: Path, device: str) -> SegmentationModel:
+    """Returns the model in a folder.
+
+    Args:
+        folder: Written by `freerein.learning.model_files.save_model`; read as untrusted.
+        device: `auto`, `cpu` or `cuda:N`.
+
+    Raises:
+        InvalidInput: A file is missing or malformed.
+    """
+    return SegmentationModel(model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device))

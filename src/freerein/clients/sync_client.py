@@ -1,0 +1,115 @@
+"""A blocking form of any client: its event loop runs in a thread of its own.
+
+    with SyncClient(SimClient(Channel("127.0.0.1:9104"))) as sim:
+        tasks = sim.list_tasks(ListTasksRequest())
+
+A thread, and not a loop that runs only while a call lasts: it also works where a loop runs already, as in notebooks,
+and costs a tenth of a millisecond per call.
+"""
+
+import asyncio
+import threading
+import weakref
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
+from concurrent.futures import CancelledError, Future
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from freerein.clients.client import Client
+from freerein.errors import Cancelled, FailedPrecondition
+
+T = TypeVar("T")
+_END_S = 1.0
+_Started = tuple[asyncio.AbstractEventLoop, asyncio.Event]
+
+
+class SyncClient:
+    """Every method of a client as a plain call, and every asynchronous iterator as an iterator.
+
+    Its attributes are the client's, so they have no types of their own. It may be called from several threads.
+
+    Args:
+        client: The client; nobody else uses it from now on. It is closed with this object, or when this object is
+            no longer referred to, or at exit.
+    """
+
+    def __init__(self, client: Client) -> None:
+        started: Future[_Started] = Future()
+        thread = threading.Thread(
+            target=asyncio.run, args=(_serve(client, started),), name=type(client).__name__, daemon=True
+        )
+        thread.start()
+        self._client = client
+        self._loop, stop = started.result()
+        self._stop = weakref.finalize(self, _end, self._loop, stop, thread)
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        method = getattr(self._client, name)
+
+        def call(*args: object, **kwargs: object) -> object:
+            reply = self._wait(_called(method, args, kwargs))
+            return self._iterate(reply) if isinstance(reply, AsyncGenerator) else reply
+
+        return call
+
+    def close(self) -> None:
+        """Closes the client and ends the thread; closing again does nothing."""
+        self._stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _wait(self, reply: Coroutine[Any, Any, T]) -> T:
+        if not self._stop.alive:
+            reply.close()
+            raise FailedPrecondition("The client must be open; it is closed.", hint="Make another one.")
+        future = asyncio.run_coroutine_threadsafe(reply, self._loop)
+        try:
+            return future.result()
+        except CancelledError:
+            raise Cancelled("The client was closed while it waited for an answer.") from None
+        except BaseException:  # an interrupt of this thread ends the call in the other one
+            future.cancel()
+            raise
+
+    def _iterate(self, replies: AsyncGenerator[T, None]) -> Iterator[T]:
+        try:
+            while True:
+                yield self._wait(_next(replies))
+        except StopAsyncIteration:
+            return
+        finally:
+            if self._stop.alive:
+                self._wait(replies.aclose())
+
+
+async def _serve(client: Client, started: "Future[_Started]") -> None:
+    stop = asyncio.Event()
+    started.set_result((asyncio.get_running_loop(), stop))
+    await stop.wait()
+    await client.close()
+    # gRPC hears of the end of the calls that this ended; a loop closed before would make it complain.
+    if unfinished := asyncio.all_tasks() - {asyncio.current_task()}:
+        await asyncio.wait(unfinished, timeout=_END_S)
+
+
+def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading.Thread) -> None:
+    loop.call_soon_threadsafe(stop.set)
+    if thread is not threading.current_thread():  # the garbage collector may run anywhere
+        thread.join()
+
+
+async def _called(method: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> Any:
+    reply = method(*args, **kwargs)  # here, not in the caller's thread: a channel is opened on the running loop
+    return reply if isinstance(reply, AsyncGenerator) else await reply
+
+
+async def _next(replies: AsyncGenerator[T, None]) -> T:
+    return await anext(replies)

@@ -1,0 +1,136 @@
+"""Rollouts, advantages, episode statistics and reward normalisation, on scripted environments."""
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import parse
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.episode_stats import EpisodeStats
+from freerein_orchestrator.rl.errors import IterationRejected
+from freerein_orchestrator.rl.networks import ActorCriticSpec
+from freerein_orchestrator.rl.ppo import generalised_advantages, training_batch
+from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
+from freerein_orchestrator.rl.rollout import CollectorState, collect
+from freerein_orchestrator.rl.state import init_network
+from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
+
+
+class ScriptedEnvs:
+    """Three environments with rewards of 1; at timestep 2 the first terminates, the second is truncated, the third both."""
+
+    num_envs = 3
+
+    def __init__(self) -> None:
+        self._rng, self._t = np.random.default_rng(0), 0
+        self.final = self.reset()
+        self.reward = 1.0
+
+    def reset(self) -> Observations:
+        return self._rng.standard_normal((3, 2), np.float32)
+
+    def step(self, actions: Actions) -> VecStep:
+        done = np.full(3, self._t == 2)
+        self._t += 1
+        self.final = self.reset() if self._t <= 3 else self.final
+        return VecStep(self.reset(), done & [True, False, True], done & [False, True, True], self.final)
+
+    def rewards(self) -> Rewards:
+        steps, self._t = self._t, 0
+        return np.full((steps, 3), self.reward, np.float32)
+
+    def snapshots(self) -> tuple[bytes, ...]:
+        return ()
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_values_are_the_networks_also_after_the_rollout_and_where_an_episode_was_truncated(recurrent: bool) -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2, recurrent=recurrent), generator)
+    state = CollectorState.init(envs, network.spec, generator)
+    rollout, after = collect(network, envs, state, num_steps=40)
+
+    seen = torch.cat([rollout.observations, after.observations[None]])
+    starts = torch.cat([rollout.episode_starts, after.episode_starts[None]])
+    until_truncation = torch.cat([rollout.observations[:3], torch.from_numpy(envs.final)[None]])
+    with torch.no_grad():
+        outputs = network(seen, starts, state.recurrent_state)
+        final = network(until_truncation, torch.zeros(4, 3, dtype=torch.bool), state.recurrent_state).values[3, 1]
+    torch.testing.assert_close(torch.cat([rollout.values, rollout.last_values[None]]), outputs.values)
+    log_probs = network(rollout.observations, rollout.episode_starts, state.recurrent_state).actions.log_prob
+    torch.testing.assert_close(rollout.log_probs, log_probs(rollout.actions).detach())
+    expected = torch.zeros(40, 3)
+    expected[2, 1] = final
+    torch.testing.assert_close(rollout.truncated_values, expected)
+
+    config = PPOConfig(num_envs=3, num_steps=40, batch_size=40, recurrent=True)
+    advantages = generalised_advantages(
+        rollout.rewards + 0.98 * expected,
+        outputs.values[:-1],
+        rollout.dones,
+        outputs.values[-1],
+        gamma=0.98,
+        gae_lambda=0.95,
+    )
+    torch.testing.assert_close(training_batch(rollout, rollout.rewards, config).advantages, advantages)
+
+
+def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_led_to() -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+    rollout, after = collect(network, envs, CollectorState.init(envs, network.spec, generator), num_steps=5)
+    assert rollout.dones.tolist() == [[t == 2] * 3 for t in range(5)]
+    assert (rollout.truncated_values != 0).tolist() == [[False, t == 2, False] for t in range(5)]
+    assert rollout.episode_starts.tolist() == [[t in (0, 3)] * 3 for t in range(5)]
+    assert rollout.final_observations.tolist() == envs.final.tolist()
+    assert rollout.next_observations[2].tolist() == envs.final.tolist()
+    assert torch.equal(rollout.next_observations[[0, 1, 3]], rollout.observations[[1, 2, 4]])
+    assert torch.equal(rollout.next_observations[4], after.observations)
+
+    episodes, ended = EpisodeStats.init(3).update(rollout.rewards, rollout.dones)
+    assert (ended.returns.tolist(), ended.lengths.tolist()) == ([3.0] * 3, [3] * 3)
+    assert (episodes.returns.tolist(), episodes.lengths.tolist()) == ([2.0] * 3, [2] * 3)
+    assert ended.metrics() == {"episode_return": 3.0, "episode_length": 3.0}
+    assert EpisodeStats.init(0).metrics() == {}
+
+
+def test_rewards_that_are_not_finite_reject_the_iteration() -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+    envs.reward = np.nan
+    with pytest.raises(IterationRejected, match="finite"):
+        collect(network, envs, CollectorState.init(envs, network.spec, generator), num_steps=5)
+
+
+def test_normalised_rewards_do_not_depend_on_the_unit_and_are_scaled_by_the_std_of_discounted_returns() -> None:
+    rng = np.random.default_rng(0)
+    rewards, dones = rng.standard_normal((50, 4)).astype(np.float32), np.zeros((50, 4), np.bool_)
+    dones[10:40:7] = True
+    scaled, state = ReturnNormaliser.init(4).normalise(torch.from_numpy(rewards), torch.from_numpy(dones), gamma=0.9)
+    other, _ = ReturnNormaliser.init(4).normalise(64 * torch.from_numpy(rewards), torch.from_numpy(dones), gamma=0.9)
+    torch.testing.assert_close(scaled, other)
+
+    returns, seen = np.zeros(4), []
+    for reward, done in zip(rewards, dones, strict=True):
+        returns = 0.9 * returns + reward
+        seen.append(returns)
+        returns = returns * ~done
+    assert state.moments[0] == 200
+    torch.testing.assert_close(scaled[-1], torch.from_numpy(rewards[-1] / np.std(seen)).float())
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"batch_size": 100},
+        {"batch_size": 16, "recurrent": True},
+        {"num_envs": 1024, "num_steps": 256},
+        {"clip_range": 0.0},
+        {"discount": 0.9},
+    ],
+)
+def test_an_invalid_configuration_is_refused(values: dict[str, object]) -> None:
+    assert parse(PPOConfig, {"num_steps": 64.0}).updates == 16
+    with pytest.raises(InvalidInput):
+        parse(PPOConfig, values)
