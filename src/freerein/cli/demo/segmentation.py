@@ -11,7 +11,7 @@ from freerein.cli.demo.report import Figure
 from freerein.clients import SegmentationClient
 from freerein.data import Dataset
 from freerein.data.truth import labels as true_labels
-from freerein.metrics import majority_accuracy, random_cls_accuracy
+from freerein.metrics import majority_accuracy
 from freerein.types.common import ModelRef
 from freerein.types.learning import Fit
 from freerein.types.segmentation import SegmentRequest
@@ -68,11 +68,6 @@ class SegmentationResult:
     def majority_accuracy(self) -> float:
         """Accuracy of a guesser who is told each trajectory's longest skill and always answers it."""
         return self._mean_over_timesteps(lambda each: majority_accuracy(each.truth))
-
-    @property
-    def random_cls_accuracy(self) -> float:
-        """Accuracy of a uniform guess among the skills that occur in the trajectory (Random-Cls)."""
-        return self._mean_over_timesteps(lambda each: random_cls_accuracy(each.truth))
 
     @property
     def median(self) -> LabelledTrajectory:
@@ -133,7 +128,5 @@ def figures(blocks: SegmentationResult, grid: SegmentationResult) -> tuple[Figur
     guess, majority = "each trajectory's longest skill", blocks.majority_accuracy
     return (
         Figure("segmentation.frame_accuracy", blocks.frame_accuracy, majority, guess, at_least=majority + 0.25),
-        Figure("segmentation.random_cls_accuracy", blocks.random_cls_accuracy),
         Figure("grid.frame_accuracy", grid.frame_accuracy, grid.majority_accuracy, guess, at_least=0.99),
-        Figure("grid.random_cls_accuracy", grid.random_cls_accuracy),
     )
