@@ -9,10 +9,11 @@ import os
 import sys
 from pathlib import Path
 
-from freerein.errors import ServiceError
-from freerein.learning.fit import stop_on_sigterm
 from freerein.serving.child import end_with_parent
 from freerein.serving.fit_child import STOPPED
+
+from freerein.errors import ServiceError
+from freerein.learning.fit import stop_on_sigterm
 from freerein.serving.fits import HOPELESS
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.outcomes import CANCELLED

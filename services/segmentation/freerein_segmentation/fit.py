@@ -1,7 +1,7 @@
 """A fit as a process of its own: `python -m freerein_segmentation.fit FOLDER DATA_DIR DEVICE`.
 
 FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. The exit codes are those
-of `freerein.serving.fit_child.run`.
+of `freerein.jobs.child`.
 """
 
 import sys
@@ -12,9 +12,10 @@ from typing import Any
 
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.jobs.child import run_child, stop_on_sigterm
+from freerein.learning.datasets import choose_camera, open_dataset
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_segmentation.model import ModelSpec
 from freerein_segmentation.training import (
     Demonstrations,
@@ -39,8 +40,8 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
         InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
     """
     config = SegmentationConfig.from_mapping({"threads": threads, **values})
-    opened = fit_child.open_dataset(data_dir, dataset)
-    config = replace(config, camera=fit_child.choose_camera(opened, config.camera))
+    opened = open_dataset(data_dir, dataset)
+    config = replace(config, camera=choose_camera(opened, config.camera))
     if not opened.spec.skills or not all(opened.skills):
         raise InvalidInput(
             f"A dataset to learn from must name the skills of each of its {len(opened)} trajectories; some have none.",
@@ -62,11 +63,11 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
 def main(folder: Path, data_dir: Path, device: str) -> int:
     """Fits a model, or goes on fitting it; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        config = SegmentationConfig.from_mapping(values)
-        return _fit(folder, fit_child.open_dataset(data_dir, dataset), config, device)
+    def train(asked: Mapping[str, Any]) -> bool:
+        config = SegmentationConfig.from_mapping(asked["config"])
+        return _fit(folder, open_dataset(data_dir, asked["dataset"]), config, device)
 
-    return fit_child.run(folder, train)
+    return run_child(folder, train)
 
 
 def _fit(folder: Path, dataset: Dataset, config: SegmentationConfig, device: str) -> bool:

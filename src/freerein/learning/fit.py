@@ -10,12 +10,9 @@ tested on the CPU; on CUDA it holds as far as the kernels are deterministic, whi
 """
 
 import math
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import Generic, Literal, Protocol
 
 import numpy as np
@@ -23,9 +20,9 @@ import numpy.typing as npt
 import torch
 
 from freerein.errors import FailedPrecondition
+from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
-from freerein.learning.metric_rows import MetricRows
 from freerein.learning.shuffle import Shuffle
 from freerein.learning.train_state import Best, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
@@ -106,17 +103,6 @@ class FitResult(Generic[N]):
     validation_loss: float
 
 
-@contextmanager
-def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
-    """Yields what tells whether SIGTERM has come, for `fit(stop=...)`; on the main thread only."""
-    asked = Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    try:
-        yield asked.is_set
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def fit(
     learner: Learner[N],
     plan: Plan,
@@ -145,7 +131,7 @@ def fit(
     identity = _identity(learner, plan, progress.state)
     saver = _Saver(folder / "checkpoints", identity, on_event)
     progress = saver.resume(progress)
-    rows = MetricRows(folder / "metrics.jsonl", last_step=progress.state.step)
+    rows = MetricsWriter(folder / "metrics.jsonl", last_step=progress.state.step)
     while progress.state.step < plan.steps and not stop():
         progress = _advance(learner, plan, progress, rows, on_event)
         if progress.state.step % plan.checkpoint_every == 0:
@@ -171,7 +157,11 @@ def _identity(learner: Learner[N], plan: Plan, state: TrainState[N]) -> dict[str
 
 
 def _advance(
-    learner: Learner[N], plan: Plan, progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+    learner: Learner[N],
+    plan: Plan,
+    progress: FitLoopState[N],
+    rows: MetricsWriter,
+    on_event: Callable[[FitEvent], None],
 ) -> FitLoopState[N]:
     """Makes one update, and writes and evaluates when it is time to."""
     state, metrics = learner.update(progress.state, progress.shuffle.draw(plan.batch_size))
