@@ -15,8 +15,8 @@ import torch
 from torch import nn
 
 from freerein.errors import FailedPrecondition
-from freerein.learning import checkpoints, weights
 from freerein.jobs.child import stop_on_sigterm
+from freerein.learning import checkpoints, weights
 from freerein.learning.fit import FitEvent, FitResult, Plan, fit
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import TrainState

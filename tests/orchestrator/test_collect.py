@@ -156,7 +156,7 @@ def test_all_that_curiosity_did_is_recorded_as_trajectories_within_episodes(
 @contextmanager
 def child_of(work: Work) -> Iterator["subprocess.Popen[bytes]"]:
     (work.folder / "config.json").write_text(json.dumps({"kind": "collect", "config": work.config}))
-    command = [sys.executable, "-m", "freerein_orchestrator.child", str(work.folder), str(work.data_dir), "cpu"]
+    command = [sys.executable, "-m", "freerein_orchestrator.runs.child", str(work.folder), str(work.data_dir), "cpu"]
     environ = {**os.environ, **work.environ, "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(command, stdin=subprocess.PIPE, env=environ) as child:
         yield child
