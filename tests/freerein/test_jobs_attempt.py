@@ -64,7 +64,7 @@ def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(s
     run_id = store.create(StartRunRequest("ppo", {}), {"config": {"steps": 4}})
     store.record(run_id, "running", step=2)  # by an attempt before
     assert runner.run(run_id, go_on) == AttemptResult("succeeded")
-    assert [(event.step, event.metrics) for event in store.events(run_id).read()[2:]] == [
+    assert [(event.step, event.metrics) for event in store.events(run_id)()[2:]] == [
         (3, {"loss": 1 / 3}),
         (4, {"loss": 1 / 4}),
     ]

@@ -11,7 +11,7 @@ import pytest
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import MetricsPage, MetricsWriter
-from freerein.jobs.store import JobStore
+from freerein.jobs.store import JobEvent, JobStore
 from freerein.types.orchestrator import StartRunRequest
 
 REQUEST = StartRunRequest("ppo", {"seed": 3}, "key")
@@ -26,29 +26,27 @@ def test_a_request_is_on_disk_with_its_configuration_when_it_has_an_id(store):
     config = {"kind": "ppo", "config": {"seed": 3, "steps": 10}, "steps": 10}
     run_id = store.create(REQUEST, config)
     assert json.loads((store.folder(run_id) / "config.json").read_bytes()) == store.config(run_id) == config
-    assert store.events(run_id).read()[0].state == "queued"
+    assert store.events(run_id)() == [JobEvent()]
 
 
 def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(store):
     run_id = store.create(REQUEST, {"seed": 3})
     assert store.create(REQUEST, {"seed": 3}) == run_id
-    assert len(store.events(run_id).read()) == 1
+    assert len(store.events(run_id)()) == 1
     with pytest.raises(AlreadyExists):
         store.create(StartRunRequest("ppo", {"seed": 4}, "key"), {"seed": 4})
     unnamed = StartRunRequest("ppo", {})
     assert store.create(unnamed, {}) != store.create(unnamed, {})
 
 
-def test_a_reader_reads_each_event_once_and_numbers_go_on(store):
+def test_each_event_is_read_once_and_watchers_come_back_for_the_rest(store):
     run_id = store.create(REQUEST, {})
-    reader = store.events(run_id)
-    assert [event.sequence for event in reader.read()] == [0]
+    read = store.events(run_id)
+    assert read() == [JobEvent()]
     store.record(run_id, "running", step=1, metrics={"loss": 0.5})
     store.record(run_id, "running", step=2)
-    events = reader.read()
-    assert [(event.sequence, event.step) for event in events] == [(1, 1), (2, 2)]
-    assert events[1].metrics == {"loss": 0.5}
-    assert reader.read() == []
+    assert read() == [JobEvent("running", step, {"loss": 0.5}) for step in (1, 2)]
+    assert read() == []
 
 
 def test_an_end_is_noted_once_and_only_queueing_follows_it(store):
@@ -56,11 +54,11 @@ def test_an_end_is_noted_once_and_only_queueing_follows_it(store):
     store.record(run_id, "cancelled")
     store.record(run_id, "running", step=9)  # from a worker that has not heard yet
     store.record(run_id, "failed", error="late")
-    assert [event.state for event in store.events(run_id).read()] == ["queued", "cancelled"]
+    assert [event.state for event in store.events(run_id)()] == ["queued", "cancelled"]
     store.record(run_id, "queued")
     store.record(run_id, "running")
     store.record(run_id, "running")
-    assert [event.state for event in store.events(run_id).read()] == ["queued", "cancelled", "queued", "running"]
+    assert [event.state for event in store.events(run_id)()] == ["queued", "cancelled", "queued", "running"]
 
 
 @pytest.mark.fault("O3")
@@ -69,11 +67,11 @@ def test_a_line_torn_by_a_crash_is_never_read_and_is_cut_off_before_the_next(sto
     path = store.folder(run_id) / "events.jsonl"
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"state": "runn')
-    reader = store.events(run_id)
-    assert [event.state for event in reader.read()] == ["queued"]
+    read = store.events(run_id)
+    assert [event.state for event in read()] == ["queued"]
     assert store.last(run_id).state == "queued"
     store.record(run_id, "running", step=1)
-    assert [(event.sequence, event.step) for event in reader.read()] == [(1, 1)]
+    assert [event.step for event in read()] == [1]
     assert path.read_bytes().count(b"\n") == 2
 
 
@@ -87,7 +85,7 @@ def test_processes_append_side_by_side_without_losing_an_event(store):
     root = store.folder(run_id).parent
     writers = [subprocess.Popen([sys.executable, "-c", program, str(root), run_id, name]) for name in "ab"]
     assert [writer.wait(30) for writer in writers] == [0, 0]
-    events = store.events(run_id).read()
+    events = store.events(run_id)()
     assert len(events) == 41
     assert {name for event in events for name in event.metrics} == {"a", "b"}
 
@@ -120,7 +118,7 @@ def test_a_full_disk_tears_no_event(store):
         resource.setrlimit(resource.RLIMIT_FSIZE, whole)
     assert store.last(run_id).state == "queued"
     store.record(run_id, "failed")
-    assert [event.state for event in store.events(run_id).read()] == ["queued", "failed"]
+    assert [event.state for event in store.events(run_id)()] == ["queued", "failed"]
 
 
 def test_a_job_whose_request_was_not_recorded_whole_is_not_there(store):

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
+from freerein.data.lookup import choose_camera, open_dataset
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child, stop_on_sigterm
 from freerein.jobs.metrics import MetricsWriter
-from freerein.learning.datasets import choose_camera, open_dataset
 from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
 from freerein_reward.model import REWARD, DualEncoder, load_grounding

@@ -21,7 +21,6 @@ from freerein.jobs.child import PERMANENT_FAILURE
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
 from freerein.jobs.store import JobStore
-from freerein.types.jobs import MetricRow
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
@@ -113,10 +112,10 @@ class AttemptRunner:
 
     def _run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
         folder, done = self._store.folder(job_id), self._store.last(job_id).step
-        progress = _Progress(self._store, job_id)
+        rows = LineReader(folder / "metrics.jsonl")
         with _locked(folder, should_stop) as lock, (folder / "log.txt").open("ab") as log:
             (folder / CANCELLED_FILE).unlink(missing_ok=True)
-            with _ignoring_full_disk(job_id):
+            with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
                 self._store.record(job_id, "running")
             child = subprocess.Popen(
                 [*self._command, str(folder), *self._arguments],
@@ -129,86 +128,56 @@ class AttemptRunner:
             )
             request: StopRequest = "interrupt"
             try:
-                request = _watch(child, should_stop, progress)
-                if request == "cancel":
-                    with suppress(OSError):
-                        (folder / CANCELLED_FILE).touch()
+                request = self._watch(job_id, child, rows, should_stop)
             finally:
                 _end(child, _CANCEL_S if request == "cancel" else _SAVE_S)
-                progress.record_all()
+                while self._record_progress(job_id, rows):
+                    pass
         if request:
             raise AttemptStopped
         progressed = self._store.last(job_id).step > done
         return _result(child.returncode, _last_line(folder / "log.txt"), progressed=progressed)
 
+    def _watch(
+        self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]
+    ) -> StopRequest:
+        """Returns why a child must stop; empty when it has ended by itself."""
+        while child.poll() is None:
+            if request := should_stop():
+                if request == "cancel":
+                    with suppress(OSError):
+                        (self._store.folder(job_id) / CANCELLED_FILE).touch()
+                return request
+            self._record_progress(job_id, rows)
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(_POLL_S)
+        return ""
 
-class _Progress:
-    """Records the rows of metrics that a child writes as events of its job."""
-
-    def __init__(self, store: JobStore, job_id: str) -> None:
-        self._store = store
-        self._job_id = job_id
-        self._lines = LineReader(store.folder(job_id) / "metrics.jsonl")
-        self._unrecorded: list[MetricRow] = []
-
-    def record(self) -> bool:
-        """Records the next rows; returns whether there may be more."""
-        self._unrecorded = self._unrecorded or [metric_row(document) for document in self._lines.read()]
-        if not self._unrecorded:
-            return False
-        with _ignoring_full_disk(self._job_id):
-            self._store.record_progress(self._job_id, self._unrecorded)
-            self._unrecorded = []
-        return not self._unrecorded
-
-    def record_all(self) -> None:
-        """Records all rows, as far as the disk allows."""
-        while self.record():
-            pass
-
-
-def _watch(
-    child: "subprocess.Popen[bytes]", should_stop: Callable[[], StopRequest], progress: _Progress
-) -> StopRequest:
-    """Returns why a child must stop; empty when it has ended by itself."""
-    while child.poll() is None:
-        if request := should_stop():
-            return request
-        progress.record()
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(_POLL_S)
-    return ""
-
-
-@contextmanager
-def _ignoring_full_disk(job_id: str) -> Iterator[None]:
-    """A full disk ends no job: what cannot be recorded now is recorded later."""
-    try:
-        yield
-    except OSError:
-        _log.warning("progress cannot be recorded", extra={"job": job_id})
+    def _record_progress(self, job_id: str, rows: LineReader) -> bool:
+        """Records the next rows of metrics as events, later if the disk is full; returns whether it recorded any."""
+        if new := [metric_row(document) for document in rows.read()]:
+            try:
+                self._store.record_progress(job_id, new)
+            except OSError:
+                _log.warning("progress cannot be recorded", extra={"job": job_id})
+                rows.unread()
+                return False
+        return bool(new)
 
 
 @contextmanager
 def _locked(folder: Path, should_stop: Callable[[], StopRequest]) -> Iterator[int]:
     """Yields the lock of a job's folder, once the child of an earlier attempt, which holds it too, has ended."""
-    lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        while not _take(lock):
-            if should_stop():
-                raise AttemptStopped
-            time.sleep(_POLL_S)
-        yield lock
-    finally:
-        os.close(lock)
-
-
-def _take(lock: int) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    with (folder / "lock").open("ab") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if should_stop():
+                    raise AttemptStopped from None
+                time.sleep(_POLL_S)
+        yield lock.fileno()
 
 
 def _end(child: "subprocess.Popen[bytes]", timeout_s: float) -> None:

@@ -12,7 +12,7 @@
 import fcntl
 import json
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
-from freerein.jobs.json_lines import LineReader, appending, last_document
+from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import MetricsPage, read_metrics
 from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.jobs import ENDED, JobState, MetricRow
@@ -44,15 +44,13 @@ class JobEvent:
     """A job after a change.
 
     Attributes:
-        sequence: Sequence number, from 0 without gaps.
         state: State of the job.
         step: Last step done.
         metrics: Metrics of that step.
         error: Reason of a failure, else empty.
     """
 
-    sequence: int
-    state: JobState
+    state: JobState = "queued"
     step: int = 0
     metrics: dict[str, float] = field(default_factory=dict)
     error: str = ""
@@ -92,10 +90,9 @@ class JobStore:
         job_id = _id_of(request.idempotency_key) if request.idempotency_key else uuid.uuid4().hex
         folder = self.folder(job_id)
         folder.mkdir(parents=True, exist_ok=True)
-        with appending(folder / "events.jsonl") as events:
-            if events.last() is None:
-                events.append([{"state": "queued"}])
+        with self.lock(job_id):
             if self.find(request) is None:
+                append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
                 write_atomic(folder / "request.json", json.dumps(vars(request)).encode())
                 write_atomic(folder / "config.json", json.dumps(config).encode())
         return job_id
@@ -178,12 +175,29 @@ class JobStore:
         )
 
     def last(self, job_id: str) -> JobEvent:
-        """Returns the last event of a job; its sequence number is not counted and 0."""
-        return _event(0, last_document(self.folder(job_id) / "events.jsonl") or {"state": "queued"})
+        """Returns the last event of a job."""
+        return _event(last_document(self.folder(job_id) / "events.jsonl") or {})
 
-    def events(self, job_id: str) -> "EventReader":
-        """Returns a reader of a job's events, from the first on."""
-        return EventReader(self.folder(job_id) / "events.jsonl")
+    def events(self, job_id: str) -> Callable[[], list[JobEvent]]:
+        """Returns a function whose every call returns the events that are new since the last one; at first, all."""
+        reader = LineReader(self.folder(job_id) / "events.jsonl")
+        return lambda: [_event(document) for document in reader.read()]
+
+    def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
+        """Returns the fields of a job as `Fit` and `Run` have them.
+
+        Args:
+            job_id: The job.
+            event: The event after which; the last one by default.
+
+        Raises:
+            NotFound: There is no such job.
+        """
+        config, event = self.config(job_id), event or self.last(job_id)
+        path = self.folder(job_id) / "model.json"
+        has_model = event.state == "succeeded" and path.is_file()
+        model = ModelRef(**json.loads(path.read_bytes())) if has_model else None
+        return {"id": job_id, **config, **vars(event), "model": model}
 
     def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
         """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
@@ -199,11 +213,6 @@ class JobStore:
     def set_model(self, job_id: str, model: ModelRef) -> None:
         """Records durably the model that a job has made."""
         write_atomic(self.folder(job_id) / "model.json", json.dumps(vars(model)).encode())
-
-    def model(self, job_id: str) -> ModelRef | None:
-        """Returns the model that a job has made; None when there is none."""
-        path = self.folder(job_id) / "model.json"
-        return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
     def artifacts(self, job_id: str) -> tuple[Artifact, ...]:
         """Returns the artifacts of a job, by name. Raises NotFound when there is no such job."""
@@ -227,16 +236,15 @@ class JobStore:
             yield
 
     def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
-        with appending(self.folder(job_id) / "events.jsonl") as events:
-            before = {"error": "", **(events.last() or {})}
-            documents = []
+        def documents(last: Mapping[str, Any] | None) -> Iterator[Mapping[str, Any]]:
+            before = last or vars(JobEvent())
             for change in changes:
                 after = {**before, "error": "", **change}
-                if after != before and (before.get("state") not in ENDED or after["state"] == "queued"):
-                    documents.append(after)
+                if after != before and (before["state"] not in ENDED or after["state"] == "queued"):
+                    yield after
                     before = after
-            if documents:
-                events.append(documents)
+
+        append(self.folder(job_id) / "events.jsonl", documents)
 
     def _newest_first(self) -> list[str]:
         found = []
@@ -246,23 +254,8 @@ class JobStore:
         return [job_id for _, job_id in sorted(found, reverse=True)]
 
 
-class EventReader:
-    """Reads each event of a job once, while others append."""
-
-    def __init__(self, path: Path) -> None:
-        self._lines = LineReader(path)
-        self._count = 0
-
-    def read(self) -> list[JobEvent]:
-        """Returns the next events; empty when there are no new ones."""
-        events = [_event(self._count + index, line) for index, line in enumerate(self._lines.read())]
-        self._count += len(events)
-        return events
-
-
-def _event(sequence: int, document: Mapping[str, Any]) -> JobEvent:
-    known = {name: document[name] for name in ("step", "metrics", "error") if name in document}
-    return JobEvent(sequence, document["state"], **known)
+def _event(document: Mapping[str, Any]) -> JobEvent:
+    return JobEvent(**{name: value for name, value in document.items() if name in JobEvent.__annotations__})
 
 
 def _id_of(idempotency_key: str) -> str:

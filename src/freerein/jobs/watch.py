@@ -3,19 +3,20 @@
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import Executor
+from typing import Any
 
-from freerein.jobs.store import JobEvent, JobStore
+from freerein.jobs.store import JobStore
 
 
-async def watch_events(
+async def watch(
     store: JobStore,
     job_id: str,
     *,
     from_sequence: int,
     pause: Callable[[bool], Awaitable[bool]],
     threads: Executor | None = None,
-) -> AsyncIterator[JobEvent]:
-    """Yields the events of a job from a sequence number on; ends after the event that ends the job.
+) -> AsyncIterator[tuple[int, dict[str, Any]]]:
+    """Yields sequence numbers and the fields of a job after each event; ends after the event that ends the job.
 
     A watcher is only a position in a file: however slow it is, the job does not wait for it.
 
@@ -25,16 +26,18 @@ async def watch_events(
         from_sequence: First event wanted.
         pause: Awaited while there is no new event, with whether there was one since the last pause; returns False to
             end the stream.
-        threads: Where the file is read; None for the default executor of the event loop.
+        threads: Where files are read; None for the default executor of the event loop.
     """
-    reader, ended, is_new = store.events(job_id), False, False
+    events, loop = store.events(job_id), asyncio.get_running_loop()
+    sequence, ended, is_new = 0, False, False
     while True:
-        while events := await asyncio.get_running_loop().run_in_executor(threads, reader.read):
+        while new := await loop.run_in_executor(threads, events):
             is_new = True
-            for event in events:
+            for event in new:
                 ended = event.ended
-                if event.sequence >= from_sequence:
-                    yield event
+                if sequence >= from_sequence:
+                    yield sequence, await loop.run_in_executor(threads, store.fields, job_id, event)
+                sequence += 1
         if ended or not await pause(is_new):
             return
         is_new = False

@@ -9,27 +9,13 @@ from typing import Any, ParamSpec, TypeVar
 
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
-from freerein.jobs.store import JobEvent, JobStore
-from freerein.jobs.watch import watch_events
+from freerein.jobs.store import JobStore
+from freerein.jobs.watch import watch
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import DEFAULT_NAME, ModelStore
-from freerein.types.common import ModelRef, check_name
-from freerein.types.learning import (
-    CancelFitRequest,
-    CancelFitResponse,
-    Fit,
-    GetFitMetricsRequest,
-    GetFitMetricsResponse,
-    GetFitRequest,
-    GetFitResponse,
-    ListFitsRequest,
-    ListFitsResponse,
-    StartFitRequest,
-    StartFitResponse,
-    WatchFitRequest,
-    WatchFitResponse,
-)
+from freerein.types import learning
+from freerein.types.common import check_name
 
 _POLL_S = 0.1
 _THREADS = 4
@@ -87,7 +73,7 @@ class FitService:
             await self._stopping
         self._threads.shutdown(wait=False, cancel_futures=True)
 
-    async def start_fit(self, request: StartFitRequest) -> StartFitResponse:
+    async def start_fit(self, request: learning.StartFitRequest) -> learning.StartFitResponse:
         """Queues a fit, or returns the one that this idempotency key has started already.
 
         Raises:
@@ -100,22 +86,22 @@ class FitService:
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
         check_name(request.model_name or DEFAULT_NAME, field="model_name")
-        return StartFitResponse(await self._in_thread(self._start, request))
+        return learning.StartFitResponse(await self._in_thread(self._start, request))
 
-    async def get_fit(self, request: GetFitRequest) -> GetFitResponse:
+    async def get_fit(self, request: learning.GetFitRequest) -> learning.GetFitResponse:
         """Returns one fit. Raises NotFound when there is no such fit."""
-        return GetFitResponse(await self._in_thread(self._fit, request.id))
+        return learning.GetFitResponse(await self._in_thread(self._fit, request.id))
 
-    async def list_fits(self, request: ListFitsRequest) -> ListFitsResponse:
+    async def list_fits(self, request: learning.ListFitsRequest) -> learning.ListFitsResponse:
         """Returns one page of the fits, newest first."""
 
-        def page() -> ListFitsResponse:
+        def page() -> learning.ListFitsResponse:
             ids, token = self._jobs.page(request.page_size, request.page_token)
-            return ListFitsResponse(tuple(map(self._fit, ids)), token)
+            return learning.ListFitsResponse(tuple(map(self._fit, ids)), token)
 
         return await self._in_thread(page)
 
-    async def watch_fit(self, request: WatchFitRequest) -> AsyncIterator[WatchFitResponse]:
+    async def watch_fit(self, request: learning.WatchFitRequest) -> AsyncIterator[learning.WatchFitResponse]:
         """Yields the events of a fit from a sequence number on; ends when the fit has ended, or on drain.
 
         Raises:
@@ -125,31 +111,29 @@ class FitService:
         async def pause(_is_new: bool) -> bool:
             return await self._health.unless_draining(asyncio.sleep(_POLL_S, True)) is not None
 
-        config = await self._in_thread(self._jobs.config, request.id)
-        async for event in watch_events(
-            self._jobs, request.id, from_sequence=request.from_sequence, threads=self._threads, pause=pause
-        ):
-            model = await self._in_thread(self._jobs.model, request.id) if event.ended else None
-            yield WatchFitResponse(event.sequence, _fit_at(request.id, config, event, model))
+        await self._in_thread(self._jobs.config, request.id)
+        events = watch(self._jobs, request.id, from_sequence=request.from_sequence, pause=pause, threads=self._threads)
+        async for sequence, fields in events:
+            yield learning.WatchFitResponse(sequence, learning.Fit(**fields))
 
-    async def get_fit_metrics(self, request: GetFitMetricsRequest) -> GetFitMetricsResponse:
+    async def get_fit_metrics(self, request: learning.GetFitMetricsRequest) -> learning.GetFitMetricsResponse:
         """Returns the metrics of a fit from a step on, decimated. Raises NotFound when there is no such fit."""
         found = await self._in_thread(
             self._jobs.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
         )
-        return GetFitMetricsResponse(found.rows, found.total_rows, found.next_step)
+        return learning.GetFitMetricsResponse(**vars(found))
 
-    async def cancel_fit(self, request: CancelFitRequest) -> CancelFitResponse:
+    async def cancel_fit(self, request: learning.CancelFitRequest) -> learning.CancelFitResponse:
         """Cancels a fit that has not ended; its last checkpoint is kept. Raises NotFound when there is no such fit."""
 
-        def cancel() -> Fit:
+        def cancel() -> learning.Fit:
             self._jobs.config(request.id)
             self._queue.cancel(request.id)
             return self._fit(request.id)
 
-        return CancelFitResponse(await self._in_thread(cancel))
+        return learning.CancelFitResponse(await self._in_thread(cancel))
 
-    def _start(self, request: StartFitRequest) -> Fit:
+    def _start(self, request: learning.StartFitRequest) -> learning.Fit:
         fit_id = self._jobs.find(request)
         if fit_id is None:
             self._queue.check_room()
@@ -160,9 +144,8 @@ class FitService:
         self._queue.put(fit_id)
         return fit
 
-    def _fit(self, fit_id: str) -> Fit:
-        config, event = self._jobs.config(fit_id), self._jobs.last(fit_id)
-        return _fit_at(fit_id, config, event, self._jobs.model(fit_id))
+    def _fit(self, fit_id: str) -> learning.Fit:
+        return learning.Fit(**self._jobs.fields(fit_id))
 
     def _publish(self, fit_id: str) -> None:
         """Publishes the model of a fit and activates it.
@@ -183,19 +166,3 @@ class FitService:
     def _in_thread(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> "asyncio.Future[T]":
         work = functools.partial(call, *args, **kwargs)
         return asyncio.get_running_loop().run_in_executor(self._threads, work)
-
-
-def _fit_at(fit_id: str, config: Mapping[str, Any], event: JobEvent, model: ModelRef | None) -> Fit:
-    """Returns a fit after an event."""
-    return Fit(
-        fit_id,
-        event.state,
-        config["dataset"],
-        config["model_name"],
-        config["config"],
-        event.step,
-        config["steps"],
-        event.metrics,
-        model if event.state == "succeeded" else None,
-        event.error,
-    )

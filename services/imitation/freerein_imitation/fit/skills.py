@@ -8,8 +8,8 @@ from typing import Any
 import torch
 
 from freerein.data import labels
+from freerein.data.lookup import choose_camera
 from freerein.jobs.child import stop_on_sigterm
-from freerein.learning.datasets import choose_camera
 from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
 from freerein_imitation.fit.source import Source, timestep

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import Dataset, dataset_path
-from freerein.learning.datasets import open_dataset
+from freerein.data.lookup import open_dataset
 from freerein_imitation.training.exploration import Exploration
 
 

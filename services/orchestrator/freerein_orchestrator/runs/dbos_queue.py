@@ -9,9 +9,8 @@ A workflow waits for an unreachable database as long as it takes; a query about 
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,7 +24,7 @@ from freerein.errors import FailedPrecondition, NotFound, ServiceError, Unavaila
 from freerein.jobs.attempt import INTERNAL_ERROR, AttemptResult, AttemptStopped, StopRequest, retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
-from freerein_orchestrator.runs.worker_locks import FileLocks, PostgresLocks, WorkerLocks
+from freerein_orchestrator.runs.worker_locks import FileLocks, PostgresLocks
 
 _log = logging.getLogger(__name__)
 _APPLICATION = "freerein-orchestrator"
@@ -103,7 +102,7 @@ class DbosQueue:
         self._url = url or f"sqlite:///{folder.absolute() / 'runs.sqlite'}"
         self._executor_id = executor_id
         self._takeover_s = takeover_s
-        self._locks: WorkerLocks = PostgresLocks(url) if url else FileLocks(folder)
+        self._locks = PostgresLocks(url) if url else FileLocks(folder)
         self._opening, self._opened = threading.Lock(), False
         self._closing = threading.Event()
         self._idle = threading.Condition()
@@ -111,7 +110,13 @@ class DbosQueue:
         self._runs: set[str] = set()
         self._orphans: set[str] = set()
         self._sweeper = threading.Thread(target=self._sweep, name="takeover", daemon=True)
-        self._client = self._connect()
+        self._client = DBOSClient(  # unlike DBOS itself, it does not wait for an unreachable database
+            system_database_url=self._url,
+            application_name=_APPLICATION,
+            serializer=DBOSPortableJSONSerializer(),
+            retry_connection_errors=False,
+            lazy=True,
+        )
         self._queries = ThreadPoolExecutor(_QUERIES, "database")
 
     def open(self) -> None:
@@ -126,7 +131,17 @@ class DbosQueue:
             if not self._take_own_lock():
                 return
             logging.getLogger("dbos").addHandler(logging.NullHandler())  # without a handler, DBOS adds its own
-            DBOS(config=self._config())
+            config: DBOSConfig = {
+                "name": _APPLICATION,
+                "system_database_url": self._url,
+                "application_version": _VERSION,
+                "executor_id": self._executor_id,
+                "serializer": DBOSPortableJSONSerializer(),
+                "enable_otlp": False,
+                "log_level": "WARNING",
+                "sys_db_pool_size": 8,
+            }
+            DBOS(config=config)
 
             @DBOS.workflow(name=_WORKFLOW, max_recovery_attempts=None)
             def run(run_id: str) -> dict[str, Any]:
@@ -164,20 +179,13 @@ class DbosQueue:
 
     def states(self, run_ids: Sequence[str]) -> dict[str, JobState]:
         """Returns the states of those runs that the database knows, by id."""
-        if not run_ids:
-            return {}
-        found = self._query(lambda: self._client.list_workflows(workflow_ids=list(run_ids), load_input=False))
+        found = self._query(lambda: self._workflows(workflow_ids=list(run_ids))) if run_ids else []
         return {workflow.workflow_id: _run_status(workflow).state for workflow in found}
 
     def count_queued(self, *, limit: int) -> int:
         """Returns the number of queued runs, at most `limit`."""
         queued = [name for name, state in _STATES.items() if state == "queued"]
-        found = self._query(
-            lambda: self._client.list_workflows(
-                name=_WORKFLOW, status=queued, limit=limit, load_input=False, load_output=False
-            )
-        )
-        return len(found)
+        return len(self._query(lambda: self._workflows(status=queued, limit=limit)))
 
     def cancel(self, run_id: str) -> None:
         """Cancels a run, unless it has ended; its worker, whichever that is, stops the attempt soon after."""
@@ -221,24 +229,17 @@ class DbosQueue:
             _log.warning("the state of a run cannot be recorded", extra={"run": run_id})
 
     def _make_attempt(self, run_id: str) -> dict[str, Any]:
-        with self._attempting():
-            try:
-                if self._store.exists(run_id) and self._store.last(run_id).ended:
-                    self._record(run_id, "queued", "")  # ResumeRun gave up on the database too soon to record it
-                return asdict(self._attempt(run_id, self._stop_request(run_id)))
-            except Exception:  # a bug must not leave the run without an end
-                _log.exception("an attempt failed", extra={"run": run_id})
-                return asdict(AttemptResult("failed", error=INTERNAL_ERROR))
-
-    @contextmanager
-    def _attempting(self) -> Iterator[None]:
-        """Counts an attempt, which `close` waits for. Raises AttemptStopped when closing."""
         with self._idle:
             if self._closing.is_set():
                 raise AttemptStopped
             self._attempts += 1
         try:
-            yield
+            if self._store.exists(run_id) and self._store.last(run_id).ended:
+                self._record(run_id, "queued", "")  # ResumeRun gave up on the database too soon to record it
+            return asdict(self._attempt(run_id, self._stop_request(run_id)))
+        except Exception:  # a bug must not leave the run without an end
+            _log.exception("an attempt failed", extra={"run": run_id})
+            return asdict(AttemptResult("failed", error=INTERNAL_ERROR))
         finally:
             with self._idle:
                 self._attempts -= 1
@@ -271,8 +272,11 @@ class DbosQueue:
 
         return request
 
+    def _workflows(self, **filters: Any) -> list[WorkflowStatus]:
+        return self._client.list_workflows(name=_WORKFLOW, load_input=False, **filters)
+
     def _workflow(self, run_id: str) -> WorkflowStatus:
-        found = self._client.list_workflows(workflow_ids=[run_id], load_input=False)
+        found = self._workflows(workflow_ids=[run_id])
         if not found:
             raise NotFound("There is no run of this id.", field="id", hint="GET /v1/list-runs lists them.")
         return found[0]
@@ -307,7 +311,7 @@ class DbosQueue:
                 _log.warning("the database of the runs is out of reach")
 
     def _take_over(self) -> None:
-        running = self._client.list_workflows(name=_WORKFLOW, status="PENDING", load_input=False, load_output=False)
+        running = self._workflows(status="PENDING")
         for worker in {status.executor_id for status in running}:
             if worker and worker != self._executor_id and self._locks.take(worker):
                 try:
@@ -329,28 +333,6 @@ class DbosQueue:
             self._queries.shutdown(wait=False, cancel_futures=True)
             self._client.destroy()
             self._locks.close()
-
-    def _connect(self) -> DBOSClient:
-        """Returns a client that, unlike DBOS itself, does not wait for an unreachable database."""
-        return DBOSClient(
-            system_database_url=self._url,
-            application_name=_APPLICATION,
-            serializer=DBOSPortableJSONSerializer(),
-            retry_connection_errors=False,
-            lazy=True,
-        )
-
-    def _config(self) -> DBOSConfig:
-        return {
-            "name": _APPLICATION,
-            "system_database_url": self._url,
-            "application_version": _VERSION,
-            "executor_id": self._executor_id,
-            "serializer": DBOSPortableJSONSerializer(),
-            "enable_otlp": False,
-            "log_level": "WARNING",
-            "sys_db_pool_size": 8,
-        }
 
 
 def _with_timeouts(url: str) -> str:

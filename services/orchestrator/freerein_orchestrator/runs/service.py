@@ -14,33 +14,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceError, Unavailable
-from freerein.jobs.store import JobEvent, JobStore
-from freerein.jobs.watch import watch_events
+from freerein.jobs.store import JobStore
+from freerein.jobs.watch import watch
 from freerein.serving.health import Health
-from freerein.types.common import ModelRef, check_name
+from freerein.types import orchestrator
+from freerein.types.common import check_name
 from freerein.types.jobs import ENDED, JobState
-from freerein.types.orchestrator import (
-    CancelRunRequest,
-    CancelRunResponse,
-    GetArtifactRequest,
-    GetArtifactResponse,
-    GetMetricsRequest,
-    GetMetricsResponse,
-    GetRunRequest,
-    GetRunResponse,
-    ListArtifactsRequest,
-    ListArtifactsResponse,
-    ListRunsRequest,
-    ListRunsResponse,
-    ResumeRunRequest,
-    ResumeRunResponse,
-    Run,
-    RunKind,
-    StartRunRequest,
-    StartRunResponse,
-    WatchRunRequest,
-    WatchRunResponse,
-)
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 
 _log = logging.getLogger(__name__)
@@ -67,7 +46,7 @@ class Resolved:
     steps: int
 
 
-Resolve = Callable[[RunKind, Mapping[str, Any]], Resolved]
+Resolve = Callable[[orchestrator.RunKind, Mapping[str, Any]], Resolved]
 
 
 class RunService:
@@ -106,7 +85,7 @@ class RunService:
                 continue
             self._reason = ""
             with suppress(Unavailable):
-                await self.list_runs(ListRunsRequest())
+                await self.list_runs(orchestrator.ListRunsRequest())
             return
 
     async def close(self) -> None:
@@ -114,7 +93,7 @@ class RunService:
         await asyncio.to_thread(self._queue.close)
         self._threads.shutdown(wait=False, cancel_futures=True)
 
-    async def start_run(self, request: StartRunRequest) -> StartRunResponse:
+    async def start_run(self, request: orchestrator.StartRunRequest) -> orchestrator.StartRunResponse:
         """Queues a run, or returns the one that this idempotency key has started already.
 
         Raises:
@@ -127,39 +106,38 @@ class RunService:
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
 
-        def start() -> Run:
+        def start() -> orchestrator.Run:
             run_id = self._store.find(request) or self._create(request)
             self._queue.start(run_id)
             return self._run(run_id)
 
-        return StartRunResponse(await self._in_thread(start))
+        return orchestrator.StartRunResponse(await self._in_thread(start))
 
-    async def get_run(self, request: GetRunRequest) -> GetRunResponse:
+    async def get_run(self, request: orchestrator.GetRunRequest) -> orchestrator.GetRunResponse:
         """Returns one run. Raises NotFound when there is no such run."""
-        return GetRunResponse(await self._in_thread(lambda: self._run(request.id)))
+        return orchestrator.GetRunResponse(await self._in_thread(lambda: self._run(request.id)))
 
-    async def list_runs(self, request: ListRunsRequest) -> ListRunsResponse:
+    async def list_runs(self, request: orchestrator.ListRunsRequest) -> orchestrator.ListRunsResponse:
         """Returns one page of the runs, newest first, without those whose folders were deleted."""
         self._check_open()
 
-        def page() -> ListRunsResponse:
+        def page() -> orchestrator.ListRunsResponse:
             ids, token = self._store.page(request.page_size, request.page_token)
             states, runs = self._queue.states(ids), []
             for run_id in filter(states.__contains__, ids):
                 with suppress(NotFound):  # deleted meanwhile
                     runs.append(self._run_in(states[run_id], run_id))
-            return ListRunsResponse(tuple(runs), token)
+            return orchestrator.ListRunsResponse(tuple(runs), token)
 
         return await self._in_thread(page)
 
-    async def watch_run(self, request: WatchRunRequest) -> AsyncIterator[WatchRunResponse]:
+    async def watch_run(self, request: orchestrator.WatchRunRequest) -> AsyncIterator[orchestrator.WatchRunResponse]:
         """Yields the events of a run from a sequence number on; ends when the run has ended, or on drain.
 
         Raises:
             NotFound: There is no such run.
         """
         await self._in_thread(lambda: self._run(request.id))
-        config = await asyncio.to_thread(self._store.config, request.id)
         clock = asyncio.get_running_loop().time
         heard_s, checking = clock(), None
 
@@ -171,29 +149,28 @@ class RunService:
                 heard_s, checking = clock(), self._in_thread(lambda: self._try_to_repair(request.id))
             return await self._health.unless_draining(asyncio.sleep(_POLL_S, True)) is not None
 
-        async for event in watch_events(self._store, request.id, from_sequence=request.from_sequence, pause=pause):
-            model = await asyncio.to_thread(self._store.model, request.id) if event.ended else None
-            yield WatchRunResponse(event.sequence, _run_at(request.id, config, event, model))
+        async for sequence, fields in watch(self._store, request.id, from_sequence=request.from_sequence, pause=pause):
+            yield orchestrator.WatchRunResponse(sequence, orchestrator.Run(**fields))
 
-    async def get_metrics(self, request: GetMetricsRequest) -> GetMetricsResponse:
+    async def get_metrics(self, request: orchestrator.GetMetricsRequest) -> orchestrator.GetMetricsResponse:
         """Returns the metrics of a run from a step on, decimated. Raises NotFound when there is no such run."""
         found = await asyncio.to_thread(
             self._store.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
         )
-        return GetMetricsResponse(found.rows, found.total_rows, found.next_step)
+        return orchestrator.GetMetricsResponse(**vars(found))
 
-    async def cancel_run(self, request: CancelRunRequest) -> CancelRunResponse:
+    async def cancel_run(self, request: orchestrator.CancelRunRequest) -> orchestrator.CancelRunResponse:
         """Cancels a run that has not ended; its last checkpoint is kept. Raises NotFound when there is no such run."""
         self._check_open()
 
-        def cancel() -> Run:
+        def cancel() -> orchestrator.Run:
             self._store.config(request.id)
             self._queue.cancel(request.id)
             return self._run(request.id)
 
-        return CancelRunResponse(await self._in_thread(cancel))
+        return orchestrator.CancelRunResponse(await self._in_thread(cancel))
 
-    async def resume_run(self, request: ResumeRunRequest) -> ResumeRunResponse:
+    async def resume_run(self, request: orchestrator.ResumeRunRequest) -> orchestrator.ResumeRunResponse:
         """Queues a failed or cancelled run again; it resumes from its last checkpoint.
 
         Raises:
@@ -201,7 +178,7 @@ class RunService:
             FailedPrecondition: It is neither failed nor cancelled.
         """
 
-        def resume() -> Run:
+        def resume() -> orchestrator.Run:
             self._run(request.id)
             with self._store.lock(request.id):
                 state = self._settled_state(request.id)
@@ -215,13 +192,15 @@ class RunService:
                 self._queue.resume(request.id)
             return self._run(request.id)
 
-        return ResumeRunResponse(await self._in_thread(resume))
+        return orchestrator.ResumeRunResponse(await self._in_thread(resume))
 
-    async def list_artifacts(self, request: ListArtifactsRequest) -> ListArtifactsResponse:
+    async def list_artifacts(self, request: orchestrator.ListArtifactsRequest) -> orchestrator.ListArtifactsResponse:
         """Lists the artifacts of a run. Raises NotFound when there is no such run."""
-        return ListArtifactsResponse(await asyncio.to_thread(self._store.artifacts, request.id))
+        return orchestrator.ListArtifactsResponse(await asyncio.to_thread(self._store.artifacts, request.id))
 
-    async def get_artifact(self, request: GetArtifactRequest) -> AsyncIterator[GetArtifactResponse]:
+    async def get_artifact(
+        self, request: orchestrator.GetArtifactRequest
+    ) -> AsyncIterator[orchestrator.GetArtifactResponse]:
         """Yields the parts of one artifact, at least one.
 
         Raises:
@@ -229,9 +208,9 @@ class RunService:
         """
         with await asyncio.to_thread(lambda: self._store.artifact(request.id, request.name).open("rb")) as file:
             part = await asyncio.to_thread(file.read, _PART_BYTES)
-            yield GetArtifactResponse(part)
+            yield orchestrator.GetArtifactResponse(part)
             while part := await asyncio.to_thread(file.read, _PART_BYTES):
-                yield GetArtifactResponse(part)
+                yield orchestrator.GetArtifactResponse(part)
 
     def _check_open(self) -> None:
         if self._reason:
@@ -244,24 +223,22 @@ class RunService:
     def _in_thread(self, call: Callable[[], T]) -> "asyncio.Future[T]":
         return asyncio.get_running_loop().run_in_executor(self._threads, call)
 
-    def _create(self, request: StartRunRequest) -> str:
+    def _create(self, request: orchestrator.StartRunRequest) -> str:
         resolved = self._resolve(request.kind, request.config)
         if self._queue.count_queued(limit=_MAX_WAITING) >= _MAX_WAITING:
             raise Overloaded(f"At most {_MAX_WAITING} runs may wait.", hint="Cancel one, or wait for one to end.")
         return self._store.create(request, {"kind": request.kind, **vars(resolved)})
 
-    def _run(self, run_id: str) -> Run:
+    def _run(self, run_id: str) -> orchestrator.Run:
         self._check_open()
         self._store.config(run_id)
         return self._run_in(self._queue.status(run_id).state, run_id)
 
-    def _run_in(self, state: JobState, run_id: str) -> Run:
+    def _run_in(self, state: JobState, run_id: str) -> orchestrator.Run:
         """Returns a run whose state in the database is given; records first an end that is not recorded on disk."""
-        config, event = self._store.config(run_id), self._store.last(run_id)
-        if state in ENDED and state != event.state:
+        if state in ENDED and state != self._store.last(run_id).state:
             self._record_end(run_id)
-            event = self._store.last(run_id)
-        return _run_at(run_id, config, event, self._store.model(run_id))
+        return orchestrator.Run(**self._store.fields(run_id))
 
     def _record_end(self, run_id: str) -> None:
         try:
@@ -284,18 +261,3 @@ class RunService:
     def _try_to_repair(self, run_id: str) -> None:
         with suppress(ServiceError):
             self._run(run_id)
-
-
-def _run_at(run_id: str, config: Mapping[str, Any], event: JobEvent, model: ModelRef | None) -> Run:
-    """Returns a run after an event."""
-    return Run(
-        run_id,
-        config["kind"],
-        event.state,
-        config["config"],
-        event.step,
-        config["steps"],
-        event.metrics,
-        model if event.state == "succeeded" else None,
-        event.error,
-    )

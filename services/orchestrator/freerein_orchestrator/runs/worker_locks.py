@@ -3,25 +3,11 @@
 import fcntl
 import os
 from pathlib import Path
-from typing import Protocol
 
 import psycopg
 
 _NAMESPACE = 1718641001  # of our advisory locks, in a database that others may use
 _KEEPALIVES = "SET tcp_keepalives_idle = 5; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 2"
-
-
-class WorkerLocks(Protocol):
-    """The locks of all workers of one database."""
-
-    def take(self, worker: str) -> bool:
-        """Takes a worker's lock unless it is held; returns whether this process holds it now."""
-
-    def free(self, worker: str) -> None:
-        """Frees a lock that this process holds."""
-
-    def close(self) -> None:
-        """Frees all locks that this process holds."""
 
 
 class FileLocks:

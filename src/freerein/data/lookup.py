@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from freerein.data import Dataset, dataset_path
+from freerein.data.layout import dataset_path
+from freerein.data.reader import Dataset
 from freerein.errors import InvalidInput, NotFound
 
 
