@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
 
-from freerein.cli import following
+from freerein.cli import job_events
 from freerein.cli.demo.context import Context
 from freerein.clients import FitClient
 from freerein.errors import FailedPrecondition
@@ -52,7 +52,7 @@ async def follow_fit(context: Context, running: RunningFit) -> float:
     with context.screen.progress(f"{running.service} {running.name}", running.steps) as advance:
         async with (
             FitClient(context.channel(running.service)) as client,
-            aclosing(following.follow_fit(client, running.id)) as changes,
+            aclosing(job_events.follow_fit(client, running.id)) as changes,
         ):
             async for fit in changes:
                 advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import aclosing
 from typing import Any
 
-from freerein.cli.course import Course
 from freerein.cli.demo.context import Context
-from freerein.cli.following import follow_run
+from freerein.cli.job_events import follow_run
+from freerein.cli.job_progress import JobProgress
 from freerein.errors import FailedPrecondition
 from freerein.types.orchestrator import RunKind
 
@@ -18,7 +18,7 @@ async def start_run(context: Context, kind: RunKind, config: Mapping[str, object
     return str(started["run"]["id"])
 
 
-async def finish_run(context: Context, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> Course:
+async def finish_run(context: Context, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
     """Shows how a run goes on until it ends; returns the course that it took.
 
     Args:

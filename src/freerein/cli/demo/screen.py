@@ -10,11 +10,10 @@ from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freerein.cli.course import Course
-from freerein.cli.course_picture import draw
 from freerein.cli.demo.figures import Figure
+from freerein.cli.job_display import draw
+from freerein.cli.job_progress import Job, JobProgress
 from freerein.cli.output import print_json
-from freerein.cli.underway import Underway
 
 Advance = Callable[[int], None]
 
@@ -61,16 +60,16 @@ class Screen:
             yield advance
 
     @contextmanager
-    def course(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Underway], Course]]:
+    def course(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Job], JobProgress]]:
         """Yields what shows how a run goes on, with curves of some metrics, and returns the course so far."""
-        course = Course()
+        course = JobProgress()
         with Live(
             console=self._console,
             auto_refresh=False,
             get_renderable=lambda: Padding(draw(name, course, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
         ) as live:
 
-            def show(now: Underway) -> Course:
+            def show(now: Job) -> JobProgress:
                 course.add(now, at_s=time.monotonic())
                 if self._console.is_terminal:
                     live.refresh()
