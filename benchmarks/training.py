@@ -15,6 +15,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from freerein_orchestrator.judges import Frames, LearnedReward
+from freerein_orchestrator.networks import ActorCritic
+from freerein_orchestrator.patience import Patience
+from freerein_orchestrator.ppo_config import PPOConfig
+from freerein_orchestrator.ppo_loop import Gather, iterations
+from freerein_orchestrator.ppo_training import Outset, roll_out
+from freerein_orchestrator.rollout import Actions, Observations, Rewards, Rollout, Step
+from freerein_orchestrator.served import ServedEnvironments
+from freerein_orchestrator.served_rollouts import ServedRollouts
 
 from benchmarks.report import Bar, Findings, Ratio
 from benchmarks.rounds import Contestant, Effort, race
@@ -26,15 +35,6 @@ from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator import ppo_training
-from freerein_orchestrator.judges import Frames, LearnedReward
-from freerein_orchestrator.networks import ActorCritic
-from freerein_orchestrator.patience import Patience
-from freerein_orchestrator.ppo_config import PPOConfig
-from freerein_orchestrator.ppo_loop import Gather, iterations
-from freerein_orchestrator.ppo_training import Outset, roll_out
-from freerein_orchestrator.rollout import Actions, Observations, Rewards, Rollout, Step
-from freerein_orchestrator.served import ServedEnvironments
-from freerein_orchestrator.served_rollouts import ServedRollouts
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
 from freerein_reward.model import trained

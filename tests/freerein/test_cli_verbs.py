@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.cli.configuring import setting
+from freerein.cli.config_options import setting
 from freerein.cli.doctor import doors, machine, storage
 from freerein.cli.segment_picture import bar
 from freerein.cli.services import free_ports

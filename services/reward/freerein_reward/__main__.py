@@ -10,8 +10,7 @@ import torch
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
 from freerein.serving.batcher import Batcher
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
@@ -69,8 +68,8 @@ def build(
     batcher: Batcher[Item, Output] = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
     )
-    fits = Fits(
-        FitRecords(settings.data_dir / "fits" / NAME),
+    fits = FitService(
+        settings.data_dir / "fits" / NAME,
         module="freerein_reward.fit",
         arguments=(str(settings.data_dir), settings.device, str(grounding)),
         store=store,

@@ -2,7 +2,7 @@
 
 FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. GROUNDING_FOLDER holds
 the version of the grounding model that tells the captions; its name is the version. The exit codes are those of
-`freerein.serving.fit_child.run`.
+`freerein.jobs.child`.
 """
 
 import sys
@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
+from freerein.data.lookup import choose_camera, open_dataset
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
-from freerein.learning.metric_rows import MetricRows
+from freerein.jobs.child import run_child, stop_on_sigterm
+from freerein.jobs.metrics import MetricsWriter
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_reward.model import REWARD, DualEncoder, load_grounding
 from freerein_reward.relations import rivals
 from freerein_reward.training import RewardConfig, RewardLearner, agreement, describe, design, hold_out
@@ -38,8 +39,8 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
         InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
     """
     config = RewardConfig.from_mapping({"threads": threads, **values})
-    opened = fit_child.open_dataset(data_dir, dataset)
-    cameras = tuple(fit_child.choose_camera(opened, camera) for camera in config.cameras or ("",))
+    opened = open_dataset(data_dir, dataset)
+    cameras = tuple(choose_camera(opened, camera) for camera in config.cameras or ("",))
     distinct = {phrase.strip() for phrase in config.phrases} - {""}
     if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rivals, distinct)):
         raise InvalidInput(
@@ -54,11 +55,11 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
 def main(folder: Path, data_dir: Path, device: str, grounding: Path) -> int:
     """Fits a model, or goes on fitting it; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        config = RewardConfig.from_mapping(values)
-        return _fit(folder, fit_child.open_dataset(data_dir, dataset), config, device, grounding)
+    def train(asked: Mapping[str, Any]) -> bool:
+        config = RewardConfig.from_mapping(asked["config"])
+        return _fit(folder, open_dataset(data_dir, asked["dataset"]), config, device, grounding)
 
-    return fit_child.run(folder, train)
+    return run_child(folder, train)
 
 
 def _fit(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> bool:
@@ -75,7 +76,7 @@ def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, 
     finder = load_grounding(grounding, device)
     captions = folder / f"captions-{grounding.name}.safetensors"
     spec = design(finder.network.spec, config)  # refuses before anything takes long
-    rows = None if captions.is_file() else MetricRows(folder / "metrics.jsonl", last_step=0)
+    rows = None if captions.is_file() else MetricsWriter(folder / "metrics.jsonl", last_step=0)
     described = describe(
         dataset, finder, config, captions, on_share=lambda share: rows.append(0, {"captioned": share}) if rows else None
     )

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
-from freerein.learning.fit import FitEvent, FitResult, fit, stop_on_sigterm
+from freerein.jobs.child import stop_on_sigterm
+from freerein.learning.fit import FitEvent, FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
 from freerein.serving.model_store import ModelStore
 from freerein_reward.model import GROUNDING, DualEncoder

@@ -4,7 +4,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from pathlib import Path
 
-from freerein.cli.streams import unbroken
+from freerein.cli.streams import reconnecting
 from freerein.clients import SimClient
 from freerein.clients.recording import Recording
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest
@@ -29,7 +29,7 @@ async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, 
     with Recording(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))
         if not recording.is_whole:
-            async with aclosing(unbroken(lambda: _rest(client, recording))) as demonstrations:
+            async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:
                 async for demonstration in demonstrations:
                     recording.append(demonstration)
                     on_count(len(recording))

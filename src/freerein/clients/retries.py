@@ -9,7 +9,7 @@ import json
 
 IDEMPOTENT = {
     "freerein.api.imitation.v1.ImitationService": ("GetSpec", "Act"),
-    "freerein.api.learning.v1.FitService": ("StartFit", "GetFit", "ListFits", "WatchFit", "CancelFit"),
+    "freerein.api.learning.v1.FitService": ("StartFit", "GetFit", "ListFits", "WatchFit", "GetFitMetrics", "CancelFit"),
     "freerein.api.learning.v1.ModelService": ("ListModels",),
     "freerein.api.reward.v1.RewardService": ("Reward", "Ground", "Describe", "EmbedGoal"),
     "freerein.api.orchestrator.v1.OrchestratorService": (
@@ -17,6 +17,7 @@ IDEMPOTENT = {
         "GetRun",
         "ListRuns",
         "WatchRun",
+        "GetMetrics",
         "CancelRun",
         "ListArtifacts",
         "GetArtifact",

@@ -10,12 +10,9 @@ deterministic, which cuDNN's LSTM does not promise.
 """
 
 import math
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import Generic, Literal, Protocol
 
 import numpy as np
@@ -23,11 +20,12 @@ import numpy.typing as npt
 import torch
 
 from freerein.errors import FailedPrecondition
+from freerein.jobs.child import stop_on_sigterm
+from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
 from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON
 from freerein.learning.fit_config import FitConfig
-from freerein.learning.metric_rows import MetricRows
 from freerein.learning.train_state import BestWeights, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
 _MAX_SAVE_FAILURES = 3
@@ -93,17 +91,6 @@ class FitResult(Generic[N]):
         return {"validation_loss": self.validation_loss, "best_step": self.best_step}
 
 
-@contextmanager
-def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
-    """Yields what tells whether SIGTERM has come, for `fit(stop=...)`; on the main thread only."""
-    asked = Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    try:
-        yield asked.is_set
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def fit_and_save(
     learner: Learner[N],
     folder: Path,
@@ -149,7 +136,7 @@ def fit(
     progress = _start(learner)
     checkpointer = _Checkpointer(folder / "checkpoints", _identity(learner, progress.state), on_event)
     progress = checkpointer.resume(progress)
-    rows = MetricRows(folder / "metrics.jsonl", last_step=progress.state.step)
+    rows = MetricsWriter(folder / "metrics.jsonl", last_step=progress.state.step)
     while progress.state.step < config.steps and not stop():
         progress = _advance(learner, progress, rows, on_event)
         if progress.state.step % config.checkpoint_every == 0:
@@ -176,7 +163,7 @@ def _identity(learner: Learner[N], state: TrainState[N]) -> dict[str, JSON]:
 
 
 def _advance(
-    learner: Learner[N], progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+    learner: Learner[N], progress: FitLoopState[N], rows: MetricsWriter, on_event: Callable[[FitEvent], None]
 ) -> FitLoopState[N]:
     """Makes one optimiser step; logs and evaluates when due."""
     config = learner.config

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freerein.cli import following
+from freerein.cli import job_events
 from freerein.cli.connection import channel_to
-from freerein.cli.course import Course
 from freerein.cli.demo.report import Reporter
 from freerein.cli.demo.rest_client import RestClient
+from freerein.cli.job_progress import JobProgress
 from freerein.cli.recording import record
 from freerein.cli.services import Endpoints
 from freerein.cli.settings import CliSettings
@@ -105,7 +105,7 @@ class Context:
         with self.reporter.progress(f"{running.service} {running.model_name}", running.steps) as advance:
             async with (
                 FitClient(self.channel(running.service)) as client,
-                aclosing(following.follow_fit(client, running.id)) as changes,
+                aclosing(job_events.follow_fit(client, running.id)) as changes,
             ):
                 async for fit in changes:
                     advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
@@ -117,7 +117,7 @@ class Context:
             started = await client.post("/v1/start-run", {"kind": kind, "config": config})
         return str(started["run"]["id"])
 
-    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> Course:
+    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
         """Shows a run's progress to its end; returns its curves.
 
         Args:
@@ -131,7 +131,7 @@ class Context:
         self.reporter.command(f"freerein runs watch {run_id}")
         async with (
             OrchestratorClient(self.channel("orchestrator")) as client,
-            aclosing(following.follow_run(client, run_id)) as changes,
+            aclosing(job_events.follow_run(client, run_id)) as changes,
         ):
             with self.reporter.curves(name, metrics) as show:
                 async for run in changes:

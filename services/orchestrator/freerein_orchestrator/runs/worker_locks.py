@@ -1,38 +1,20 @@
-"""Who is alive: each worker holds a lock of its name, and whoever can take the lock of another knows that it is gone.
-
-There is no clock and no lease to wait for: the kernel, or Postgres, frees the lock when its holder dies.
-"""
+"""Locks that tell which workers are alive: each holds the lock of its name, freed by the kernel or Postgres."""
 
 import fcntl
 import os
 from pathlib import Path
-from typing import Protocol
 
 import psycopg
 
-_OURS = 1718641001
-"""Sets our advisory locks apart from those of others in the same database."""
-_NOTICE_A_DEAD_HOST = "SET tcp_keepalives_idle = 5; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 2"
-
-
-class WorkerLocks(Protocol):
-    """The locks of all workers of one database."""
-
-    def take(self, worker: str) -> bool:
-        """Returns whether this process holds a worker's lock now; it takes the lock when nobody has it."""
-
-    def free(self, worker: str) -> None:
-        """Frees a lock that this process holds."""
-
-    def close(self) -> None:
-        """Frees all locks that this process holds."""
+_NAMESPACE = 1718641001  # of our advisory locks, in a database that others may use
+_KEEPALIVES = "SET tcp_keepalives_idle = 5; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 2"
 
 
 class FileLocks:
-    """Locks of workers on one machine: the file `<worker>.lock` each.
+    """Locks of workers on one machine: one file `<worker>.lock` each.
 
     Args:
-        folder: Where they lie.
+        folder: Folder of the files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -40,7 +22,7 @@ class FileLocks:
         self._held: dict[str, int] = {}
 
     def take(self, worker: str) -> bool:
-        """Returns whether this process holds a worker's lock now; it takes the lock when nobody has it."""
+        """Takes a worker's lock unless it is held; returns whether this process holds it now."""
         if worker in self._held:
             return True
         descriptor = os.open(self._folder / f"{worker}.lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -63,10 +45,10 @@ class FileLocks:
 
 
 class PostgresLocks:
-    """Locks of workers on several machines: advisory locks of one connection, which Postgres frees when that ends.
+    """Locks of workers on several machines: advisory locks of one connection, freed when it ends.
 
     Args:
-        url: The database, `postgresql://...`.
+        url: URL of the database, `postgresql://...`.
     """
 
     def __init__(self, url: str) -> None:
@@ -75,10 +57,10 @@ class PostgresLocks:
         self._connection: psycopg.Connection[tuple[bool]] | None = None
 
     def take(self, worker: str) -> bool:
-        """Returns whether this process holds a worker's lock now; it takes the lock when nobody has it.
+        """Takes a worker's lock unless it is held; returns whether this process holds it now.
 
         Raises:
-            psycopg.OperationalError: The database cannot be reached; every lock is lost with the connection.
+            psycopg.OperationalError: The database is out of reach; all locks are lost.
         """
         try:
             connection = self._connect()
@@ -106,10 +88,10 @@ class PostgresLocks:
     def _connect(self) -> "psycopg.Connection[tuple[bool]]":
         if self._connection is None:
             self._connection = psycopg.connect(self._url, autocommit=True)
-            self._connection.execute(_NOTICE_A_DEAD_HOST)
+            self._connection.execute(_KEEPALIVES)
         return self._connection
 
     @staticmethod
     def _ask(connection: "psycopg.Connection[tuple[bool]]", query: str, worker: str) -> bool:
-        row = connection.execute(query, (_OURS, worker)).fetchone()
+        row = connection.execute(query, (_NAMESPACE, worker)).fetchone()
         return row is not None and row[0]

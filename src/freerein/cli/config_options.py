@@ -1,4 +1,4 @@
-"""The configuration of a fit or a run, as one types it: `--set KEY=VALUE`, and `--config FILE.json` below that."""
+"""The configuration of a fit or run on the command line: `--config FILE.json` and `--set KEY=VALUE`."""
 
 import json
 from collections.abc import Sequence
@@ -9,11 +9,13 @@ import typer
 
 from freerein.errors import InvalidInput
 
-Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Not as by default.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a configuration key; repeatable.")
+]
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Returns a setting's key and value: a JSON value, else a string.
+    """Returns the key and value of a setting; the value is JSON, else a string.
 
     Raises:
         InvalidInput: It has no key or no value.
@@ -32,10 +34,10 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def configuration(settings: Sequence[str] | None, file: Path | None = None) -> dict[str, Any]:
-    """Returns the configuration of a file, changed by settings.
+    """Returns the configuration in a file, overridden by settings.
 
     Raises:
-        InvalidInput: The file does not hold a JSON object, or a setting is none.
+        InvalidInput: The file does not hold a JSON object, or a setting is malformed.
     """
     return {**(_read(file) if file else {}), **dict(setting(text) for text in settings or ())}
 
@@ -47,7 +49,7 @@ def _read(file: Path) -> dict[str, Any]:
         values = None
     if not isinstance(values, dict):
         raise InvalidInput(
-            "A configuration must be a file with a JSON object; this one holds something else.",
+            "A configuration file must hold a JSON object; this one holds something else.",
             field="config",
             hint='Such as {"task": "grid", "count": 20}.',
         )

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from freerein.cli.services import free_ports
-from freerein_orchestrator.outcomes import CANCELLED
+from freerein.jobs.attempt import CANCELLED_FILE
 
 pytestmark = pytest.mark.e2e
 HERE = Path(__file__).parent
@@ -223,7 +223,7 @@ def test_a_run_is_cancelled_within_two_seconds_saves_and_can_be_resumed(begin):
     child.wait(5)
     assert time.monotonic() - began < 2
     assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
-    assert (worker.runs / run_id / CANCELLED).exists()
+    assert (worker.runs / run_id / CANCELLED_FILE).exists()
     assert worker.watch(run_id)[-1]["state"] == "cancelled"
 
     worker.ask("resume", id=run_id)
@@ -250,7 +250,7 @@ def test_a_worker_told_to_end_lets_the_child_save_and_the_next_goes_on(begin):
     worker.watch(run_id, until_step=3)
     assert worker.end(signal.SIGTERM) == 0
     assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
-    assert not (worker.runs / run_id / CANCELLED).exists()
+    assert not (worker.runs / run_id / CANCELLED_FILE).exists()
     assert begin().watch(run_id)[-1]["state"] == "succeeded"
 
 
