@@ -20,10 +20,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.learning import weights
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
-from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCriticSpec
 from freerein_orchestrator.rejection import Rejected

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
+from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.train_state import FitLoopState, TrainState
 from freerein_orchestrator.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.ppo_config import PPOConfig
