@@ -171,7 +171,3 @@ def test_relation_cross_entropy_counts_only_pairs_with_captions() -> None:
     told = torch.tensor([[int(Relation.BELOW)], [NO_CAPTION]])
     assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
     assert objectives.relation_cross_entropy(scores, torch.full((2, 1), NO_CAPTION)).item() == 0.0
-
-
-def test_a_problem_is_known_by_its_data_and_its_configuration(learner: RewardLearner) -> None:
-    assert replace(learner, fingerprint="other").identity != learner.identity

@@ -1,7 +1,7 @@
 """The learner of the grounding model, on synthetic images of single objects."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
-from freerein.learning.checkpoints import JSON
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, channels_last
 from freerein_reward.objectives import contrastive_loss
@@ -46,20 +45,17 @@ class GroundingLearner:
     Attributes:
         config: The configuration.
         device: Device to train on.
+        fingerprint: Fingerprint of the data; none but the configuration.
     """
 
     config: GroundingConfig
     device: torch.device
+    fingerprint: str = ""
 
     @property
     def size(self) -> int:
         """Number of training images."""
         return self.config.train_images
-
-    @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on."""
-        return {"config": asdict(self.config)}
 
     @cached_property
     def validation(self) -> ObjectBatch:
@@ -84,12 +80,9 @@ class GroundingLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
-        config = self.config
         seed = int(torch.randint(2**31, (), generator=state.generator))
         batch = self._batch(items.tolist(), np.random.default_rng(seed))
-        loss = _loss(state.network.train(), batch)
-        lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
+        return fit_step(state, _loss(state.network.train(), batch), self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

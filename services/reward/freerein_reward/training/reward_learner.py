@@ -1,8 +1,7 @@
 """The learner of a reward model (section 4.2), on captions of the grounding model."""
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,8 +9,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.checkpoints import JSON
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
 from freerein_reward.model.tokenizer import words
@@ -65,12 +63,6 @@ class RewardLearner:
         """Number of training images."""
         return len(self.training)
 
-    @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on."""
-        config: dict[str, JSON] = json.loads(json.dumps(asdict(self.config)))  # tuples as lists, as in a checkpoint
-        return {"config": config, "data": self.fingerprint}
-
     def init(self, generator: torch.Generator) -> State:
         """Returns the initial state, with the image encoder of the grounding model."""
         network = DualEncoder(self.spec)
@@ -80,12 +72,9 @@ class RewardLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
-        config = self.config
         rng = np.random.default_rng(int(torch.randint(2**31, (), generator=state.generator)))
         batch = _augment(self.training.subset(items), rng)
-        loss = _loss(state.network, batch, rng)
-        lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
+        return fit_step(state, _loss(state.network, batch, rng), self.config)
 
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of relations on the validation images."""
