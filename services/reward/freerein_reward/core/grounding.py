@@ -90,9 +90,10 @@ class GroundingCore:
         ref, model = await self._resolve(request.model)
         await timer.decode(asyncio.to_thread(inputs.check_pixels, request.images))
         descriptions: list[Description] = []
-        for start in range(0, len(request.images), _IMAGES_AT_ONCE):
-            stop = min(start + _IMAGES_AT_ONCE, len(request.images))
-            decode = partial(inputs.decode_images, request.images, model.preprocess, start=start, stop=stop)
+        frames = inputs.EncodedFrames(request.images, range(len(request.images)))
+        for start in range(0, len(frames), _IMAGES_AT_ONCE):
+            stop = min(start + _IMAGES_AT_ONCE, len(frames))
+            decode = partial(inputs.model_inputs, frames, model.preprocess, start=start, stop=stop)
             found = await self._locate(model, await timer.decode(asyncio.to_thread(decode)), request.phrases, timer)
             descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon))
         return DescribeResponse(tuple(descriptions), ref, timer.timing())

@@ -1,7 +1,6 @@
 """Validation and decoding of requests: texts, images, frames by camera."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput, TooLarge
+from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
 from freerein.types.reward import RewardRequest
 
@@ -19,6 +19,8 @@ MAX_HEATMAP_PIXELS = 12_000_000  # 64 MiB, the largest message, as FP32 in base6
 
 Pixels = npt.NDArray[np.uint8]
 Preprocess = Callable[[Pixels], Pixels]
+FrameSequence = TrajectoryArrays[np.uint8]
+"""Frames of one camera, uint8 (h, w, 1 or 3) each."""
 
 
 def check_goal_text(text: str) -> None:
@@ -105,43 +107,32 @@ def check_pixels(encoded: Sequence[Image]) -> None:
         )
 
 
-def decode_images(encoded: Sequence[Image], preprocess: Preprocess, *, start: int, stop: int) -> Pixels:
-    """Returns the model's inputs of the images in [start, stop), uint8 (N, H, W, 3).
+class EncodedFrames:
+    """The encoded images of one camera, decoded when indexed; `indices` are those in the request."""
+
+    def __init__(self, encoded: Sequence[Image], indices: Sequence[int]) -> None:
+        self._encoded = encoded
+        self._indices = indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, frame: int, /) -> Pixels:
+        index = self._indices[frame]
+        return images.decode(self._encoded[index], field=f"images.{index}")
+
+
+def model_inputs(frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int) -> Pixels:
+    """Returns the model's inputs of the frames in [start, stop), uint8 (N, H, W, 3).
 
     Raises:
-        InvalidInput: One is corrupt.
-        UnsupportedMedia: The data of one is not in the declared encoding.
+        InvalidInput: An image is corrupt.
+        UnsupportedMedia: The data of an image is not in the declared encoding.
     """
-    decoded = (images.decode(encoded[index], field=f"images.{index}") for index in range(start, stop))
-    return np.stack([preprocess(image) for image in decoded])
+    return np.stack([preprocess(frames[index]) for index in range(start, stop)])
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """Frames that are decoded on demand.
-
-    Attributes:
-        count: Number of frames per camera.
-        read: By camera, a function that returns frame i, uint8 (h, w, 1 or 3).
-    """
-
-    count: int
-    read: Mapping[str, Callable[[int], Pixels]]
-
-    def views(self, preprocess: Preprocess, *, start: int, stop: int) -> dict[str, Pixels]:
-        """Returns the model's inputs of the frames in [start, stop), uint8 (N, H, W, 3) by camera.
-
-        Raises:
-            InvalidInput: An image is corrupt.
-            UnsupportedMedia: The data of an image is not in the declared encoding.
-        """
-        return {
-            camera: np.stack([preprocess(read(index)) for index in range(start, stop)])
-            for camera, read in self.read.items()
-        }
-
-
-def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Frames:
+def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[str, FrameSequence]:
     """Returns the frames of a request from the cameras of a model; other cameras are ignored.
 
     Raises:
@@ -159,7 +150,7 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Frames:
     _check_count(len(request.images) // len(cameras), field)  # before any header is read
     given = _tensor_frames(request.frames) if request.frames else _encoded_frames(request.images)
     chosen = _choose_cameras(given, cameras, field)
-    counts = {camera: frames.count for camera, frames in chosen.items()}
+    counts = {camera: len(frames) for camera, frames in chosen.items()}
     if len(set(counts.values())) > 1:
         raise InvalidInput(
             "Every camera must have the same number of frames; "
@@ -167,18 +158,11 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Frames:
             field=field,
             hint="A frame is one moment, seen by every camera of the model.",
         )
-    count = max(counts.values())
-    _check_count(count, field)
-    return Frames(count, {camera: frames.frame for camera, frames in chosen.items()})
+    _check_count(max(counts.values()), field)
+    return chosen
 
 
-@dataclass(frozen=True, eq=False)
-class _CameraFrames:
-    count: int
-    frame: Callable[[int], Pixels]
-
-
-def _tensor_frames(frames: Mapping[str, npt.NDArray[Any]]) -> dict[str, _CameraFrames]:
+def _tensor_frames(frames: Mapping[str, npt.NDArray[Any]]) -> Mapping[str, FrameSequence]:
     for array in frames.values():
         if array.dtype != np.uint8 or array.ndim != 4 or array.shape[3] not in (1, 3) or 0 in array.shape:
             raise InvalidInput(
@@ -187,22 +171,20 @@ def _tensor_frames(frames: Mapping[str, npt.NDArray[Any]]) -> dict[str, _CameraF
                 field="frames",
                 hint="Put channels last, and scale floats to 0..255.",
             )
-    return {camera: _CameraFrames(len(array), array.__getitem__) for camera, array in frames.items()}
+    return frames
 
 
-def _encoded_frames(encoded: Sequence[Image]) -> dict[str, _CameraFrames]:
+def _encoded_frames(encoded: Sequence[Image]) -> Mapping[str, FrameSequence]:
     check_pixels(encoded)
     indices: dict[str, list[int]] = {}
     for index, image in enumerate(encoded):
         indices.setdefault(image.camera, []).append(index)
-    return {camera: _CameraFrames(len(own), _decoder(encoded, own)) for camera, own in indices.items()}
+    return {camera: EncodedFrames(encoded, own) for camera, own in indices.items()}
 
 
-def _decoder(encoded: Sequence[Image], indices: Sequence[int]) -> Callable[[int], Pixels]:
-    return lambda frame: images.decode(encoded[indices[frame]], field=f"images.{indices[frame]}")
-
-
-def _choose_cameras(given: Mapping[str, _CameraFrames], cameras: Sequence[str], field: str) -> dict[str, _CameraFrames]:
+def _choose_cameras(
+    given: Mapping[str, FrameSequence], cameras: Sequence[str], field: str
+) -> Mapping[str, FrameSequence]:
     """Returns the frames of a model's cameras; a single camera may be unnamed on either side."""
     if len(cameras) == len(given) == 1 and ("" in cameras or "" in given):
         return {cameras[0]: next(iter(given.values()))}

@@ -1,6 +1,7 @@
 """`RewardCore`: rewards of frames against a goal text, and embeddings of goal texts."""
 
 import asyncio
+from collections.abc import Mapping
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein_reward.core.goal_cache import GoalCache
 from freerein_reward.core.inference import Item, Output, ScoreItem, Scores
-from freerein_reward.core.inputs import check_goal_text, check_rivals, request_frames
+from freerein_reward.core.inputs import FrameSequence, check_goal_text, check_rivals, model_inputs, request_frames
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.relations import rival_captions
 
@@ -62,10 +63,11 @@ class RewardCore:
         ref, model = await self._resolve(request.model, allow_grounding=request.mode == "raw")
         frames = await timer.decode(asyncio.to_thread(request_frames, request, model.cameras))
         parts = []
-        for start in range(0, frames.count, _FRAMES_AT_ONCE):
-            stop = min(start + _FRAMES_AT_ONCE, frames.count)
-            views = await timer.decode(asyncio.to_thread(frames.views, model.preprocess, start=start, stop=stop))
-            key = ref if frames.count == 1 else object()  # single frames share a batch with those of other requests
+        count = len(frames[model.cameras[0]])
+        for start in range(0, count, _FRAMES_AT_ONCE):
+            stop = min(start + _FRAMES_AT_ONCE, count)
+            views = await timer.decode(asyncio.to_thread(_views, frames, model, start, stop))
+            key = ref if count == 1 else object()  # single frames share a batch with those of other requests
             parts.append(await self._infer(ScoreItem(ref, model, texts, views), key, timer))
         similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
         winners = _winners(similarities)
@@ -112,6 +114,14 @@ class RewardCore:
 
     async def _infer(self, item: ScoreItem, key: object, timer: CallTimer) -> Scores:
         return cast(Scores, await timer.infer(self._batcher.submit(item, key=key, timeout_s=self._timeout_s)))
+
+
+def _views(
+    frames: Mapping[str, FrameSequence], model: RewardModel, start: int, stop: int
+) -> dict[str, npt.NDArray[np.uint8]]:
+    return {
+        camera: model_inputs(sequence, model.preprocess, start=start, stop=stop) for camera, sequence in frames.items()
+    }
 
 
 def _goal_and_rivals(request: RewardRequest) -> tuple[str, ...]:
