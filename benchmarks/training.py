@@ -37,8 +37,8 @@ from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator import ppo_training
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
-from freerein_reward.model import trained
-from freerein_reward.relations import rivals
+from freerein_reward.model import load
+from freerein_reward.relations import rival_captions
 from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds.tasks import tasks
 
@@ -183,11 +183,11 @@ class _Judge:
     def __init__(self, goal_text: str) -> None:
         store = ModelStore(CLONE_MODELS / "reward")
         self._ref = ModelRef("default", store.active_version("default"))
-        model, _ = trained.load(store.folder(self._ref), "cpu")
+        model = load(store.folder(self._ref), "cpu")
         if not isinstance(model, RewardModel):
             raise TypeError("The default model of the reward service must be a reward model.")
         self._model = model
-        self._texts = (goal_text, *rivals(goal_text))
+        self._texts = (goal_text, *rival_captions(goal_text))
         self._inference = Inference(GoalCache(_CACHE_BYTES))
 
     def __call__(self, reached: Frames) -> Rewards:

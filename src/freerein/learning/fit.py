@@ -9,9 +9,10 @@ resume. It never depends on clocks, interruptions or logging. Tested on the CPU;
 deterministic, which cuDNN's LSTM does not promise.
 """
 
+import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Generic, Literal, Protocol
 
@@ -43,8 +44,8 @@ class Learner(Protocol[N]):
         """Number of training items."""
 
     @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on: the configuration, the fingerprint of the data."""
+    def fingerprint(self) -> str:
+        """Fingerprint of the training data."""
 
     def init(self, generator: torch.Generator) -> TrainState[N]:
         """Returns the initial state."""
@@ -158,8 +159,10 @@ def _start(learner: Learner[N]) -> FitLoopState[N]:
 
 
 def _identity(learner: Learner[N], state: TrainState[N]) -> dict[str, JSON]:
-    device = next(state.network.parameters()).device
-    return {**learner.identity, "torch": torch.__version__, "device": str(device)}
+    """Returns what the result depends on, as it comes back from a checkpoint."""
+    config = json.loads(json.dumps(asdict(learner.config)))
+    device = str(next(state.network.parameters()).device)
+    return {"config": config, "data": learner.fingerprint, "torch": torch.__version__, "device": device}
 
 
 def _advance(

@@ -1,7 +1,7 @@
-"""Pictures of single objects and their captions: what the grounding model learns nouns from.
+"""Synthetic images of single objects with captions, from which the grounding model learns nouns.
 
-One object at most, before a dull background with gray clutter. No scene of a task is among them, and no caption says
-where anything is: the model learns the "what" of section 4.2, never the "where".
+At most one object on a dull background with gray clutter; no scene of a task. Captions mention no positions: the model
+learns the "what" of section 4.2, not the "where".
 """
 
 import colorsys
@@ -16,7 +16,7 @@ import numpy.typing as npt
 import PIL.Image
 import PIL.ImageDraw
 
-SIDE = 64
+IMAGE_SIZE = 64
 NOTHING = "nothing"
 _EMPTY_PROBABILITY = 0.1
 _OVERSAMPLING = 2
@@ -41,19 +41,19 @@ _HUES: Mapping[str, tuple[Point, Point, Point]] = MappingProxyType(
         "brown": ((18, 32), (0.55, 0.85), (0.3, 0.5)),
     }
 )
-"""By name: hue in degrees, saturation and value, each from and to."""
+"""Ranges of hue in degrees, saturation and value, by colour."""
 
 COLOURS = tuple(_HUES)
 
 
 @dataclass(frozen=True)
 class Attributes:
-    """What an object is, or what a caption says of it; None for what is not said.
+    """Attributes of an object, or those that a caption mentions; None for unmentioned ones.
 
     Attributes:
         colour: One of `COLOURS`.
         shape: One of `SHAPES`.
-        size: `small` or `big`; an object between has none.
+        size: `small`, `big`, or None in between.
     """
 
     colour: str | None = None
@@ -61,13 +61,13 @@ class Attributes:
     size: str | None = None
 
     def describes(self, other: "Attributes") -> bool:
-        """Returns whether all that is said here holds for the other."""
-        mine, its = (self.colour, self.shape, self.size), (other.colour, other.shape, other.size)
-        return all(said is None or said == holds for said, holds in zip(mine, its, strict=True))
+        """Returns whether all attributes mentioned here are those of the other."""
+        ours, theirs = (self.colour, self.shape, self.size), (other.colour, other.shape, other.size)
+        return all(own is None or own == other for own, other in zip(ours, theirs, strict=True))
 
 
 class _Stroke(NamedTuple):
-    """Where an object is drawn, how large, and in which colour."""
+    """Position, radius and colour of a drawing."""
 
     pen: PIL.ImageDraw.ImageDraw
     x: float
@@ -77,24 +77,24 @@ class _Stroke(NamedTuple):
     rng: np.random.Generator
 
 
-def draw(rng: np.random.Generator) -> tuple[npt.NDArray[np.uint8], Attributes | None]:
+def render(rng: np.random.Generator) -> tuple[npt.NDArray[np.uint8], Attributes | None]:
     """Returns a picture, uint8 (64, 64, 3), and the object that it shows; None for none."""
-    scale = _OVERSAMPLING if rng.random() < 0.5 else 1  # else with hard edges, as simulators draw
-    side = SIDE * scale
+    scale = _OVERSAMPLING if rng.random() < 0.5 else 1  # 1: hard edges, as simulators render
+    side = IMAGE_SIZE * scale
     canvas = PIL.Image.fromarray(_background(side, rng))
     pen = PIL.ImageDraw.Draw(canvas)
     for _ in range(rng.integers(_MAX_CLUTTER)):
         _clutter(pen, side, rng)
     shown = None if rng.random() < _EMPTY_PROBABILITY else _object(pen, side, rng)
     if rng.random() < 0.5:
-        _clutter(pen, side, rng, thin=True)  # in front of the object, perhaps
+        _clutter(pen, side, rng, thin=True)  # may occlude the object
     pixels = np.asarray(canvas.reduce(scale) if scale > 1 else canvas).astype(np.int16)
     noise = rng.integers(-3, 4, size=pixels.shape, dtype=np.int16)
     return np.clip(pixels + noise, 0, 255).astype(np.uint8), shown
 
 
 def caption(shown: Attributes | None, rng: np.random.Generator) -> tuple[str, Attributes | None]:
-    """Returns a caption that is true of an object, and what it says."""
+    """Returns a true caption of an object, and the attributes that it mentions."""
     if shown is None:
         return NOTHING, None
     said = Attributes(
@@ -108,7 +108,7 @@ def caption(shown: Attributes | None, rng: np.random.Generator) -> tuple[str, At
 
 
 def _background(side: int, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-    """Returns dull colours: a gradient, in two parts as often as not."""
+    """Returns a gradient of dull colours, often in two parts."""
     top, bottom = (np.array(_dull(rng)) for _ in range(2))
     at = np.linspace(0, 1, side)[:, None, None]
     picture = np.broadcast_to(top + (bottom - top) * at * rng.uniform(0, 0.5), (side, side, 3)).copy()
@@ -157,7 +157,7 @@ def _object(pen: PIL.ImageDraw.ImageDraw, side: int, rng: np.random.Generator) -
 
 
 def _block(stroke: _Stroke) -> None:
-    """Draws a front, and perhaps a top and a side in other shades."""
+    """Draws a box in perspective, or a rotated square."""
     pen, x, y, radius, colour, rng = stroke
     dx, dy = rng.uniform(-0.7, 0.7) * radius, -rng.uniform(0, 0.7) * radius
     left, right, up, down = x - radius, x + radius, y - radius, y + radius

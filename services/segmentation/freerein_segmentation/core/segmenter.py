@@ -15,7 +15,7 @@ from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import Image, ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
-from freerein_segmentation import decoding
+from freerein_segmentation.core import decoding
 
 MAX_TIMESTEPS = 20_000
 MAX_MIN_SEGMENT = 1_000
