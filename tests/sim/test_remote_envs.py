@@ -122,7 +122,7 @@ def test_a_session_is_made_once_per_key_and_ends_when_it_is_closed(address: str)
 def test_a_task_is_found_by_its_name(address: str) -> None:
     with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
         assert find_task(sim, "grid").name == "grid"
-        with pytest.raises(NotFound, match="`config.task` must name one") as not_found:
+        with pytest.raises(NotFound, match="must name one") as not_found:
             find_task(sim, "gri")
         assert not_found.value.field == "config.task"
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from freerein.atomic_files import fsync_folder, write_atomic
-from freerein.data import Dataset, dataset_path, teachers
+from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
@@ -160,7 +160,7 @@ def _note(work: Work, name: str, policies: Sequence[Policy]) -> None:
     """Notes, durably, that the dataset is whole; only then is it moved to its place."""
     dataset = Dataset(work.folder / lessons.ROLLOUTS)
     told = [{name: policy.card.get(name) for name in _TOLD} for policy in policies]
-    teachers.save(work.folder / lessons.ROLLOUTS, told)
+    save_teachers(work.folder / lessons.ROLLOUTS, told)
     card = {
         "dataset": name,
         "trajectories": len(dataset),
