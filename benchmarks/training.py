@@ -39,7 +39,7 @@ from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
 from freerein_reward.model import trained
 from freerein_reward.relations import rivals
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
@@ -138,7 +138,7 @@ class _Local:
         self._begun = begun
         self._judge = _Judge(tasks()[_TASK].goal_text)
         self._thread = ThreadPoolExecutor(1, "worlds")
-        self._envs = self._thread.submit(Envs, tasks()[_TASK], num_envs=self.num_envs, seed=0).result()
+        self._envs = self._thread.submit(VectorEnv, tasks()[_TASK], num_envs=self.num_envs, seed=0).result()
         self._at = b""
         self._waiting: list[Frames] = []
         self._judged: list[Rewards] = []

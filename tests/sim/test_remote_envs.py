@@ -14,7 +14,7 @@ from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput, NotFound, SessionNotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, grid
 
 TOKEN = "secret"
@@ -50,7 +50,7 @@ def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple
 @pytest.mark.parametrize(("task", "steps"), [("grid", 200), ("blocks.red-left-of-blue", 105)])
 def test_a_remote_vector_is_bit_for_bit_the_one_in_process(address: str, task: str, steps: int) -> None:
     camera = TASKS[task].spec.cameras[0].name
-    local = Envs(TASKS[task], num_envs=3, seed=0, privileged=True)
+    local = VectorEnv(TASKS[task], num_envs=3, seed=0, privileged=True)
     remote = RemoteVectorEnv(task, address, num_envs=3, privileged=True, token=TOKEN)
     first, _ = remote.reset(seed=4)
     np.testing.assert_array_equal(first, local.reset(seed=4, cameras=(camera,)).frames[camera])

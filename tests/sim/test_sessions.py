@@ -36,8 +36,8 @@ from freerein.types.sim import (
     StepResponse,
 )
 from freerein_sim.sessions import Sessions
-from freerein_sim.workers.envs import Envs
-from freerein_sim.workers.pool import Pool
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -72,7 +72,7 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
 
     async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> tuple[Sessions, Workers]:
         others = children()
-        started.append(Sessions(Pool(workers=workers), max_sessions=max_sessions, clock=clock))
+        started.append(Sessions(WorkerPool(workers=workers), max_sessions=max_sessions, clock=clock))
         await started[-1].start()
         return started[-1], [child for child in children() if child not in others]
 
@@ -84,7 +84,7 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
 async def sessions() -> AsyncIterator[Sessions]:
     """The sessions that tests share which harm nobody."""
-    shared = Sessions(Pool(workers=1))
+    shared = Sessions(WorkerPool(workers=1))
     await shared.start()
     yield shared
     await shared.close()
@@ -236,7 +236,7 @@ async def test_steps_at_the_same_time_are_made_one_after_the_other(sessions: Ses
     replies = await asyncio.gather(*(sessions.step(StepRequest(session, i, DOWN, TOP)) for i in (1, 1, 2, 2, 3)))
 
     assert [reply.step_id for reply in replies] == [1, 1, 2, 2, 3]
-    envs = Envs(GRID, num_envs=1, seed=0)
+    envs = VectorEnv(GRID, num_envs=1, seed=0)
     envs.restore(before)
     for reply in replies[::2]:
         assert_same(reply, envs.step(DOWN, TOP))
@@ -533,7 +533,7 @@ async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothin
 
 async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
     files, processes = psutil.Process().num_fds(), set(children())
-    sessions = Sessions(Pool(workers=2))
+    sessions = Sessions(WorkerPool(workers=2))
     await sessions.start()
     await begun(sessions)
 

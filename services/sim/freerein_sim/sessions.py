@@ -25,9 +25,9 @@ from freerein.errors import (
     WorkerLost,
 )
 from freerein.types import sim
-from freerein_sim.workers.bounds import check_frames
 from freerein_sim.workers.connection import worker_lost
-from freerein_sim.workers.pool import Pool
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.protocol import check_frames
 from freerein_sim.workers.worker import Worker
 
 MAX_ENVS = 64
@@ -73,7 +73,9 @@ class Sessions:
         clock: Tells the time in seconds, never backwards.
     """
 
-    def __init__(self, pool: Pool, *, max_sessions: int = 64, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, pool: WorkerPool, *, max_sessions: int = 64, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._pool = pool
         self._max_sessions = max_sessions
         self._clock = clock
@@ -145,7 +147,7 @@ class Sessions:
         return response
 
     async def reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
-        """Begins new episodes, as `Envs.reset`. The count of steps goes on."""
+        """Begins new episodes, as `VectorEnv.reset`. The count of steps goes on."""
 
         async def work(session: _Session) -> sim.ResetResponse:
             session.check_frames(request.cameras)
@@ -154,7 +156,7 @@ class Sessions:
         return await self._exclusively(request.session, work)
 
     async def step(self, request: sim.StepRequest) -> sim.StepResponse:
-        """Steps every environment once, as `Envs.step`; the last step asked for again is answered as it was.
+        """Steps every environment once, as `VectorEnv.step`; the last step asked for again is answered as it was.
 
         Raises:
             StepOutOfOrder: `step_id` is neither the next nor the last, or the last one came with other actions.
@@ -177,7 +179,7 @@ class Sessions:
         return await self._exclusively(request.session, work)
 
     async def render(self, request: sim.RenderRequest) -> sim.RenderResponse:
-        """Returns what the cameras see, as `Envs.render`."""
+        """Returns what the cameras see, as `VectorEnv.render`."""
 
         async def work(session: _Session) -> sim.RenderResponse:
             cameras = request.cameras or tuple(camera.name for camera in session.task.cameras)
@@ -187,13 +189,13 @@ class Sessions:
         return await self._exclusively(request.session, work)
 
     async def snapshot(self, request: sim.SnapshotRequest) -> sim.SnapshotResponse:
-        """Returns the session's complete state, as `Envs.snapshot`."""
+        """Returns the session's complete state, as `VectorEnv.snapshot`."""
         return await self._exclusively(
             request.session, lambda session: session.worker.call(request, sim.SnapshotResponse)
         )
 
     async def restore(self, request: sim.RestoreRequest) -> sim.RestoreResponse:
-        """Puts the session into the state of a snapshot, as `Envs.restore`; no earlier step can be repeated then."""
+        """Puts the session into the state of a snapshot, as `VectorEnv.restore`; earlier steps cannot be repeated."""
 
         async def work(session: _Session) -> sim.RestoreResponse:
             response = await session.worker.call(request, sim.RestoreResponse)

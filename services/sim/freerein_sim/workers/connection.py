@@ -5,7 +5,7 @@ from typing import cast
 
 from freerein.errors import WorkerLost
 from freerein.types.common import Error
-from freerein_sim.workers import framing
+from freerein_sim.workers import protocol
 
 
 class Connection(asyncio.BufferedProtocol):
@@ -19,8 +19,8 @@ class Connection(asyncio.BufferedProtocol):
         self.lost = asyncio.Event()
         self._calls: dict[int, asyncio.Future[bytearray]] = {}
         self._asked = 0
-        self._header: framing.Header | None = None
-        self._buffer = bytearray(framing.HEADER_BYTES)
+        self._header: protocol.Header | None = None
+        self._buffer = bytearray(protocol.HEADER_BYTES)
         self._received = 0
 
     async def ask(self, request: object) -> bytearray:
@@ -32,7 +32,7 @@ class Connection(asyncio.BufferedProtocol):
         """
         self._asked += 1
         number = self._asked
-        frame = framing.encode(request, call=framing.call_of(request), number=number)
+        frame = protocol.encode(request, call=protocol.call_of(request), number=number)
         if self.lost.is_set():
             raise worker_lost()
         answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
@@ -73,16 +73,16 @@ class Connection(asyncio.BufferedProtocol):
                 answer.set_exception(worker_lost())
 
     def _begin_message(self) -> None:
-        self._header = framing.decode_header(self._buffer)  # asyncio ends a connection whose protocol raises
+        self._header = protocol.decode_header(self._buffer)  # asyncio ends a connection whose protocol raises
         self._buffer = bytearray(self._header.length)
 
-    def _end_message(self, header: framing.Header) -> None:
-        message, self._buffer, self._header = self._buffer, bytearray(framing.HEADER_BYTES), None
+    def _end_message(self, header: protocol.Header) -> None:
+        message, self._buffer, self._header = self._buffer, bytearray(protocol.HEADER_BYTES), None
         answer = self._calls.get(header.number)
         if answer is None or answer.done():
             return  # whoever asked was cancelled
-        if header.call == framing.REFUSED:
-            answer.set_exception(framing.error_from(framing.decode(message, Error)))
+        if header.call == protocol.REFUSED:
+            answer.set_exception(protocol.error_from(protocol.decode(message, Error)))
         else:
             answer.set_result(message)
 

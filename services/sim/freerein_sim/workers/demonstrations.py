@@ -8,8 +8,8 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera, Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_sim.workers.snapshots import generator
-from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
-from freerein_sim.worlds.wander import Wander
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.world import World, WorldSpec, check_view, skill_indices
 
 _MAX_TRIES = 10
@@ -47,7 +47,7 @@ def _act(
     skills: Sequence[str],
     views: Sequence[Camera],
     rng: np.random.Generator,
-) -> Demonstration:
+) -> RecordedEpisode:
     if request.behaviour == "expert":
         number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
@@ -56,8 +56,8 @@ def _act(
     else:
         chosen = []
         world.reset(rng)
-        behaviour = Wander(world.spec.action, rng)
-    return demonstrate(
+        behaviour = SmoothRandomPolicy(world.spec.action, rng)
+    return record_episode(
         world,
         behaviour,
         skills=chosen,
@@ -68,7 +68,7 @@ def _act(
     )
 
 
-def _response(spec: WorldSpec, request: DemonstrateRequest, made: Demonstration) -> DemonstrateResponse:
+def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
     executed = made.labels[made.labels >= 0]
     trajectory = Trajectory(made.frames, made.actions, tuple(sorted(spec.skills[i] for i in set(executed.tolist()))))
     if request.privileged and len(executed) == len(made.labels):

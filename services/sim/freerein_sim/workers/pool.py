@@ -11,7 +11,7 @@ from freerein_sim.workers.worker import Worker
 _LOG = logging.getLogger(__name__)
 
 
-class Pool:
+class WorkerPool:
     """Places for workers. Some hold sessions; others make demonstrations, so that no session waits for one.
 
     Args:

@@ -9,7 +9,7 @@ import sys
 from typing import TypeVar
 
 from freerein.types.sim import ListTasksRequest, ListTasksResponse
-from freerein_sim.workers import framing
+from freerein_sim.workers import protocol
 from freerein_sim.workers.connection import Connection, worker_lost
 
 _LOG = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class Worker:
         """Asks the child. When the caller is cancelled, the child does what was asked all the same.
 
         Args:
-            request: A request of `framing.CALLS`.
+            request: A request of `protocol.CALLS`.
             response: What answers it.
 
         Raises:
@@ -93,7 +93,7 @@ class Worker:
             _LOG.error("worker %d hangs and is killed", self._process.pid)
             self._process.kill()
             raise worker_lost() from None
-        return framing.decode(message, response)
+        return protocol.decode(message, response)
 
     async def _reap(self) -> None:
         await self._connection.lost.wait()

@@ -16,15 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.demonstrate import demonstrate
-from freerein_sim.worlds.wander import Wander
-from freerein_sim.worlds.world import Action, Frame, Task, World
+from freerein_sim.worlds.episodes import record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.world import Action, Frame, TaskDefinition, World
 
 _SEED = 7
 _STEPS = 12
 
 
-def describes_itself(task: Task) -> None:
+def describes_itself(task: TaskDefinition) -> None:
     """The spec is coherent, and the world's is the task's."""
     spec = task.spec
     action = spec.action
@@ -40,17 +40,17 @@ def describes_itself(task: Task) -> None:
     _require(task.describe().name == task.name, "A task describes itself.")
 
 
-def tells_the_truth_in_shape(task: Task) -> None:
+def tells_the_truth_in_shape(task: TaskDefinition) -> None:
     """True state is finite float64, one number per name, in every step."""
     with closing(_begin(task)) as world:
-        for _ in _wander(world):
+        for _ in _act_randomly(world):
             truth = world.truth()
             _require(truth.state.dtype == np.float64, "True state is float64.")
             _require(truth.state.shape == (len(task.spec.state_names),), "Each number of the true state has a name.")
-            _require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "Truth is finite.")
+            _require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "GroundTruth is finite.")
 
 
-def starts_unsolved(task: Task) -> None:
+def starts_unsolved(task: TaskDefinition) -> None:
     """No episode begins with its goal reached."""
     with closing(task.make()) as world:
         for child in np.random.SeedSequence(_SEED).spawn(50):
@@ -58,7 +58,7 @@ def starts_unsolved(task: Task) -> None:
             _require(not world.truth().success, "An episode begins with its goal not reached.")
 
 
-def repeats_itself_under_a_seed(task: Task) -> None:
+def repeats_itself_under_a_seed(task: TaskDefinition) -> None:
     """Two worlds with one seed and the same actions agree, bit for bit; another seed gives another start."""
     with (
         closing(_begin(task)) as first,
@@ -71,7 +71,7 @@ def repeats_itself_under_a_seed(task: Task) -> None:
         _require(_futures(first) == _futures(second), "Worlds of one seed stay alike.")
 
 
-def resets_to_the_same_start(task: Task) -> None:
+def resets_to_the_same_start(task: TaskDefinition) -> None:
     """What happened before a reset leaves no trace."""
     with closing(_begin(task)) as used, closing(_begin(task)) as fresh:
         _futures(used)
@@ -81,7 +81,7 @@ def resets_to_the_same_start(task: Task) -> None:
         _require(_futures(used) == _futures(fresh), "A used world goes on as a fresh one does.")
 
 
-def restores_bit_for_bit(task: Task) -> None:
+def restores_bit_for_bit(task: TaskDefinition) -> None:
     """A snapshot continued in another world gives the same states and frames."""
     if not task.spec.exact_snapshots:
         return
@@ -94,7 +94,7 @@ def restores_bit_for_bit(task: Task) -> None:
         _require(_futures(world) == _futures(other), "A restored world goes on the same.")
 
 
-def refuses_broken_snapshots(task: Task) -> None:
+def refuses_broken_snapshots(task: TaskDefinition) -> None:
     """Bytes that are no snapshot are refused, and change nothing."""
     if not task.spec.exact_snapshots:
         return
@@ -105,7 +105,7 @@ def refuses_broken_snapshots(task: Task) -> None:
         _require(world.snapshot() == snapshot, "A refused snapshot changes nothing.")
 
 
-def renders_what_was_asked(task: Task) -> None:
+def renders_what_was_asked(task: TaskDefinition) -> None:
     """Frames have the camera's size and channels, show something, and share no memory."""
     with closing(_begin(task)) as world:
         for camera in task.spec.cameras:
@@ -118,7 +118,7 @@ def renders_what_was_asked(task: Task) -> None:
             _require(np.array_equal(frame, again), "Looking changes nothing.")
 
 
-def refuses_bad_views(task: Task) -> None:
+def refuses_bad_views(task: TaskDefinition) -> None:
     """Unknown cameras and sizes out of bounds are refused."""
     camera, too_big = task.spec.cameras[0].name, task.spec.max_size + 1
     with closing(_begin(task)) as world:
@@ -127,7 +127,7 @@ def refuses_bad_views(task: Task) -> None:
             _refuses(partial(world.render, camera, height=height, width=width), "A size out of bounds is refused.")
 
 
-def refuses_bad_actions(task: Task) -> None:
+def refuses_bad_actions(task: TaskDefinition) -> None:
     """Actions of the wrong dtype, shape or range are refused, and change nothing."""
     spec = task.spec.action
     dtype = np.int64 if spec.choices else np.float32
@@ -147,7 +147,7 @@ def refuses_bad_actions(task: Task) -> None:
         _require(_saw(world) == before, "A refused action changes nothing.")
 
 
-def refuses_unknown_skills(task: Task) -> None:
+def refuses_unknown_skills(task: TaskDefinition) -> None:
     """Skills that the world does not have are refused."""
     with closing(_begin(task)) as world:
         rng = np.random.default_rng(_SEED)
@@ -155,14 +155,14 @@ def refuses_unknown_skills(task: Task) -> None:
         _refuses(partial(world.reset, rng, recipe=("no-such-skill",)), "An unknown skill is in no recipe.")
 
 
-def has_an_expert_that_succeeds(task: Task) -> None:
+def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
     """The expert executes every skill, in order, in time, and the oracle agrees that the goal holds if there is one."""
     spec = task.spec
     with closing(task.make()) as world:
         rng = np.random.default_rng(_SEED)
         world.reset(rng, recipe=spec.skills)
         expert = world.expert(spec.skills, rng)
-        shown = demonstrate(
+        shown = record_episode(
             world, expert, skills=spec.skills, cameras=(), height=1, width=1, max_steps=spec.max_episode_steps
         )
         _require(shown.success, "The expert succeeds.")
@@ -171,17 +171,17 @@ def has_an_expert_that_succeeds(task: Task) -> None:
         _require(not task.goal_text or world.truth().success, "The oracle sees the goal that the expert reached.")
 
 
-def has_an_expert_that_survives_any_state(task: Task) -> None:
+def has_an_expert_that_survives_any_state(task: TaskDefinition) -> None:
     """After a while at random the expert still acts within the spec, and ends or can be cut off."""
     with closing(_begin(task)) as world:
-        for _ in _wander(world):
+        for _ in _act_randomly(world):
             pass
         expert = world.expert(task.spec.skills, np.random.default_rng(_SEED))
-        demonstrate(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
-        _require(world.expert((), np.random.default_rng(_SEED)).decide() is None, "Nothing asked, nothing done.")
+        record_episode(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
+        _require(world.expert((), np.random.default_rng(_SEED)).act() is None, "Nothing asked, nothing done.")
 
 
-CHECKS: tuple[Callable[[Task], None], ...] = (
+CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     describes_itself,
     tells_the_truth_in_shape,
     starts_unsolved,
@@ -212,17 +212,17 @@ def _refuses(call: Callable[[], object], sentence: str) -> None:
     raise AssertionError(f"Expected: {sentence}")
 
 
-def _begin(task: Task, *, seed: int = _SEED) -> World:
+def _begin(task: TaskDefinition, *, seed: int = _SEED) -> World:
     world = task.make()
     world.reset(np.random.default_rng(seed))
     return world
 
 
-def _wander(world: World) -> Iterator[Action]:
+def _act_randomly(world: World) -> Iterator[Action]:
     """Steps the world at random, always in the same way, and yields after each step until the episode ends."""
-    wander = Wander(world.spec.action, np.random.default_rng(_SEED))
+    policy = SmoothRandomPolicy(world.spec.action, np.random.default_rng(_SEED))
     for _ in range(_STEPS):
-        action = wander.decide().action
+        action = policy.act().action
         outcome = world.step(action)
         yield action
         if outcome.terminated:
@@ -236,4 +236,4 @@ def _saw(world: World) -> tuple[bytes, ...]:
 
 
 def _futures(world: World) -> list[tuple[bytes, ...]]:
-    return [_saw(world) for _ in _wander(world)]
+    return [_saw(world) for _ in _act_randomly(world)]

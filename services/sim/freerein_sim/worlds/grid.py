@@ -17,11 +17,11 @@ from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.world import (
     Action,
-    Decision,
     Frame,
-    Outcome,
-    Task,
-    Truth,
+    GroundTruth,
+    LabelledAction,
+    StepResult,
+    TaskDefinition,
     WorldSpec,
     check_action,
     check_view,
@@ -57,7 +57,7 @@ SPEC = WorldSpec(
 )
 
 
-class Grid:
+class GridWorld:
     """The grid world.
 
     An episode has a recipe: which objects are to be picked up, in which order. `pick-up` takes whatever object lies
@@ -106,7 +106,7 @@ class Grid:
             if _expert_steps(places[0], places[1:], self._recipe) <= _MAX_STEPS:
                 return
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         """Moves one cell, stopping at the field's edge, or picks up what lies under the agent."""
         check_action(SPEC.action, action)
         choice = int(action[0])
@@ -116,7 +116,7 @@ class Grid:
             self._picked += tuple(int(i) for i in here)
         else:
             self._agent = np.clip(self._agent + _MOVES[choice], 0, FIELD - 1)
-        return Outcome(terminated=self.target is None)
+        return StepResult(terminated=self.target is None)
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
         """Returns the image; this world has one size only."""
@@ -155,10 +155,12 @@ class Grid:
         _check_state(agent, objects, recipe, picked)
         self._agent, self._objects, self._recipe, self._picked = agent, objects, recipe, picked
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """Returns where everything is (-1 for what was picked up), and 1.0 when the recipe was followed exactly."""
         success = bool(self._recipe) and self._picked == self._recipe
-        return Truth(np.concatenate([self._agent, self._objects.ravel()]).astype(np.float64), float(success), success)
+        return GroundTruth(
+            np.concatenate([self._agent, self._objects.ravel()]).astype(np.float64), float(success), success
+        )
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> "GridExpert":
         """Returns somebody who walks to each object by a shortest path and picks it up."""
@@ -171,12 +173,12 @@ class Grid:
 class GridExpert:
     """Greedy in Manhattan distance; where both axes shorten the way, it draws one."""
 
-    def __init__(self, world: Grid, skills: tuple[int, ...], rng: np.random.Generator) -> None:
+    def __init__(self, world: GridWorld, skills: tuple[int, ...], rng: np.random.Generator) -> None:
         self._world = world
         self._skills = skills
         self._rng = rng
 
-    def decide(self) -> Decision | None:
+    def act(self) -> LabelledAction | None:
         """Returns the next step towards the first object that is still to be picked up."""
         state = self._world.truth().state.astype(np.int64)
         objects = state[2:].reshape(-1, 2)
@@ -186,9 +188,9 @@ class GridExpert:
         way = objects[wanted] - state[:2]  # rows down, columns right
         distance = np.abs(way)
         if not distance.any():
-            return Decision(np.array([PICK_UP]), wanted)
+            return LabelledAction(np.array([PICK_UP]), wanted)
         axis = int(self._rng.random() * distance.sum() >= distance[0])
-        return Decision(np.array([2 * axis + int(way[axis] > 0)]), wanted)
+        return LabelledAction(np.array([2 * axis + int(way[axis] > 0)]), wanted)
 
     def succeeded(self) -> bool:
         """Returns whether exactly these objects were picked up, in order."""
@@ -224,6 +226,6 @@ def _check_state(
 
 
 TASKS = (
-    Task("grid", "grid", "", SPEC, partial(Grid, indicator=True)),
-    Task("grid-no-indicator", "grid", "", SPEC, partial(Grid, indicator=False)),
+    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True)),
+    TaskDefinition("grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False)),
 )

@@ -47,7 +47,7 @@ class WorldSpec:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepResult:
     """What came of a step.
 
     Attributes:
@@ -60,7 +60,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class GroundTruth:
     """What is true now: for evaluation, never for learning.
 
     Attributes:
@@ -75,7 +75,7 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
+class LabelledAction:
     """What a behaviour does in one timestep.
 
     Attributes:
@@ -87,10 +87,10 @@ class Decision:
     skill: int
 
 
-class Behaviour(Protocol):
+class ScriptedPolicy(Protocol):
     """Somebody who acts in a world. It may read the world's true state; a learner never does."""
 
-    def decide(self) -> Decision | None:
+    def act(self) -> LabelledAction | None:
         """Returns what to do in this timestep, None when there is nothing left to do."""
 
     def succeeded(self) -> bool:
@@ -120,7 +120,7 @@ class World(Protocol):
             InvalidInput: The recipe names a skill that the world does not have.
         """
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         """Takes one action and lets `control_dt_s` pass.
 
         Raises:
@@ -145,10 +145,10 @@ class World(Protocol):
             InvalidInput: The bytes are not a snapshot of this world; the world is then as before.
         """
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """Returns what is true now."""
 
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Behaviour:
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> ScriptedPolicy:
         """Returns somebody who executes the skills in order, from the state of now.
 
         Raises:
@@ -160,7 +160,7 @@ class World(Protocol):
 
 
 @dataclass(frozen=True)
-class Task:
+class TaskDefinition:
     """A world with a goal and an oracle.
 
     Attributes:

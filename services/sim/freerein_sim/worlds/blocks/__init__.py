@@ -8,9 +8,9 @@ from functools import partial
 from itertools import permutations
 
 from freerein.types.common import ActionSpec, Camera
-from freerein_sim.worlds.blocks.relations import Goal, Relation
+from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation
 from freerein_sim.worlds.opengl import check_mujoco_gl
-from freerein_sim.worlds.world import Task, World, WorldSpec
+from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
 COLOURS = ("red", "green", "yellow", "blue")
 CONTROL_DT_S = 0.04
@@ -49,36 +49,36 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
 
 def _make_free_play() -> World:
     check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
+    from freerein_sim.worlds.blocks import initial_states, simulation
 
-    return simulation.Blocks(_FREE_PLAY, COLOURS, starts.line)
+    return simulation.BlocksWorld(_FREE_PLAY, COLOURS, initial_states.line)
 
 
 def _make_scatter() -> World:
     check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
+    from freerein_sim.worlds.blocks import initial_states, simulation
 
-    return simulation.Blocks(_SCATTER, COLOURS, starts.scatter, pad=True)
+    return simulation.BlocksWorld(_SCATTER, COLOURS, initial_states.scatter, pad=True)
 
 
-def _make_goal(spec: WorldSpec, goal: Goal) -> World:
+def _make_goal(spec: WorldSpec, goal: BlockGoal) -> World:
     check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
+    from freerein_sim.worlds.blocks import initial_states, simulation
 
-    return simulation.Blocks(spec, (goal.first, goal.second), starts.pair, goal=goal)
+    return simulation.BlocksWorld(spec, (goal.first, goal.second), initial_states.pair, goal=goal)
 
 
-def _goal_task(first: str, second: str, relation: Relation) -> Task:
-    goal = Goal(first, relation, second)
+def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefinition:
+    goal = BlockGoal(first, relation, second)
     spec = _spec((first, second), (first,), _GOAL_STEPS)
-    return Task(f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make_goal, spec, goal))
+    return TaskDefinition(f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make_goal, spec, goal))
 
 
 _FREE_PLAY = _spec(COLOURS, COLOURS, _DEMONSTRATION_STEPS)
 _SCATTER = _spec(COLOURS, (), _SCATTER_STEPS)
 
 TASKS = (
-    Task("blocks", "blocks", "", _FREE_PLAY, _make_free_play),
-    Task("blocks.scatter", "blocks", "", _SCATTER, _make_scatter),
-    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in Relation),
+    TaskDefinition("blocks", "blocks", "", _FREE_PLAY, _make_free_play),
+    TaskDefinition("blocks.scatter", "blocks", "", _SCATTER, _make_scatter),
+    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in BlockRelation),
 )

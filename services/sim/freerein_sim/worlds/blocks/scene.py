@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from freerein.errors import FailedPrecondition
-from freerein_sim.worlds.blocks.relations import BLOCK_M
+from freerein_sim.worlds.blocks.goals import BLOCK_M
 
 TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
 GRIPPER_Y_M = (-0.22, 0.22)

@@ -11,14 +11,14 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
 from freerein_sim.worlds.blocks.expert import BlocksExpert
-from freerein_sim.worlds.blocks.relations import Goal, Position, holds
-from freerein_sim.worlds.blocks.starts import DrawStart
+from freerein_sim.worlds.blocks.goals import BlockGoal, Position, holds
+from freerein_sim.worlds.blocks.initial_states import InitialStateSampler
 from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import (
     Action,
     Frame,
-    Outcome,
-    Truth,
+    GroundTruth,
+    StepResult,
     WorldSpec,
     check_action,
     check_view,
@@ -37,7 +37,7 @@ _FALLEN_M = -0.01
 _LEAD_M = 0.07
 
 
-class Blocks:
+class BlocksWorld:
     """A gripper and blocks, in the plane in which the gripper moves.
 
     Args:
@@ -52,9 +52,9 @@ class Blocks:
         self,
         spec: WorldSpec,
         colours: tuple[str, ...],
-        draw_start: DrawStart,
+        draw_start: InitialStateSampler,
         *,
-        goal: Goal | None = None,
+        goal: BlockGoal | None = None,
         pad: bool = False,
     ) -> None:
         self.spec = spec
@@ -83,7 +83,7 @@ class Blocks:
             self._data.actuator(name).ctrl = targets[i]
         self._refresh()
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         """Moves the servos' set-points by the action and simulates one control step.
 
         The set-point may lead the gripper by no more than a free gripper lags, so that a blocked one does not wind up.
@@ -98,9 +98,9 @@ class Blocks:
         control[2:] = np.clip(control[2] + FINGER_STEP_M * float(action[2]), *scene.FINGER_M)
         mujoco.mj_step(self._model, self._data, nstep=_SUBSTEPS)
         if any(self._data.warning[kind].number for kind in _DIVERGED):
-            return Outcome(terminated=True, diverged=True)
+            return StepResult(terminated=True, diverged=True)
         self._refresh()
-        return Outcome(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
+        return StepResult(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
         """Returns what the camera sees; the first call opens an OpenGL context on the calling thread."""
@@ -130,14 +130,14 @@ class Blocks:
         mujoco.mj_setState(self._model, self._data, state, _STATE)
         self._refresh()
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """Returns the poses of gripper and blocks, and whether the goal holds."""
         poses = [self._data.joint(colour).qpos for colour in self.colours]
         opening = self._data.joint("finger.left").qpos + self._data.joint("finger.right").qpos
         success = self.goal is not None and holds(
             self.goal.relation, self.position(self.goal.first), self.position(self.goal.second)
         )
-        return Truth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
+        return GroundTruth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
         """Returns somebody who picks up each named block and puts it down elsewhere, where the goal says if any."""

@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import Action, Behaviour, Frame, World
+from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
 
 
 @dataclass(frozen=True, eq=False)
-class Demonstration:
+class RecordedEpisode:
     """What was seen and done, and, for evaluation only, which skill was executed when.
 
     Attributes:
@@ -29,16 +29,16 @@ class Demonstration:
     success: bool
 
 
-def demonstrate(
+def record_episode(
     world: World,
-    behaviour: Behaviour,
+    behaviour: ScriptedPolicy,
     *,
     skills: Sequence[str] = (),
     cameras: Sequence[str],
     height: int,
     width: int,
     max_steps: int,
-) -> Demonstration:
+) -> RecordedEpisode:
     """Lets a behaviour act from the state of now until it, the episode or the steps end, and records it.
 
     Args:
@@ -57,7 +57,7 @@ def demonstrate(
     actions: list[Action] = []
     labels: list[int] = []
     diverged = False
-    while len(actions) < max_steps and (decision := behaviour.decide()) is not None:
+    while len(actions) < max_steps and (decision := behaviour.act()) is not None:
         for camera, seen in frames.items():
             seen.append(world.render(camera, height=height, width=width))
         actions.append(decision.action)
@@ -66,7 +66,7 @@ def demonstrate(
         diverged = outcome.diverged
         if outcome.terminated:
             break
-    return Demonstration(
+    return RecordedEpisode(
         frames={camera: _stack(world, camera, seen, height, width) for camera, seen in frames.items()},
         actions=_join(world.spec.action, actions),
         labels=np.array(labels, np.int64),

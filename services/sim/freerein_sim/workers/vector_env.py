@@ -14,10 +14,10 @@ from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
 from freerein.types.common import Camera
 from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import Task, check_view
+from freerein_sim.worlds.world import TaskDefinition, check_view
 
 
-class Envs:
+class VectorEnv:
     """N environments of one task. Environment i draws from `SeedSequence(seed).spawn(N)[i]`.
 
     A call that is refused changes nothing.
@@ -40,7 +40,14 @@ class Envs:
     """
 
     def __init__(
-        self, task: Task, *, num_envs: int, seed: int, height: int = 0, width: int = 0, privileged: bool = False
+        self,
+        task: TaskDefinition,
+        *,
+        num_envs: int,
+        seed: int,
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
     ) -> None:
         self.task = task
         self.num_envs = num_envs

@@ -24,7 +24,7 @@ Position = npt.NDArray[np.float64]
 """float64 (3,): x, y, z of a block's centre in metres; the table's top is z = 0."""
 
 
-class Relation(Enum):
+class BlockRelation(Enum):
     """The words of a goal between two blocks."""
 
     LEFT_OF = "left-of"
@@ -33,14 +33,14 @@ class Relation(Enum):
 
 
 _PHRASES = {
-    Relation.LEFT_OF: "to the left of",
-    Relation.RIGHT_OF: "to the right of",
-    Relation.ON_TOP_OF: "on top of",
+    BlockRelation.LEFT_OF: "to the left of",
+    BlockRelation.RIGHT_OF: "to the right of",
+    BlockRelation.ON_TOP_OF: "on top of",
 }
 
 
 @dataclass(frozen=True)
-class Goal:
+class BlockGoal:
     """One block in a relation to another.
 
     Attributes:
@@ -50,7 +50,7 @@ class Goal:
     """
 
     first: str
-    relation: Relation
+    relation: BlockRelation
     second: str
 
     @property
@@ -64,11 +64,11 @@ class Goal:
         return f"a {self.first} block {_PHRASES[self.relation]} a {self.second} block"
 
 
-def holds(relation: Relation, first: Position, second: Position) -> bool:
+def holds(relation: BlockRelation, first: Position, second: Position) -> bool:
     """Returns whether the first block lies in the relation to the second."""
-    if relation is Relation.ON_TOP_OF:
+    if relation is BlockRelation.ON_TOP_OF:
         return is_on(first, second)
-    beside = second - first if relation is Relation.LEFT_OF else first - second
+    beside = second - first if relation is BlockRelation.LEFT_OF else first - second
     return bool(
         is_on_table(first)
         and is_on_table(second)

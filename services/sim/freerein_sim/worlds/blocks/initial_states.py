@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.blocks import COLOURS, scene
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Position
+from freerein_sim.worlds.blocks.goals import BLOCK_M, Position
 
 PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
 """Where each colour's block waits while it is not on show, by its place in `COLOURS`: float64 (4, 3), on the pad."""
@@ -40,7 +40,7 @@ Point = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Gripper:
+class GripperState:
     """How the gripper is before the first action.
 
     Attributes:
@@ -55,7 +55,7 @@ class Gripper:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class InitialState:
     """What there is before the first action.
 
     Attributes:
@@ -64,40 +64,40 @@ class Start:
     """
 
     blocks: Position
-    gripper: Gripper
+    gripper: GripperState
 
 
-DrawStart = Callable[[np.random.Generator], Start]
+InitialStateSampler = Callable[[np.random.Generator], InitialState]
 """Draws where an episode begins."""
 
 
-def line(rng: np.random.Generator) -> Start:
+def line(rng: np.random.Generator) -> InitialState:
     """Returns four blocks on the table, far enough apart for the gripper, which is above them."""
     places = (np.arange(_PLACES) - (_PLACES - 1) / 2) * _PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
     ys = rng.choice(places, size=len(COLOURS), replace=False)
     return _on_table(rng, ys + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape))
 
 
-def pair(rng: np.random.Generator) -> Start:
+def pair(rng: np.random.Generator) -> InitialState:
     """Returns two blocks, each somewhere on a place one block wide, too far from one another for any goal to hold."""
     return _on_table(rng, rng.permutation(_PAIR_M) + rng.uniform(-_PAIR_SPREAD_M / 2, _PAIR_SPREAD_M / 2, size=2))
 
 
-def scatter(rng: np.random.Generator) -> Start:
+def scatter(rng: np.random.Generator) -> InitialState:
     """Returns two of the four blocks in the plane, in the air or not, one perhaps in the gripper; two are parked."""
     arrange = (_anywhere, _near, _stacked, _beside)[rng.choice(len(_ODDS), p=_ODDS)]
     shown = arrange(rng, rng.uniform(_LOW_M, _HIGH_M))
     blocks = PARKED_M.copy()
     blocks[rng.choice(len(COLOURS), size=2, replace=False)] = np.insert(shown, 0, 0.0, axis=1)
     holding = _holding(rng, shown) if rng.random() < _GRASP_PROBABILITY else None
-    return Start(blocks, holding or _roaming(rng, shown))
+    return InitialState(blocks, holding or _roaming(rng, shown))
 
 
-def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> Start:
+def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> InitialState:
     blocks = np.stack([np.zeros_like(ys), ys, np.full_like(ys, BLOCK_M / 2)], axis=1)
     finger_m = rng.uniform(*scene.FINGER_M)
     at = np.array([rng.uniform(*_ABOVE_Y_M), rng.uniform(*_ABOVE_Z_M)])
-    return Start(blocks, Gripper(at, finger_m, finger_m))
+    return InitialState(blocks, GripperState(at, finger_m, finger_m))
 
 
 def _anywhere(rng: np.random.Generator, first: Point) -> Point:
@@ -127,27 +127,27 @@ def _beside(rng: np.random.Generator, first: Point) -> Point:
     return np.array([(y, z), (y - np.sign(y) * rng.uniform(BLOCK_M, _NEAR_M), z)])
 
 
-def _roaming(rng: np.random.Generator, blocks: Point) -> Gripper:
+def _roaming(rng: np.random.Generator, blocks: Point) -> GripperState:
     """Draws the gripper over its range, clear of the blocks."""
     limits = np.transpose([scene.GRIPPER_Y_M, scene.GRIPPER_Z_M])
     while True:
         finger_m = rng.uniform(*scene.FINGER_M)
-        gripper = Gripper(rng.uniform(*limits), finger_m, finger_m)
+        gripper = GripperState(rng.uniform(*limits), finger_m, finger_m)
         if _is_clear(gripper, blocks):
             return gripper
 
 
-def _holding(rng: np.random.Generator, blocks: Point) -> Gripper | None:
+def _holding(rng: np.random.Generator, blocks: Point) -> GripperState | None:
     """Draws the gripper closed on one of the blocks; None where it would be in the other or in the table."""
     for block in rng.permutation(blocks):
         at = np.add(block, (0.0, rng.uniform(*_GRASP_ABOVE_M)))
-        gripper = Gripper(at, BLOCK_M / 2 - scene.FINGER_BASE_M, scene.FINGER_M[0])
+        gripper = GripperState(at, BLOCK_M / 2 - scene.FINGER_BASE_M, scene.FINGER_M[0])
         if at[1] > scene.GRIPPER_Z_M[0] and _is_clear(gripper, blocks):
             return gripper
     return None
 
 
-def _is_clear(gripper: Gripper, blocks: Point) -> bool:
+def _is_clear(gripper: GripperState, blocks: Point) -> bool:
     """Returns whether neither a finger nor what is above the fingers is inside a block."""
     aside, above = np.abs(blocks[:, 0] - gripper.at[0]), blocks[:, 1] - gripper.at[1]
     inner_m = scene.FINGER_BASE_M + gripper.finger_m

@@ -8,23 +8,23 @@ from uuid import uuid4
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
-from freerein_sim.workers import demonstrations, framing
-from freerein_sim.workers.envs import Envs
-from freerein_sim.worlds.world import Task, World
+from freerein_sim.workers import demonstrations, protocol
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds.world import TaskDefinition, World
 
 _LOG = logging.getLogger(__name__)
 
 
-class Host:
+class RequestHandler:
     """The sessions of one worker process.
 
     Args:
         tasks: The tasks, by name.
     """
 
-    def __init__(self, tasks: Mapping[str, Task]) -> None:
+    def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
-        self._sessions: dict[str, Envs] = {}
+        self._sessions: dict[str, VectorEnv] = {}
         self._stages: dict[str, World] = {}  # by task: where demonstrations are made
         self._answers: dict[type[Any], Callable[[Any], object]] = {
             sim.ListTasksRequest: self._list_tasks,
@@ -38,8 +38,8 @@ class Host:
             sim.CloseSessionRequest: self._close_session,
         }
 
-    def answer(self, request: object) -> object:
-        """Returns the response to a request of `framing.CALLS`.
+    def handle(self, request: object) -> object:
+        """Returns the response to a request of `protocol.CALLS`.
 
         Raises:
             ServiceError: It is refused. After `Internal` the session it spoke of is gone.
@@ -69,7 +69,7 @@ class Host:
         """Makes a session; the service has filled in the request's defaults."""
         task, seed = self._task(request.task), request.seed or 0
         session = uuid4().hex
-        self._sessions[session] = Envs(
+        self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
             seed=seed,
@@ -105,12 +105,12 @@ class Host:
         self._discard(request.session)
         return sim.CloseSessionResponse()
 
-    def _task(self, name: str) -> Task:
+    def _task(self, name: str) -> TaskDefinition:
         if (task := self._tasks.get(name)) is None:
             raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
         return task
 
-    def _envs(self, session: str) -> Envs:
+    def _envs(self, session: str) -> VectorEnv:
         if (envs := self._sessions.get(session)) is None:
             raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
         return envs
@@ -120,26 +120,26 @@ class Host:
             envs.close()
 
 
-def serve(connection: socket.socket, host: Host) -> None:
+def serve(connection: socket.socket, handler: RequestHandler) -> None:
     """Answers what comes over a socket, in order, until the other end closes it."""
     try:
-        while (head := _receive(connection, framing.HEADER_BYTES)) is not None:
-            header = framing.decode_header(head)
+        while (head := _receive(connection, protocol.HEADER_BYTES)) is not None:
+            header = protocol.decode_header(head)
             if (body := _receive(connection, header.length)) is None:
                 return
-            for part in _reply(host, header, body):
+            for part in _reply(handler, header, body):
                 connection.sendall(part)
     except (BrokenPipeError, ConnectionResetError):
         return  # the service is gone, and nobody waits for this
 
 
-def _reply(host: Host, header: framing.Header, body: bytearray) -> tuple[bytes, bytes]:
+def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
     """Returns the frame that answers a call."""
     try:
-        request = framing.decode(body, framing.CALLS[header.call][0])
-        return framing.encode(host.answer(request), call=header.call, number=header.number)
+        request = protocol.decode(body, protocol.CALLS[header.call][0])
+        return protocol.encode(handler.handle(request), call=header.call, number=header.number)
     except ServiceError as error:
-        return framing.encode(framing.error_message(error), call=framing.REFUSED, number=header.number)
+        return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
 
 
 def _receive(connection: socket.socket, length: int) -> bytearray | None:

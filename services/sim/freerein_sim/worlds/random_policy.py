@@ -3,14 +3,14 @@
 import numpy as np
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import NO_SKILL, Decision
+from freerein_sim.worlds.world import NO_SKILL, LabelledAction
 
 _MEAN_HOLD_STEPS = 6.0
 _SMOOTHING = 0.5
 _EXTREME_PROBABILITY = 0.3
 
 
-class Wander:
+class SmoothRandomPolicy:
     """Heads for one random action for a while, then for another.
 
     A continuous action moves half of the way to its target each step, and a target is often at a limit, so that
@@ -28,16 +28,16 @@ class Wander:
         self._action = np.zeros(action.size)
         self._hold_steps = np.zeros(action.size, np.int64)
 
-    def decide(self) -> Decision:
+    def act(self) -> LabelledAction:
         """Returns the next action; no skill is executed."""
         self._hold_steps -= 1
         for i in np.flatnonzero(self._hold_steps < 0):
             self._hold_steps[i] = self._rng.geometric(1 / _MEAN_HOLD_STEPS)
             self._target[i] = self._draw()
         if self._spec.choices:
-            return Decision(self._target.astype(np.int64), NO_SKILL)
+            return LabelledAction(self._target.astype(np.int64), NO_SKILL)
         self._action += _SMOOTHING * (self._target - self._action)
-        return Decision(self._action.astype(np.float32), NO_SKILL)
+        return LabelledAction(self._action.astype(np.float32), NO_SKILL)
 
     def succeeded(self) -> bool:
         """Returns True: nothing was asked."""

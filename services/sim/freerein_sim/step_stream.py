@@ -16,7 +16,7 @@ from freerein.types.sim import (
 )
 
 
-class Stepping:
+class StepStream:
     """Serves stepping streams.
 
     Args:
