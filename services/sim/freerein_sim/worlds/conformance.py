@@ -1,10 +1,10 @@
-"""What every world must do, checked for any task; for the worlds of other packages, too.
+"""Conformance tests for any `World`, including those of other packages.
 
     @pytest.mark.parametrize("check", conformance.CHECKS, ids=lambda check: check.__name__)
     def test_my_world_conforms(check):
         check(my_task)
 
-A check raises `AssertionError` with a sentence; it makes its own worlds and closes them.
+A check raises `AssertionError` with a sentence; it makes and closes its own worlds.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ _STEPS = 12
 
 
 def describes_itself(task: TaskDefinition) -> None:
-    """The spec is coherent, and the world's is the task's."""
+    """The spec is consistent, and the world has the task's spec."""
     spec = task.spec
     action = spec.action
     _require(len(spec.cameras) > 0, "A world has at least one camera.")
@@ -59,26 +59,26 @@ def starts_unsolved(task: TaskDefinition) -> None:
 
 
 def repeats_itself_under_a_seed(task: TaskDefinition) -> None:
-    """Two worlds with one seed and the same actions agree, bit for bit; another seed gives another start."""
+    """Equal seeds and actions give equal bits; another seed gives another initial state."""
     with (
         closing(_begin(task)) as first,
         closing(_begin(task)) as second,
         closing(_begin(task, seed=_SEED + 1)) as other,
     ):
         _require(first.fingerprint == second.fingerprint, "Worlds of one task have one fingerprint.")
-        _require(_saw(first) == _saw(second), "Worlds of one seed begin alike.")
-        _require(_saw(first) != _saw(other), "Worlds of different seeds begin differently.")
-        _require(_futures(first) == _futures(second), "Worlds of one seed stay alike.")
+        _require(_observed(first) == _observed(second), "Worlds of one seed begin alike.")
+        _require(_observed(first) != _observed(other), "Worlds of different seeds begin differently.")
+        _require(_continued(first) == _continued(second), "Worlds of one seed stay alike.")
 
 
 def resets_to_the_same_start(task: TaskDefinition) -> None:
-    """What happened before a reset leaves no trace."""
+    """A reset does not depend on earlier episodes."""
     with closing(_begin(task)) as used, closing(_begin(task)) as fresh:
-        _futures(used)
+        _continued(used)
         for world in (used, fresh):
             world.reset(np.random.default_rng(_SEED + 2))
-        _require(_saw(used) == _saw(fresh), "A used world resets as a fresh one does.")
-        _require(_futures(used) == _futures(fresh), "A used world goes on as a fresh one does.")
+        _require(_observed(used) == _observed(fresh), "A used world resets as a fresh one does.")
+        _require(_continued(used) == _continued(fresh), "A used world goes on as a fresh one does.")
 
 
 def restores_bit_for_bit(task: TaskDefinition) -> None:
@@ -86,16 +86,16 @@ def restores_bit_for_bit(task: TaskDefinition) -> None:
     if not task.spec.exact_snapshots:
         return
     with closing(_begin(task)) as world, closing(_begin(task, seed=_SEED + 1)) as other:
-        _futures(world)
+        _continued(world)
         snapshot = world.snapshot()
         other.restore(snapshot)
         _require(other.snapshot() == snapshot, "A restored world has the snapshot that it was given.")
-        _require(_saw(world) == _saw(other), "A restored world looks the same.")
-        _require(_futures(world) == _futures(other), "A restored world goes on the same.")
+        _require(_observed(world) == _observed(other), "A restored world looks the same.")
+        _require(_continued(world) == _continued(other), "A restored world goes on the same.")
 
 
 def refuses_broken_snapshots(task: TaskDefinition) -> None:
-    """Bytes that are no snapshot are refused, and change nothing."""
+    """Invalid snapshots are refused and change nothing."""
     if not task.spec.exact_snapshots:
         return
     with closing(_begin(task)) as world:
@@ -106,7 +106,7 @@ def refuses_broken_snapshots(task: TaskDefinition) -> None:
 
 
 def renders_what_was_asked(task: TaskDefinition) -> None:
-    """Frames have the camera's size and channels, show something, and share no memory."""
+    """Frames have the requested size and channels, are not uniform, and share no memory."""
     with closing(_begin(task)) as world:
         for camera in task.spec.cameras:
             frame = world.render(camera.name, height=camera.height, width=camera.width)
@@ -141,10 +141,10 @@ def refuses_bad_actions(task: TaskDefinition) -> None:
     if not spec.choices:
         bad += [np.full(spec.size, value, dtype) for value in (np.nan, np.inf)]
     with closing(_begin(task)) as world:
-        before = _saw(world)
+        before = _observed(world)
         for action in bad:
             _refuses(partial(world.step, action), "A bad action is refused.")
-        _require(_saw(world) == before, "A refused action changes nothing.")
+        _require(_observed(world) == before, "A refused action changes nothing.")
 
 
 def refuses_unknown_skills(task: TaskDefinition) -> None:
@@ -156,7 +156,7 @@ def refuses_unknown_skills(task: TaskDefinition) -> None:
 
 
 def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
-    """The expert executes every skill, in order, in time, and the oracle agrees that the goal holds if there is one."""
+    """The expert executes every skill in order and in time, and the oracle agrees that the goal, if any, holds."""
     spec = task.spec
     with closing(task.make()) as world:
         rng = np.random.default_rng(_SEED)
@@ -172,7 +172,7 @@ def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
 
 
 def has_an_expert_that_survives_any_state(task: TaskDefinition) -> None:
-    """After a while at random the expert still acts within the spec, and ends or can be cut off."""
+    """The expert acts within the spec from a random state, too."""
     with closing(_begin(task)) as world:
         for _ in _act_randomly(world):
             pass
@@ -196,7 +196,7 @@ CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     has_an_expert_that_succeeds,
     has_an_expert_that_survives_any_state,
 )
-"""Every check, in the order in which to read their failures."""
+"""All checks, simplest first."""
 
 
 def _require(holds: bool, sentence: str) -> None:
@@ -219,21 +219,21 @@ def _begin(task: TaskDefinition, *, seed: int = _SEED) -> World:
 
 
 def _act_randomly(world: World) -> Iterator[Action]:
-    """Steps the world at random, always in the same way, and yields after each step until the episode ends."""
+    """Steps the world with a fixed random policy; yields after each step until the episode ends."""
     policy = SmoothRandomPolicy(world.spec.action, np.random.default_rng(_SEED))
     for _ in range(_STEPS):
         action = policy.act().action
-        outcome = world.step(action)
+        result = world.step(action)
         yield action
-        if outcome.terminated:
+        if result.terminated:
             return
 
 
-def _saw(world: World) -> tuple[bytes, ...]:
-    """Returns true state and every camera's frame, as bytes to compare."""
+def _observed(world: World) -> tuple[bytes, ...]:
+    """Returns the true state and all cameras' frames as bytes."""
     views: list[Frame] = [world.render(each.name, height=each.height, width=each.width) for each in world.spec.cameras]
     return world.truth().state.tobytes(), *(view.tobytes() for view in views)
 
 
-def _futures(world: World) -> list[tuple[bytes, ...]]:
-    return [_saw(world) for _ in _act_randomly(world)]
+def _continued(world: World) -> list[tuple[bytes, ...]]:
+    return [_observed(world) for _ in _act_randomly(world)]

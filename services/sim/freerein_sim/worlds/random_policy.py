@@ -1,4 +1,4 @@
-"""A behaviour that explores at random, smoothly in time: for self-supervised data."""
+"""A temporally smooth random policy, for self-supervised exploration data."""
 
 import numpy as np
 
@@ -11,14 +11,14 @@ _EXTREME_PROBABILITY = 0.3
 
 
 class SmoothRandomPolicy:
-    """Heads for one random action for a while, then for another.
+    """Approaches a random target action for a random number of steps, then draws the next target.
 
-    A continuous action moves half of the way to its target each step, and a target is often at a limit, so that
-    grippers open and close fully and reach the far ends of their world. A discrete action is repeated. It never ends.
+    A continuous action moves halfway to its target each step; targets are often at a limit, so that grippers open and
+    close fully and the whole workspace is visited. A discrete action is repeated. The policy never finishes.
 
     Args:
-        action: What an action is.
-        rng: Draws the targets and how long each is held.
+        action: Action spec.
+        rng: Draws targets and hold times.
     """
 
     def __init__(self, action: ActionSpec, rng: np.random.Generator) -> None:
@@ -29,7 +29,7 @@ class SmoothRandomPolicy:
         self._hold_steps = np.zeros(action.size, np.int64)
 
     def act(self) -> LabelledAction:
-        """Returns the next action; no skill is executed."""
+        """Returns the next action, without a skill."""
         self._hold_steps -= 1
         for i in np.flatnonzero(self._hold_steps < 0):
             self._hold_steps[i] = self._rng.geometric(1 / _MEAN_HOLD_STEPS)
@@ -40,7 +40,7 @@ class SmoothRandomPolicy:
         return LabelledAction(self._action.astype(np.float32), NO_SKILL)
 
     def succeeded(self) -> bool:
-        """Returns True: nothing was asked."""
+        """Returns True."""
         return True
 
     def _draw(self) -> float:

@@ -1,4 +1,4 @@
-"""The scripted expert of the blocks world: picks blocks up and puts them down, never twice in quite the same way."""
+"""The scripted expert of the blocks world: picks and places blocks with random speed, noise and pauses."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from freerein_sim.worlds.blocks.simulation import BlocksWorld
 
 _GRASP_ABOVE_M = 0.018
-"""How far above a block's centre the fingers close."""
+"""Height above a block's centre at which the fingers close."""
 
 _OVER_M = 0.075
-"""How far above the highest obstacle the gripper travels."""
+"""Height above the highest obstacle at which the gripper travels."""
 
 _OPEN_M, _RELEASE_M, _CLOSED_M = 0.034, 0.031, 0.0
 _FREE_M = 0.077
-"""Least distance between blocks on the table that leaves room for the gripper."""
+"""Smallest distance between blocks on the table that leaves room for the gripper."""
 
 _LINE_M = np.linspace(-0.21, 0.21, 421)
 _NEARBY_M = 0.05
@@ -41,7 +41,7 @@ _PAUSE_PROBABILITY = 0.02
 
 @dataclass(frozen=True)
 class _Waypoint:
-    """One movement: go there, with the fingers so, for at least so many steps."""
+    """Target position and finger opening, to be held for at least `steps` steps."""
 
     y: float
     z: float
@@ -51,14 +51,14 @@ class _Waypoint:
 
 
 class BlocksExpert:
-    """Moves one block after the other, looking at the true state.
+    """Moves one block after the other, using the true state.
 
-    Without a goal a block goes to a free place on the table, or onto a block that need not be moved any more.
+    Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more.
 
     Args:
-        world: Whom it acts in.
-        skills: Skills of the world, in order.
-        goal: Where the block is to lie; None for anywhere else.
+        world: The world.
+        skills: Skills to execute, in order.
+        goal: Where to place the block; None for anywhere else.
         rng: Draws places, speed, noise and pauses.
     """
 
@@ -78,7 +78,7 @@ class BlocksExpert:
         self._failed = False
 
     def act(self) -> LabelledAction | None:
-        """Returns the next movement towards the end of the current skill."""
+        """Returns the next action of the current skill."""
         while not self._waypoints or self._is_reached():
             self._steps = 0
             if self._waypoints:
@@ -90,7 +90,7 @@ class BlocksExpert:
         return LabelledAction(self._towards(self._waypoints[0]), skill)
 
     def succeeded(self) -> bool:
-        """Returns whether every named block was put down where it was to go."""
+        """Returns whether every named block was placed."""
         done = not (self._failed or self._waiting or self._waypoints)
         return done and (not self._colour or self._is_placed())
 
@@ -106,7 +106,7 @@ class BlocksExpert:
         return bool((offset < _PLACED_M).all() and offset[2] < _PLACED_M / 2)
 
     def _plan(self) -> bool:
-        """Plans the next skill, or the same once more where it failed; False when all is done."""
+        """Plans the next skill, or a retry of the current one; returns False when all are done."""
         if self._colour and not self._is_placed():
             self._tries += 1
             self._failed = self._tries >= _MAX_TRIES
@@ -144,7 +144,7 @@ class BlocksExpert:
         return [colour for colour in self._world.colours if colour != self._colour]
 
     def _choose_place(self) -> None:
-        """Sets where the block is to go; on a crowded table there may be no such place."""
+        """Chooses the target place; fails where there is none."""
         if self._goal is not None:
             self._place = self._goal_place(self._goal)
             return
@@ -163,7 +163,7 @@ class BlocksExpert:
         return np.add(other, (0, side * _BESIDE_M, 0))
 
     def _tops(self) -> list[Position]:
-        """Returns the places on top of blocks that lie on the table, are bare, and are to be moved no more."""
+        """Returns the places on top of uncovered blocks on the table that will not be moved any more."""
         here = self._world.position(self._colour)
         later = {skill.removeprefix("move-") for skill in self._waiting}
         positions = {colour: self._world.position(colour) for colour in self._others()}
@@ -176,7 +176,7 @@ class BlocksExpert:
         ]
 
     def _free_places(self) -> list[Position]:
-        """Returns the places on the table, on a fine grid, that are free and not where the block is now."""
+        """Returns the free places on the table, on a fine grid, away from the block's own place."""
         here = self._world.position(self._colour)[1]
         taken = np.array([self._world.position(colour)[1] for colour in self._others()])
         free = (np.abs(_LINE_M[:, None] - taken) > _FREE_M).all(axis=1) & (np.abs(_LINE_M - here) > _NEARBY_M)

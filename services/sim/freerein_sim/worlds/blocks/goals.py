@@ -1,7 +1,7 @@
-"""How one block may lie to another, judged from true positions.
+"""Goals: spatial relations between two blocks, judged from true positions.
 
-The dissertation's criteria (its table 4.1) hold for half of all random states, so here the blocks must also lie as if
-placed: side by side on the table, or one resting on the other. x points to the front camera, y to its right, z up.
+The dissertation's criteria (table 4.1) hold in half of all random states, so here the blocks must also lie side by side
+on the table, or one must rest on the other. x points to the front camera, y to its right, z up.
 """
 
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 BLOCK_M = 0.05
-"""Edge of a block."""
+"""Edge length of a block."""
 
 _HALF = BLOCK_M / 2
 _GAP_M = (-0.002, 0.035)
-"""Gap between two blocks that lie beside one another. Negative is contact, where MuJoCo lets bodies overlap a little:
-blocks that the gripper presses together overlap by up to half a millimetre."""
+"""Allowed gap between blocks side by side. Negative gaps are contact: MuJoCo lets bodies overlap, by up to half a
+millimetre when the gripper presses blocks together."""
 
 _RESTING_M = 0.008
 
 Position = npt.NDArray[np.float64]
-"""float64 (3,): x, y, z of a block's centre in metres; the table's top is z = 0."""
+"""float64 (3,): x, y, z of a block's centre in metres; the table top is z = 0."""
 
 
 class BlockRelation(Enum):
-    """The words of a goal between two blocks."""
+    """Spatial relation of one block to another."""
 
     LEFT_OF = "left-of"
     RIGHT_OF = "right-of"
@@ -44,9 +44,9 @@ class BlockGoal:
     """One block in a relation to another.
 
     Attributes:
-        first: Colour of the block that is to be moved.
-        relation: Where it is to be.
-        second: Colour of the block that it is told from.
+        first: Colour of the block to move.
+        relation: Required relation of the first block to the second.
+        second: Colour of the reference block.
     """
 
     first: str
@@ -55,7 +55,7 @@ class BlockGoal:
 
     @property
     def name(self) -> str:
-        """The goal in a task's name."""
+        """The goal as part of a task name."""
         return f"{self.first}-{self.relation.value}-{self.second}"
 
     @property
@@ -65,7 +65,7 @@ class BlockGoal:
 
 
 def holds(relation: BlockRelation, first: Position, second: Position) -> bool:
-    """Returns whether the first block lies in the relation to the second."""
+    """Returns whether the relation of the first block to the second holds."""
     if relation is BlockRelation.ON_TOP_OF:
         return is_on(first, second)
     beside = second - first if relation is BlockRelation.LEFT_OF else first - second
@@ -78,11 +78,11 @@ def holds(relation: BlockRelation, first: Position, second: Position) -> bool:
 
 
 def is_on_table(block: Position) -> bool:
-    """Returns whether the block is at the height of one lying on the table."""
+    """Returns whether the block rests on the table, by its height."""
     return bool(abs(block[2] - _HALF) < _RESTING_M)
 
 
 def is_on(upper: Position, lower: Position) -> bool:
-    """Returns whether `upper` is where a block resting on `lower` is: at most half a block off its centre."""
+    """Returns whether `upper` rests on `lower`, at most half a block off its centre."""
     offset = upper - lower
     return bool(abs(offset[2] - BLOCK_M) < _RESTING_M and np.all(np.abs(offset[:2]) < _HALF))
