@@ -21,7 +21,7 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
-from freerein_sim.sessions import Sessions
+from freerein_sim.core import SimCore
 from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
@@ -40,7 +40,7 @@ class Service:
     def __init__(self, runner: asyncio.Runner) -> None:
         self.now_s = 0.0
         self.run = runner.run
-        self.sessions = Sessions(WorkerPool(workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
+        self.sessions = SimCore(WorkerPool(workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
 
 
 @dataclass(eq=False)
