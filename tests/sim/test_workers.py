@@ -41,11 +41,10 @@ from freerein.types.sim import (
     StepResponse,
 )
 from freerein_sim.workers import demonstrations, protocol
-from freerein_sim.workers.connection import Connection
 from freerein_sim.workers.handler import RequestHandler
 from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.workers.vector_env import VectorEnv
-from freerein_sim.workers.worker import Worker
+from freerein_sim.workers.worker import Connection, Worker
 from freerein_sim.worlds import blocks, grid
 from freerein_sim.worlds.grid import GridWorld
 from freerein_sim.worlds.world import Action, LabelledAction, ScriptedPolicy, StepResult, TaskDefinition, World
@@ -352,7 +351,7 @@ def test_what_ends_frees_its_worlds() -> None:
 def demonstrated(task: str, **request: object) -> list[DemonstrateResponse]:
     whole = DemonstrateRequest(task, **{"behaviour": "expert", "count": 4, "seed": 3, **request})
     world = TASKS[task].make()
-    made = [demonstrations.draw(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
+    made = [demonstrations.make_demonstration(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
     world.close()
     return made
 
@@ -418,4 +417,4 @@ def test_a_demonstration_that_cannot_be_is_refused(request_: dict[str, object]) 
 
 def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
     with pytest.raises(FailedPrecondition, match="within 10 tries"):
-        demonstrations.draw(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))
+        demonstrations.make_demonstration(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))

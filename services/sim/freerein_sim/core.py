@@ -20,9 +20,9 @@ from freerein.errors import (
 )
 from freerein.types import sim
 from freerein_sim.session import Session, session_not_found, with_defaults
-from freerein_sim.workers.connection import worker_lost
 from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.workers.protocol import check_frames
+from freerein_sim.workers.worker import worker_lost
 
 MAX_COUNT = 100_000
 _REAP_EVERY_S = 1.0

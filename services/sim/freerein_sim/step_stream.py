@@ -1,4 +1,4 @@
-"""`Connect`: resets and steps on one stream, one reply per message, in order."""
+"""The RPC `Connect`: resets and steps on one bidirectional stream, one reply per message, in order."""
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 
@@ -22,8 +22,8 @@ class StepStream:
     Args:
         step: Steps a session.
         reset: Resets a session.
-        health: Tells when draining.
-        drain_s: What streams are told they have left then, in seconds.
+        health: Signals draining.
+        drain_s: Time left after the signal, sent to clients, in seconds.
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class StepStream:
         self._drain_s = drain_s
 
     async def connect(self, requests: AsyncIterator[ConnectRequest | Unreadable]) -> AsyncIterator[ConnectResponse]:
-        """Yields a reply to each message; one that is refused is answered by its error, and the stream goes on.
+        """Yields a reply to each message; a refused message is answered by an error, and the stream goes on.
 
         Args:
-            requests: The messages; an `Unreadable` in place of one that could not be read.
+            requests: The messages; `Unreadable` for one that could not be parsed.
         """
         async for request in self._health.until_draining(requests):
             yield await self._answer(request)

@@ -1,4 +1,4 @@
-"""Draws demonstrations: who acts, which skills, in which order. Each is made from the seed and its index alone."""
+"""Demonstrations: draws skills and their order, and records the policy. Each depends on the seed and its index only."""
 
 from collections.abc import Sequence
 
@@ -15,17 +15,17 @@ from freerein_sim.worlds.world import World, WorldSpec, check_view, skill_indice
 _MAX_TRIES = 10
 
 
-def draw(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
+def make_demonstration(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
     """Returns trajectory `first` of a request.
 
-    It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails tries again from another start.
+    It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
 
     Args:
         world: A world of the request's task, in any state.
-        request: What to demonstrate.
+        request: The request.
 
     Raises:
-        InvalidInput: The request names what the world does not have, or bounds that cannot be met.
+        InvalidInput: Unknown skill or camera, or impossible bounds.
         FailedPrecondition: The expert failed in every try.
     """
     views = _views(world.spec, request)
@@ -52,14 +52,14 @@ def _act(
         number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
         world.reset(rng, recipe=chosen)
-        behaviour = world.expert(chosen, rng)
+        policy = world.expert(chosen, rng)
     else:
         chosen = []
         world.reset(rng)
-        behaviour = SmoothRandomPolicy(world.spec.action, rng)
+        policy = SmoothRandomPolicy(world.spec.action, rng)
     return record_episode(
         world,
-        behaviour,
+        policy,
         skills=chosen,
         cameras=[view.name for view in views],
         height=views[0].height,

@@ -16,7 +16,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class RequestHandler:
-    """The sessions of one worker process.
+    """Answers the requests to one worker process, and holds its sessions.
 
     Args:
         tasks: The tasks, by name.
@@ -42,13 +42,13 @@ class RequestHandler:
         """Returns the response to a request of `protocol.CALLS`.
 
         Raises:
-            ServiceError: It is refused. After `Internal` the session it spoke of is gone.
+            ServiceError: The request is refused. After `Internal` its session is closed.
         """
         try:
             return self._answers[type(request)](request)
         except ServiceError:
             raise
-        except Exception as error:  # one session's bug must not end the others: the process goes on without it
+        except Exception as error:  # a bug in one session must not end the others
             _LOG.exception("a world failed")
             self._discard(getattr(request, "session", ""))
             raise Internal("The world failed; its session has ended.", hint="Create the session anew.") from error
@@ -66,7 +66,7 @@ class RequestHandler:
         return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        """Makes a session; the service has filled in the request's defaults."""
+        """Creates a session; the service has filled in the request's defaults."""
         task, seed = self._task(request.task), request.seed or 0
         session = uuid4().hex
         self._sessions[session] = VectorEnv(
@@ -99,7 +99,7 @@ class RequestHandler:
     def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
         if request.task not in self._stages:
             self._stages[request.task] = self._task(request.task).make()
-        return demonstrations.draw(self._stages[request.task], request)
+        return demonstrations.make_demonstration(self._stages[request.task], request)
 
     def _close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         self._discard(request.session)
@@ -121,7 +121,7 @@ class RequestHandler:
 
 
 def serve(connection: socket.socket, handler: RequestHandler) -> None:
-    """Answers what comes over a socket, in order, until the other end closes it."""
+    """Answers requests from a socket in order, until the other end closes it."""
     try:
         while (head := _receive(connection, protocol.HEADER_BYTES)) is not None:
             header = protocol.decode_header(head)
@@ -130,11 +130,11 @@ def serve(connection: socket.socket, handler: RequestHandler) -> None:
             for part in _reply(handler, header, body):
                 connection.sendall(part)
     except (BrokenPipeError, ConnectionResetError):
-        return  # the service is gone, and nobody waits for this
+        return  # the service is gone
 
 
 def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
-    """Returns the frame that answers a call."""
+    """Returns the frame of the response."""
     try:
         request = protocol.decode(body, protocol.CALLS[header.call][0])
         return protocol.encode(handler.handle(request), call=header.call, number=header.number)
@@ -143,7 +143,7 @@ def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) ->
 
 
 def _receive(connection: socket.socket, length: int) -> bytearray | None:
-    """Returns the next bytes; None when the other end closed."""
+    """Returns the next `length` bytes; None when the other end closed."""
     data = bytearray(length)
     view = memoryview(data)
     while view:
