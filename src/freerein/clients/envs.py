@@ -28,7 +28,7 @@ LEASE_S = 600.0
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
-class RemoteEnv(gymnasium.Env[Observation, Any]):
+class SimEnv(gymnasium.Env[Observation, Any]):
     """One environment.
 
     The service begins the next episode in the step that ends one. That is not seen here: the step returns the last
@@ -118,7 +118,7 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
         self._session.close()
 
 
-class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
+class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
     """`num_envs` environments of one session, stepped by one call.
 
     Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next one, and
@@ -128,7 +128,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
         task: The task's name.
         address: `host:port` of the sim service.
         num_envs: Environments.
-        cameras: As `RemoteEnv`; so are all that follow.
+        cameras: As `SimEnv`; so are all that follow.
         height: See there.
         width: See there.
         privileged: See there; `info["truth"]` of an environment whose episode ended is in `final_info`.
