@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.recording import Recording
+from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.sim import DemonstrateRequest, ListTasksRequest
@@ -54,7 +54,7 @@ def begin(tmp_path: Path, sim: Any) -> Iterator[Callable[..., Work]]:
 def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
     """Returns the fingerprint of a dataset recorded without a run, and without disturbance."""
     with SyncClient(SimClient(Channel(sim.address))) as client:
-        recording = Recording(root, request, client.list_tasks(ListTasksRequest()))
+        recording = DatasetRecorder(root, request, client.list_tasks(ListTasksRequest()))
         with recording, closing(client.demonstrate(recording.rest)) as demonstrations:
             for demonstration in demonstrations:
                 recording.append(demonstration)

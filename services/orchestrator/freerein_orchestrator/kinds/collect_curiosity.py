@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freerein.clients.recording import dataset_spec, open_recording
+from freerein.clients.dataset_recorder import dataset_spec, open_or_resume
 from freerein.clients.tasks import find_task
 from freerein.data import Writer
 from freerein.errors import FailedPrecondition
@@ -60,7 +60,7 @@ def explore(work: Work, config: CollectConfig, root: Path) -> None:
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     explorer = _Explorer(work, config)
-    with open_recording(root, explorer.dataset_spec, explorer.terms) as writer:
+    with open_or_resume(root, explorer.dataset_spec, explorer.terms) as writer:
         worthless = 0
         while len(writer) < config.count:
             held = len(writer)

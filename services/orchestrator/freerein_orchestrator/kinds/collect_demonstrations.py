@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from freerein.clients import SyncClient
-from freerein.clients.recording import Recording
+from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset
 from freerein.types.sim import Behaviour, DemonstrateRequest, DemonstrateResponse, ListTasksRequest
 from freerein_orchestrator.curve import Curve
@@ -35,7 +35,7 @@ def demonstrate(work: Work, config: CollectConfig, behaviour: Behaviour, root: P
     sim = work.client("sim")
     patience = Patience(np.random.default_rng(), stop=work.stop, say=work.say)
     tasks = patience.ask(lambda: sim.list_tasks(ListTasksRequest()))
-    with Recording(root, _request(config, behaviour), tasks) as recording:
+    with DatasetRecorder(root, _request(config, behaviour), tasks) as recording:
         timesteps = int(Dataset(root).lengths.sum())
         rows = _Rows(work.curve(last_step=min(len(recording), config.count - 1)))
         with closing(_missing(sim, recording, patience)) as demonstrations:
@@ -48,7 +48,7 @@ def demonstrate(work: Work, config: CollectConfig, behaviour: Behaviour, root: P
         rows.finish(len(recording), timesteps)
 
 
-def _missing(sim: SyncClient, recording: Recording, patience: Patience) -> Generator[DemonstrateResponse]:
+def _missing(sim: SyncClient, recording: DatasetRecorder, patience: Patience) -> Generator[DemonstrateResponse]:
     """Yields the demonstrations that a recording lacks, however often the sim service goes away."""
     while not recording.is_whole:
         try:

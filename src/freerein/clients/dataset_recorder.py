@@ -20,7 +20,7 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 _ASKED = "recording.json"
 
 
-class Recording:
+class DatasetRecorder:
     """A dataset that the demonstrations of a request go into, each of them once; use it as a context manager.
 
     Args:
@@ -40,7 +40,7 @@ class Recording:
         )
         asked = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
         self._request = request
-        self._writer = open_recording(root, spec, asked)
+        self._writer = open_or_resume(root, spec, asked)
 
     def __len__(self) -> int:
         """Returns the number of trajectories on disk."""
@@ -80,7 +80,7 @@ class Recording:
         self._writer.close()
 
 
-def open_recording(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> Writer:
+def open_or_resume(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> Writer:
     """Returns the writer of a dataset that is recorded now, or whose recording was begun earlier.
 
     Args:
