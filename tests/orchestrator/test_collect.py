@@ -55,7 +55,7 @@ def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
     """Returns the fingerprint of a dataset recorded without a run, and without disturbance."""
     with SyncClient(SimClient(Channel(sim.address))) as client:
         recording = DatasetRecorder(root, request, client.list_tasks(ListTasksRequest()))
-        with recording, closing(client.demonstrate(recording.rest)) as demonstrations:
+        with recording, closing(client.demonstrate(recording.remaining)) as demonstrations:
             for demonstration in demonstrations:
                 recording.append(demonstration)
     return Dataset(root).fingerprint

@@ -19,7 +19,7 @@ from freerein.clients import (
     SimClient,
     SyncClient,
 )
-from freerein.clients.client import Client
+from freerein.clients.channel import Client
 from freerein.errors import InvalidInput
 from freerein.ports import address, addresses
 from freerein.types.common import ModelRef, check_name

@@ -28,7 +28,7 @@ async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, 
     """
     with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))
-        if not recording.is_whole:
+        if not recording.is_complete:
             async with aclosing(unbroken(lambda: _rest(client, recording))) as demonstrations:
                 async for demonstration in demonstrations:
                     recording.append(demonstration)
@@ -38,7 +38,7 @@ async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, 
 
 async def _rest(client: SimClient, recording: DatasetRecorder) -> AsyncGenerator[DemonstrateResponse, None]:
     """Yields the demonstrations that a dataset does not hold yet."""
-    async with aclosing(client.demonstrate(recording.rest)) as demonstrations:
+    async with aclosing(client.demonstrate(recording.remaining)) as demonstrations:
         async for demonstration in demonstrations:
             yield demonstration
-    recording.check_whole()
+    recording.check_complete()

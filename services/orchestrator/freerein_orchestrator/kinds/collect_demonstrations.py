@@ -42,7 +42,7 @@ def demonstrate(work: Work, config: CollectConfig, behaviour: Behaviour, root: P
             for demonstration in demonstrations:
                 recording.append(demonstration)
                 timesteps += len(demonstration.trajectory.actions)
-                if not recording.is_whole:
+                if not recording.is_complete:
                     rows.append(len(recording), timesteps)
                 patience.interrupt()
         rows.finish(len(recording), timesteps)
@@ -50,13 +50,13 @@ def demonstrate(work: Work, config: CollectConfig, behaviour: Behaviour, root: P
 
 def _missing(sim: SyncClient, recording: DatasetRecorder, patience: Patience) -> Generator[DemonstrateResponse]:
     """Yields the demonstrations that a recording lacks, however often the sim service goes away."""
-    while not recording.is_whole:
+    while not recording.is_complete:
         try:
-            with closing(sim.demonstrate(recording.rest)) as demonstrations:
+            with closing(sim.demonstrate(recording.remaining)) as demonstrations:
                 for demonstration in demonstrations:
                     patience.answered()
                     yield demonstration
-            recording.check_whole()
+            recording.check_complete()
         except AWAY as error:
             patience.wait(error)
 
