@@ -24,6 +24,7 @@ from freerein_orchestrator.ppo_training import Outset, roll_out
 from freerein_orchestrator.rollout import Actions, Observations, Rewards, Rollout, Step
 from freerein_orchestrator.served import ServedEnvironments
 from freerein_orchestrator.served_rollouts import ServedRollouts
+from freerein_sim.workers.envs import Envs
 
 from benchmarks.report import Bar, Findings, Ratio
 from benchmarks.rounds import Contestant, Effort, race
@@ -39,7 +40,6 @@ from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
 from freerein_reward.model import load
 from freerein_reward.relations import rival_captions
-from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds.tasks import tasks
 
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freerein.data.spec import DatasetSpec
+from freerein.data.layout import DatasetSpec
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
 from freerein.serving.model_store import ModelStore

@@ -4,8 +4,7 @@ import os
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
-from freerein.clients.channel import Channel
-from freerein.clients.client import Client
+from freerein.clients.channel import Channel, Client
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)

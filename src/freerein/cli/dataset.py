@@ -10,7 +10,7 @@ import typer
 from freerein.cli.output import AsJson, print_json, show_table, verb
 
 if TYPE_CHECKING:
-    from freerein.data import Problem, Summary
+    from freerein.data import DatasetSummary, Problem
 
 app = typer.Typer(help="Datasets: what they hold, and whether they are whole.", no_args_is_help=True)
 
@@ -82,14 +82,14 @@ def _root(name: str) -> Path:
     return dataset_path(CliSettings().data_dir, name)
 
 
-def _goal_texts(summary: "Summary") -> str:
+def _goal_texts(summary: "DatasetSummary") -> str:
     """Returns the goal texts of trajectories, most frequent first, but for what the dataset says of all."""
     counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
     own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
     return "; ".join([*own[:_GOAL_TEXTS], *(["..."] if len(own) > _GOAL_TEXTS else [])]) or "none of their own"
 
 
-def _rows(name: str, summary: "Summary") -> list[tuple[str, str]]:
+def _rows(name: str, summary: "DatasetSummary") -> list[tuple[str, str]]:
     spec = summary.spec
     cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
     action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from freerein.cli.streams import reconnecting
 from freerein.clients import SimClient
-from freerein.clients.recording import Recording
+from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest
 
 
@@ -26,9 +26,9 @@ async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, 
         FailedPrecondition: The dataset holds something else.
         ServiceError: The service refused, or went away for good.
     """
-    with Recording(root, request, await client.list_tasks(ListTasksRequest())) as recording:
+    with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))
-        if not recording.is_whole:
+        if not recording.is_complete:
             async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:
                 async for demonstration in demonstrations:
                     recording.append(demonstration)
@@ -36,9 +36,9 @@ async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, 
         return len(recording)
 
 
-async def _rest(client: SimClient, recording: Recording) -> AsyncGenerator[DemonstrateResponse, None]:
+async def _rest(client: SimClient, recording: DatasetRecorder) -> AsyncGenerator[DemonstrateResponse, None]:
     """Yields the demonstrations that a dataset does not hold yet."""
-    async with aclosing(client.demonstrate(recording.rest)) as demonstrations:
+    async with aclosing(client.demonstrate(recording.remaining)) as demonstrations:
         async for demonstration in demonstrations:
             yield demonstration
-    recording.check_whole()
+    recording.check_complete()

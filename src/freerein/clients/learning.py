@@ -6,8 +6,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from freerein.api.learning.v1 import learning_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types import learning
 
 

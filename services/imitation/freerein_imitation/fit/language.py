@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from freerein.data import Dataset, teachers
+from freerein.data import Dataset, read_teachers
 from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput
 from freerein.jobs.child import stop_on_sigterm
@@ -54,7 +54,7 @@ def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) 
         fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
-    card = {**_card(source.dataset, learner, fitted), **supervision_of(teachers.read(source.root))}
+    card = {**_card(source.dataset, learner, fitted), **supervision_of(read_teachers(source.root))}
     language_policy.save(fitted.network, tower, folder / "model", name=minilm.NAME, card=card)
     return True
 

@@ -1,4 +1,4 @@
-"""Records a behaviour in a world."""
+"""Records one episode of a scripted policy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,19 +7,19 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import Action, Behaviour, Frame, World
+from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
 
 
 @dataclass(frozen=True, eq=False)
-class Demonstration:
-    """What was seen and done, and, for evaluation only, which skill was executed when.
+class RecordedEpisode:
+    """Frames, actions and ground-truth skill labels of an episode of T timesteps.
 
     Attributes:
-        frames: By camera, uint8 (T, H, W, C); frame t was seen before action t.
-        actions: float32 (T, A) in [-1, 1], or int64 (T, 1) where discrete.
-        labels: int64 (T,), the skill in execution as an index into the world's skills, -1 for none.
-        skills: The skills that were executed, in order.
-        success: Whether the behaviour did all that was asked.
+        frames: By camera, uint8 (T, H, W, C); frame t precedes action t.
+        actions: float32 (T, A) in [-1, 1], or int64 (T, 1) for discrete actions.
+        labels: int64 (T,), index of the skill at each timestep, -1 for none.
+        skills: Skills that the policy was asked to execute, in order.
+        success: Whether the policy succeeded without divergence.
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
@@ -29,49 +29,46 @@ class Demonstration:
     success: bool
 
 
-def demonstrate(
+def record_episode(
     world: World,
-    behaviour: Behaviour,
+    policy: ScriptedPolicy,
     *,
     skills: Sequence[str] = (),
     cameras: Sequence[str],
     height: int,
     width: int,
     max_steps: int,
-) -> Demonstration:
-    """Lets a behaviour act from the state of now until it, the episode or the steps end, and records it.
+) -> RecordedEpisode:
+    """Runs a policy from the current state until it finishes, the episode terminates or `max_steps` is reached.
 
     Args:
-        world: Already reset, with the same skills as its recipe.
-        behaviour: Who acts.
-        skills: What was asked of the behaviour, in order.
+        world: Already reset, with `skills` as its recipe.
+        policy: Chooses the actions.
+        skills: Skills that the policy was asked to execute, in order.
         cameras: Cameras to record.
-        height: Height of frames, in pixels.
-        width: Width of frames, in pixels.
+        height: Frame height in pixels.
+        width: Frame width in pixels.
         max_steps: Greatest number of timesteps.
-
-    Returns:
-        The demonstration, of 0 to `max_steps` timesteps.
     """
     frames: dict[str, list[Frame]] = {camera: [] for camera in cameras}
     actions: list[Action] = []
     labels: list[int] = []
     diverged = False
-    while len(actions) < max_steps and (decision := behaviour.decide()) is not None:
+    while len(actions) < max_steps and (chosen := policy.act()) is not None:
         for camera, seen in frames.items():
             seen.append(world.render(camera, height=height, width=width))
-        actions.append(decision.action)
-        labels.append(decision.skill)
-        outcome = world.step(decision.action)
-        diverged = outcome.diverged
-        if outcome.terminated:
+        actions.append(chosen.action)
+        labels.append(chosen.skill)
+        result = world.step(chosen.action)
+        diverged = result.diverged
+        if result.terminated:
             break
-    return Demonstration(
+    return RecordedEpisode(
         frames={camera: _stack(world, camera, seen, height, width) for camera, seen in frames.items()},
         actions=_join(world.spec.action, actions),
         labels=np.array(labels, np.int64),
         skills=tuple(skills),
-        success=behaviour.succeeded() and not diverged,
+        success=policy.succeeded() and not diverged,
     )
 
 

@@ -1,4 +1,4 @@
-"""A session of the sim service as environments need it: blocking, observed through cameras, with spaces."""
+"""A blocking session of the sim service with camera observations and Gymnasium spaces."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -32,17 +32,17 @@ Observation = Pixels | dict[str, Pixels]
 CLOSE_TIMEOUT_S = 2.0
 
 
-class PixelSession:
-    """A session, from its creation to its end.
+class EnvSession:
+    """A session of the sim service.
 
     Args:
         channel: The connection to the sim service; closed with the session.
-        request: What the session is to be.
-        cameras: The cameras to observe; empty for the task's first.
+        request: The session to create.
+        cameras: Cameras to observe; empty for the task's first.
 
     Attributes:
         task: The task.
-        observation_space: Of one environment: Box uint8 (H, W, C) of the one camera, or a Dict of them by camera.
+        observation_space: Of one environment: Box uint8 (H, W, C), or a Dict of Boxes for several cameras.
         action_space: Of one environment: Box float32 (A,) in [-1, 1], or Discrete.
     """
 
@@ -61,7 +61,7 @@ class PixelSession:
             on_error.pop_all()
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
-        """Begins new episodes in `envs`, or in all when there are none."""
+        """Begins new episodes in `envs`, or in all environments if empty."""
         reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self._cameras))
         return reply
 
@@ -69,11 +69,11 @@ class PixelSession:
         """Steps all environments.
 
         Args:
-            actions: (N, A) in [-1, 1], or (N,) choices when the action is discrete.
+            actions: (N, A) in [-1, 1], or (N,) discrete choices.
 
         Raises:
             ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
-                counts as made, so that no later action can be taken for it; was it not, later steps are refused.
+                is counted as made; if it was not, later steps are refused.
         """
         request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self._cameras)
         self._step_id += 1
@@ -85,18 +85,18 @@ class PixelSession:
         return reply
 
     def observation(self, frames: Mapping[str, Pixels]) -> Observation:
-        """Returns a copy of frames by camera, as an element of the observation space or as a batch of them."""
+        """Returns a copy of frames as an observation, or a batch of observations."""
         copies = {camera: np.array(frames[camera]) for camera in self._cameras}
         return copies if len(copies) > 1 else copies[self._cameras[0]]
 
-    def shown(self, frames: Mapping[str, Pixels]) -> Pixels:
-        """Returns frames of the first camera as RGB (..., H, W, 3)."""
+    def rgb_frames(self, frames: Mapping[str, Pixels]) -> Pixels:
+        """Returns the first camera's frames as RGB (..., H, W, 3)."""
         pixels = frames[self._cameras[0]]
         return np.repeat(pixels, 3, axis=-1) if pixels.shape[-1] == 1 else np.array(pixels)
 
     def close(self) -> None:
-        """Ends the session and closes the channel; closing again does nothing."""
-        with suppress(ServiceError):  # what cannot be told to end now ends with its lease
+        """Closes the session and the channel; may be called twice."""
+        with suppress(ServiceError):  # if this fails, the session ends with its lease
             self._sim.close_session(CloseSessionRequest(self._session), timeout_s=CLOSE_TIMEOUT_S)
         self._sim.close()
 
@@ -106,13 +106,13 @@ class PixelSession:
         return np.asarray(actions, np.float32)
 
 
-def row(frames: Frames, index: int) -> dict[str, Pixels]:
+def frames_of(frames: Frames, index: int) -> dict[str, Pixels]:
     """Returns one environment's frames by camera, each uint8 (H, W, C)."""
     return {camera: pixels[index] for camera, pixels in frames.items()}
 
 
 def truth_info(truth: Truth | None, index: int) -> dict[str, Any]:
-    """Returns what an `info` says of one environment's truth: nothing unless the session is privileged."""
+    """Returns the `info` entry of one environment's ground truth; empty unless the session is privileged."""
     if truth is None:
         return {}
     state, reward, success = truth.state[index], truth.reward[index], truth.success[index]

@@ -1,24 +1,24 @@
-"""A behaviour that explores at random, smoothly in time: for self-supervised data."""
+"""A temporally smooth random policy, for self-supervised exploration data."""
 
 import numpy as np
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import NO_SKILL, Decision
+from freerein_sim.worlds.world import NO_SKILL, LabelledAction
 
 _MEAN_HOLD_STEPS = 6.0
 _SMOOTHING = 0.5
 _EXTREME_PROBABILITY = 0.3
 
 
-class Wander:
-    """Heads for one random action for a while, then for another.
+class SmoothRandomPolicy:
+    """Approaches a random target action for a random number of steps, then draws the next target.
 
-    A continuous action moves half of the way to its target each step, and a target is often at a limit, so that
-    grippers open and close fully and reach the far ends of their world. A discrete action is repeated. It never ends.
+    A continuous action moves halfway to its target each step; targets are often at a limit, so that grippers open and
+    close fully and the whole workspace is visited. A discrete action is repeated. The policy never finishes.
 
     Args:
-        action: What an action is.
-        rng: Draws the targets and how long each is held.
+        action: Action spec.
+        rng: Draws targets and hold times.
     """
 
     def __init__(self, action: ActionSpec, rng: np.random.Generator) -> None:
@@ -28,19 +28,19 @@ class Wander:
         self._action = np.zeros(action.size)
         self._hold_steps = np.zeros(action.size, np.int64)
 
-    def decide(self) -> Decision:
-        """Returns the next action; no skill is executed."""
+    def act(self) -> LabelledAction:
+        """Returns the next action, without a skill."""
         self._hold_steps -= 1
         for i in np.flatnonzero(self._hold_steps < 0):
             self._hold_steps[i] = self._rng.geometric(1 / _MEAN_HOLD_STEPS)
             self._target[i] = self._draw()
         if self._spec.choices:
-            return Decision(self._target.astype(np.int64), NO_SKILL)
+            return LabelledAction(self._target.astype(np.int64), NO_SKILL)
         self._action += _SMOOTHING * (self._target - self._action)
-        return Decision(self._action.astype(np.float32), NO_SKILL)
+        return LabelledAction(self._action.astype(np.float32), NO_SKILL)
 
     def succeeded(self) -> bool:
-        """Returns True: nothing was asked."""
+        """Returns True."""
         return True
 
     def _draw(self) -> float:

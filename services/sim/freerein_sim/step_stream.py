@@ -1,4 +1,4 @@
-"""`Connect`: resets and steps on one stream, one reply per message, in order."""
+"""The RPC `Connect`: resets and steps on one bidirectional stream, one reply per message, in order."""
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 
@@ -16,14 +16,14 @@ from freerein.types.sim import (
 )
 
 
-class Stepping:
+class StepStream:
     """Serves stepping streams.
 
     Args:
         step: Steps a session.
         reset: Resets a session.
-        health: Tells when draining.
-        drain_s: What streams are told they have left then, in seconds.
+        health: Signals draining.
+        drain_s: Time left after the signal, sent to clients, in seconds.
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class Stepping:
         self._drain_s = drain_s
 
     async def connect(self, requests: AsyncIterator[ConnectRequest | InvalidMessage]) -> AsyncIterator[ConnectResponse]:
-        """Yields a reply to each message; one that is refused is answered by its error, and the stream goes on.
+        """Yields a reply to each message; a refused message is answered by an error, and the stream goes on.
 
         Args:
-            requests: The messages; an `InvalidMessage` in place of one that could not be read.
+            requests: The messages; `InvalidMessage` for one that could not be parsed.
         """
         async for request in self._health.iterate_until_drain(requests):
             yield await self._answer(request)

@@ -1,4 +1,4 @@
-"""Where blocks and gripper are when an episode begins: pure functions of a generator, one for each kind of task."""
+"""Initial states of blocks and gripper: one sampler for each kind of task, a pure function of a generator."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,31 +7,31 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.blocks import COLOURS, scene
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Position
+from freerein_sim.worlds.blocks.goals import BLOCK_M, Position
 
 PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
-"""Where each colour's block waits while it is not on show, by its place in `COLOURS`: float64 (4, 3), on the pad."""
+"""Position of each hidden block on the pad, in the order of `COLOURS`: float64 (4, 3)."""
 
 _PLACES, _PITCH_M = 6, 0.08
-"""Places on the line, and their distance: room for a block and an open gripper."""
+"""Number of places on the line and their spacing, which leaves room for a block and an open gripper."""
 
 _LINE_JITTER_M, _PLACE_JITTER_M = 0.01, 0.0015
 _PAIR_M, _PAIR_SPREAD_M = (-0.07, 0.07), BLOCK_M
 _ABOVE_Y_M, _ABOVE_Z_M = (-0.2, 0.2), (0.13, 0.22)
 
 _LOW_M, _HIGH_M = np.array([-0.2, BLOCK_M / 2]), np.array([0.2, 0.19])
-"""Where scattered blocks can be, y and z: the front camera sees them, and the gripper can be above them."""
+"""Range of scattered blocks, y and z: visible to the front camera, and within reach of the gripper."""
 
 _NEAR_M = 2.5 * BLOCK_M
 _ODDS = (1 / 2, 1 / 6, 1 / 6, 1 / 6)
-"""How often two scattered blocks are anywhere, anywhere near one another, one on the other, and side by side."""
+"""Probabilities of two scattered blocks being anywhere, near one another, stacked, and side by side."""
 
 _GRASP_PROBABILITY = 0.3
-"""How often the gripper is to hold a block. About one grasp in six has no room: it holds one in a quarter."""
+"""Probability of trying a grasp. About one in six has no room, so a block is held in a quarter of the states."""
 
 _GRASP_ABOVE_M = (0.0, 0.03)
 _PALM_HALF_Y_M, _PALM_ABOVE_M = 0.063, 0.032
-"""Half the width of what is above the fingers, and how far above the middle between them it begins."""
+"""Half width of the palm, and its height above the midpoint of the fingers."""
 
 _ROUNDING_M = 1e-9
 
@@ -40,13 +40,13 @@ Point = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Gripper:
-    """How the gripper is before the first action.
+class GripperState:
+    """Pose and finger opening of the gripper.
 
     Attributes:
-        at: Where the middle between the fingers is.
-        finger_m: How far each finger is from there.
-        target_m: How far it is told to be; less, when the fingers press on a block.
+        at: Midpoint between the fingers.
+        finger_m: Distance of each finger from the midpoint.
+        target_m: Target of that distance; smaller than `finger_m` when the fingers press on a block.
     """
 
     at: Point
@@ -55,49 +55,49 @@ class Gripper:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """What there is before the first action.
+class InitialState:
+    """State before the first action.
 
     Attributes:
-        blocks: float64 (N, 3), the blocks' centres in metres.
+        blocks: float64 (N, 3), centres of the blocks in metres.
         gripper: The gripper.
     """
 
     blocks: Position
-    gripper: Gripper
+    gripper: GripperState
 
 
-DrawStart = Callable[[np.random.Generator], Start]
-"""Draws where an episode begins."""
+InitialStateSampler = Callable[[np.random.Generator], InitialState]
+"""Draws an initial state."""
 
 
-def line(rng: np.random.Generator) -> Start:
-    """Returns four blocks on the table, far enough apart for the gripper, which is above them."""
+def line(rng: np.random.Generator) -> InitialState:
+    """Returns four blocks on the table, far enough apart for the gripper above them."""
     places = (np.arange(_PLACES) - (_PLACES - 1) / 2) * _PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
     ys = rng.choice(places, size=len(COLOURS), replace=False)
     return _on_table(rng, ys + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape))
 
 
-def pair(rng: np.random.Generator) -> Start:
-    """Returns two blocks, each somewhere on a place one block wide, too far from one another for any goal to hold."""
+def pair(rng: np.random.Generator) -> InitialState:
+    """Returns two blocks on the table, too far apart for any goal to hold."""
     return _on_table(rng, rng.permutation(_PAIR_M) + rng.uniform(-_PAIR_SPREAD_M / 2, _PAIR_SPREAD_M / 2, size=2))
 
 
-def scatter(rng: np.random.Generator) -> Start:
-    """Returns two of the four blocks in the plane, in the air or not, one perhaps in the gripper; two are parked."""
+def scatter(rng: np.random.Generator) -> InitialState:
+    """Returns two of the four blocks anywhere in the plane, one possibly in the gripper; the other two are parked."""
     arrange = (_anywhere, _near, _stacked, _beside)[rng.choice(len(_ODDS), p=_ODDS)]
     shown = arrange(rng, rng.uniform(_LOW_M, _HIGH_M))
     blocks = PARKED_M.copy()
     blocks[rng.choice(len(COLOURS), size=2, replace=False)] = np.insert(shown, 0, 0.0, axis=1)
-    holding = _holding(rng, shown) if rng.random() < _GRASP_PROBABILITY else None
-    return Start(blocks, holding or _roaming(rng, shown))
+    holding = _grasp(rng, shown) if rng.random() < _GRASP_PROBABILITY else None
+    return InitialState(blocks, holding or _free_gripper(rng, shown))
 
 
-def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> Start:
+def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> InitialState:
     blocks = np.stack([np.zeros_like(ys), ys, np.full_like(ys, BLOCK_M / 2)], axis=1)
     finger_m = rng.uniform(*scene.FINGER_M)
     at = np.array([rng.uniform(*_ABOVE_Y_M), rng.uniform(*_ABOVE_Z_M)])
-    return Start(blocks, Gripper(at, finger_m, finger_m))
+    return InitialState(blocks, GripperState(at, finger_m, finger_m))
 
 
 def _anywhere(rng: np.random.Generator, first: Point) -> Point:
@@ -122,33 +122,33 @@ def _stacked(rng: np.random.Generator, first: Point) -> Point:
 
 
 def _beside(rng: np.random.Generator, first: Point) -> Point:
-    """Returns a block on the table and one beside it, on the side where there is room."""
+    """Returns a block on the table and one beside it, towards the middle."""
     y, z = first[0], _LOW_M[1]
     return np.array([(y, z), (y - np.sign(y) * rng.uniform(BLOCK_M, _NEAR_M), z)])
 
 
-def _roaming(rng: np.random.Generator, blocks: Point) -> Gripper:
-    """Draws the gripper over its range, clear of the blocks."""
+def _free_gripper(rng: np.random.Generator, blocks: Point) -> GripperState:
+    """Draws a gripper state that collides with no block."""
     limits = np.transpose([scene.GRIPPER_Y_M, scene.GRIPPER_Z_M])
     while True:
         finger_m = rng.uniform(*scene.FINGER_M)
-        gripper = Gripper(rng.uniform(*limits), finger_m, finger_m)
+        gripper = GripperState(rng.uniform(*limits), finger_m, finger_m)
         if _is_clear(gripper, blocks):
             return gripper
 
 
-def _holding(rng: np.random.Generator, blocks: Point) -> Gripper | None:
-    """Draws the gripper closed on one of the blocks; None where it would be in the other or in the table."""
+def _grasp(rng: np.random.Generator, blocks: Point) -> GripperState | None:
+    """Draws a gripper closed on one of the blocks; None if it would collide with the other or the table."""
     for block in rng.permutation(blocks):
         at = np.add(block, (0.0, rng.uniform(*_GRASP_ABOVE_M)))
-        gripper = Gripper(at, BLOCK_M / 2 - scene.FINGER_BASE_M, scene.FINGER_M[0])
+        gripper = GripperState(at, BLOCK_M / 2 - scene.FINGER_BASE_M, scene.FINGER_M[0])
         if at[1] > scene.GRIPPER_Z_M[0] and _is_clear(gripper, blocks):
             return gripper
     return None
 
 
-def _is_clear(gripper: Gripper, blocks: Point) -> bool:
-    """Returns whether neither a finger nor what is above the fingers is inside a block."""
+def _is_clear(gripper: GripperState, blocks: Point) -> bool:
+    """Returns whether neither the fingers nor the palm intersect a block."""
     aside, above = np.abs(blocks[:, 0] - gripper.at[0]), blocks[:, 1] - gripper.at[1]
     inner_m = scene.FINGER_BASE_M + gripper.finger_m
     outer_m = inner_m + 2 * scene.FINGER_HALF_M[1]

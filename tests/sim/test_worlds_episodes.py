@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from freerein_sim.worlds import blocks, grid
-from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
-from freerein_sim.worlds.wander import Wander
-from freerein_sim.worlds.world import NO_SKILL, Task
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.world import NO_SKILL, TaskDefinition
 
 
-def explore(task: Task, *, seed: int, max_steps: int, cameras: tuple[str, ...] = ()) -> Demonstration:
+def explore(task: TaskDefinition, *, seed: int, max_steps: int, cameras: tuple[str, ...] = ()) -> RecordedEpisode:
     rng = np.random.default_rng(seed)
     with closing(task.make()) as world:
         world.reset(rng)
         height, width = task.spec.cameras[0].height, task.spec.cameras[0].width
-        wander = Wander(task.spec.action, rng)
-        return demonstrate(world, wander, cameras=cameras, height=height, width=width, max_steps=max_steps)
+        policy = SmoothRandomPolicy(task.spec.action, rng)
+        return record_episode(world, policy, cameras=cameras, height=height, width=width, max_steps=max_steps)
 
 
 def test_a_frame_is_seen_before_its_action() -> None:
@@ -25,7 +25,7 @@ def test_a_frame_is_seen_before_its_action() -> None:
     first = world.render("top", height=33, width=30)
     expert = world.expert(("pick-red",), rng)
 
-    shown = demonstrate(world, expert, skills=("pick-red",), cameras=("top",), height=33, width=30, max_steps=50)
+    shown = record_episode(world, expert, skills=("pick-red",), cameras=("top",), height=33, width=30, max_steps=50)
 
     assert np.array_equal(shown.frames["top"][0], first)
     assert shown.actions[-1].item() == grid.PICK_UP
@@ -57,14 +57,14 @@ def test_a_demonstration_cut_short_is_no_success() -> None:
     with closing(task.make()) as world:
         world.reset(rng)
         expert = world.expert(("move-red",), rng)
-        shown = demonstrate(world, expert, skills=("move-red",), cameras=(), height=1, width=1, max_steps=10)
+        shown = record_episode(world, expert, skills=("move-red",), cameras=(), height=1, width=1, max_steps=10)
 
     assert len(shown.actions) == 10
     assert not shown.success
 
 
 @pytest.mark.parametrize("task", [grid.TASKS[0], blocks.TASKS[0]], ids=["discrete", "continuous"])
-def test_exploration_has_no_skill_and_depends_on_its_generator_only(task: Task) -> None:
+def test_exploration_has_no_skill_and_depends_on_its_generator_only(task: TaskDefinition) -> None:
     first, again, other = (explore(task, seed=seed, max_steps=20) for seed in (0, 0, 1))
 
     assert set(first.labels.tolist()) == {NO_SKILL}
@@ -73,8 +73,8 @@ def test_exploration_has_no_skill_and_depends_on_its_generator_only(task: Task) 
 
 
 def test_exploration_is_smooth_and_reaches_the_limits() -> None:
-    wander = Wander(blocks.TASKS[0].spec.action, np.random.default_rng(0))
-    actions = np.array([wander.decide().action for _ in range(1000)])
+    policy = SmoothRandomPolicy(blocks.TASKS[0].spec.action, np.random.default_rng(0))
+    actions = np.array([policy.act().action for _ in range(1000)])
 
     assert np.abs(np.diff(actions, axis=0)).max() <= 1.0
     assert np.abs(actions).max() <= 1.0

@@ -1,6 +1,6 @@
-"""Recordings over the network, as the command line and runs make them: begun once, gone on with until they are whole.
+"""Records demonstrations of the sim service into a dataset; an interrupted recording can be resumed.
 
-<root>/recording.json   what was asked for: only the same may go on, but for a count
+<root>/recording.json   the request; only the same request, up to its count, may resume
 """
 
 import json
@@ -17,56 +17,56 @@ from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
 from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
-_ASKED = "recording.json"
+_REQUEST_FILE = "recording.json"
 
 
-class Recording:
-    """A dataset that the demonstrations of a request go into, each of them once; use it as a context manager.
+class DatasetRecorder:
+    """Writes the demonstrations of a request into a dataset, each once; a context manager.
 
     Args:
-        root: Where the dataset lies, or will lie. What it holds already stays.
-        request: What to demonstrate; `first` is chosen here.
-        tasks: What the sim service has.
+        root: The dataset's folder; existing trajectories are kept.
+        request: The request; its `first` is ignored.
+        tasks: Tasks of the sim service.
 
     Raises:
-        NotFound: The sim service has no such task.
-        InvalidInput: The task has no such camera.
-        FailedPrecondition: The dataset holds something else, or somebody else writes to it.
+        NotFound: Unknown task.
+        InvalidInput: Unknown camera.
+        FailedPrecondition: The dataset was recorded with another request, or has another writer.
     """
 
     def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
         spec = dataset_spec(
             select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
         )
-        asked = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
+        as_json = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
         self._request = request
-        self._writer = open_recording(root, spec, asked)
+        self._writer = open_or_resume(root, spec, as_json)
 
     def __len__(self) -> int:
         """Returns the number of trajectories on disk."""
         return len(self._writer)
 
     @property
-    def is_whole(self) -> bool:
-        """Whether every demonstration is on disk."""
+    def is_complete(self) -> bool:
+        """Whether all demonstrations are on disk."""
         return len(self) >= self._request.count
 
     @property
-    def rest(self) -> DemonstrateRequest:
-        """What is still to be demonstrated."""
+    def remaining(self) -> DemonstrateRequest:
+        """The request for the demonstrations that are missing."""
         return replace(self._request, first=len(self))
 
     def append(self, demonstration: DemonstrateResponse) -> None:
-        """Writes the next demonstration durably, with its labels where the request is privileged."""
+        """Writes the next demonstration durably, with labels if the request is privileged."""
         self._writer.append(demonstration.trajectory, demonstration.labels if self._request.privileged else None)
 
-    def check_whole(self) -> None:
-        """Checks that a stream which ended without an error brought all there was to come.
+    def check_complete(self) -> None:
+        """Checks that a stream that ended without an error was complete.
 
         Raises:
-            Unavailable: It did not.
+            Unavailable: It was not.
         """
-        if not self.is_whole:
+        if not self.is_complete:
             raise Unavailable(
                 "The stream of demonstrations must be whole; it ended early.", hint="Record again to go on."
             )
@@ -80,27 +80,27 @@ class Recording:
         self._writer.close()
 
 
-def open_recording(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> Writer:
-    """Returns the writer of a dataset that is recorded now, or whose recording was begun earlier.
+def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Writer:
+    """Returns the writer of a new dataset, or of one whose recording was interrupted.
 
     Args:
-        root: Where the dataset lies, or will lie.
-        spec: What its trajectories have in common.
-        asked: What is recorded, as JSON.
+        root: The dataset's folder.
+        spec: Properties that its trajectories share.
+        request: What is recorded, as JSON; must be equal to resume.
 
     Raises:
-        FailedPrecondition: The dataset holds something else, or somebody else writes to it.
+        FailedPrecondition: The dataset was recorded with another request, or has another writer.
     """
     writer = open_writer(root) if root.exists() else create(root, spec)
     try:
-        begun = _asked_before(root)
-        if len(writer) and begun != asked:
+        earlier = _earlier_request(root)
+        if len(writer) and earlier != request:
             raise FailedPrecondition(
-                "A recording can only go on with the request that began it; this dataset was recorded with another.",
+                "A recording can be resumed only with its own request; this dataset was recorded with another.",
                 hint="Choose another name for the dataset, or ask for the same with a larger count.",
             )
-        if begun != asked:
-            write_atomic(root / _ASKED, json.dumps(asked).encode())
+        if earlier != request:
+            write_atomic(root / _REQUEST_FILE, json.dumps(request).encode())
     except BaseException:
         writer.close()
         raise
@@ -108,16 +108,16 @@ def open_recording(root: Path, spec: DatasetSpec, asked: Mapping[str, Any]) -> W
 
 
 def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:
-    """Returns what all trajectories that are recorded of a task have in common.
+    """Returns the dataset spec of recordings of a task.
 
     Args:
         task: The task.
-        cameras: The cameras to record; empty for the task's first.
-        height: Of the frames, in pixels; 0 means the cameras' own.
-        width: As `height`.
+        cameras: Cameras to record; empty for the task's first.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
 
     Raises:
-        InvalidInput: The task has no such camera.
+        InvalidInput: Unknown camera.
     """
     known = {camera.name: camera for camera in task.cameras}
     unknown = [name for name in cameras if name not in known]
@@ -138,6 +138,6 @@ def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: in
     )
 
 
-def _asked_before(root: Path) -> object:
-    path = root / _ASKED
+def _earlier_request(root: Path) -> object:
+    path = root / _REQUEST_FILE
     return json.loads(path.read_bytes()) if path.is_file() else None

@@ -1,8 +1,7 @@
-"""Which calls are made again when a service is unavailable: those that may be made twice, and no others.
+"""Retries of idempotent calls while a service is unavailable, done by gRPC from a service config.
 
-gRPC itself does it, told by a service config: at most four attempts, with jittered exponential backoff, the same
-request id and within the one deadline of the call. A token bucket per service stops the retries of a client most of
-whose calls fail, so that an outage is not made worse by those who wait for its end.
+At most four attempts with jittered exponential backoff, under one request id and one deadline. A token bucket per
+service stops retries while most calls fail.
 """
 
 import json
@@ -34,12 +33,11 @@ IDEMPOTENT = {
         "CloseSession",
     ),
 }
-"""By service: the calls whose repetition changes nothing.
+"""Idempotent calls by service.
 
-`StartFit`, `StartRun` and `CreateSession` are among them because clients always send an idempotency key, `Step` because
-of its `step_id`. `Reset` is not: it draws from the generators. `ActivateModel` and `ResumeRun` are not: their second
-attempt would not find what they expect. A stream is begun again only while nothing of it has arrived; `Connect` and
-`Control` never.
+`StartFit`, `StartRun` and `CreateSession` are idempotent because clients always send an idempotency key, `Step` because
+of its `step_id`. `Reset` is not: it draws from the generators; nor are `ActivateModel` and `ResumeRun`, which expect
+the state before them. A stream is retried only before its first message; `Connect` and `Control` never.
 """
 
 MAX_ATTEMPTS = 4

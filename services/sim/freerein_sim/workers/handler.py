@@ -8,23 +8,23 @@ from uuid import uuid4
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
-from freerein_sim.workers import demonstrations, framing
-from freerein_sim.workers.envs import Envs
-from freerein_sim.worlds.world import Task, World
+from freerein_sim.workers import demonstrations, protocol
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds.world import TaskDefinition, World
 
 _LOG = logging.getLogger(__name__)
 
 
-class Host:
-    """The sessions of one worker process.
+class RequestHandler:
+    """Answers the requests to one worker process, and holds its sessions.
 
     Args:
         tasks: The tasks, by name.
     """
 
-    def __init__(self, tasks: Mapping[str, Task]) -> None:
+    def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
-        self._sessions: dict[str, Envs] = {}
+        self._sessions: dict[str, VectorEnv] = {}
         self._stages: dict[str, World] = {}  # by task: where demonstrations are made
         self._answers: dict[type[Any], Callable[[Any], object]] = {
             sim.ListTasksRequest: self._list_tasks,
@@ -38,17 +38,17 @@ class Host:
             sim.CloseSessionRequest: self._close_session,
         }
 
-    def answer(self, request: object) -> object:
-        """Returns the response to a request of `framing.CALLS`.
+    def handle(self, request: object) -> object:
+        """Returns the response to a request of `protocol.CALLS`.
 
         Raises:
-            ServiceError: It is refused. After `Internal` the session it spoke of is gone.
+            ServiceError: The request is refused. After `Internal` its session is closed.
         """
         try:
             return self._answers[type(request)](request)
         except ServiceError:
             raise
-        except Exception as error:  # one session's bug must not end the others: the process goes on without it
+        except Exception as error:  # a bug in one session must not end the others
             _LOG.exception("a world failed")
             self._discard(getattr(request, "session", ""))
             raise Internal("The world failed; its session has ended.", hint="Create the session anew.") from error
@@ -66,10 +66,10 @@ class Host:
         return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        """Makes a session; the service has filled in the request's defaults."""
+        """Creates a session; the service has filled in the request's defaults."""
         task, seed = self._task(request.task), request.seed or 0
         session = uuid4().hex
-        self._sessions[session] = Envs(
+        self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
             seed=seed,
@@ -99,18 +99,18 @@ class Host:
     def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
         if request.task not in self._stages:
             self._stages[request.task] = self._task(request.task).make()
-        return demonstrations.draw(self._stages[request.task], request)
+        return demonstrations.make_demonstration(self._stages[request.task], request)
 
     def _close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         self._discard(request.session)
         return sim.CloseSessionResponse()
 
-    def _task(self, name: str) -> Task:
+    def _task(self, name: str) -> TaskDefinition:
         if (task := self._tasks.get(name)) is None:
             raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
         return task
 
-    def _envs(self, session: str) -> Envs:
+    def _envs(self, session: str) -> VectorEnv:
         if (envs := self._sessions.get(session)) is None:
             raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
         return envs
@@ -120,30 +120,30 @@ class Host:
             envs.close()
 
 
-def serve(connection: socket.socket, host: Host) -> None:
-    """Answers what comes over a socket, in order, until the other end closes it."""
+def serve(connection: socket.socket, handler: RequestHandler) -> None:
+    """Answers requests from a socket in order, until the other end closes it."""
     try:
-        while (head := _receive(connection, framing.HEADER_BYTES)) is not None:
-            header = framing.decode_header(head)
+        while (head := _receive(connection, protocol.HEADER_BYTES)) is not None:
+            header = protocol.decode_header(head)
             if (body := _receive(connection, header.length)) is None:
                 return
-            for part in _reply(host, header, body):
+            for part in _reply(handler, header, body):
                 connection.sendall(part)
     except (BrokenPipeError, ConnectionResetError):
-        return  # the service is gone, and nobody waits for this
+        return  # the service is gone
 
 
-def _reply(host: Host, header: framing.Header, body: bytearray) -> tuple[bytes, bytes]:
-    """Returns the frame that answers a call."""
+def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
+    """Returns the frame of the response."""
     try:
-        request = framing.decode(body, framing.CALLS[header.call][0])
-        return framing.encode(host.answer(request), call=header.call, number=header.number)
+        request = protocol.decode(body, protocol.CALLS[header.call][0])
+        return protocol.encode(handler.handle(request), call=header.call, number=header.number)
     except ServiceError as error:
-        return framing.encode(framing.error_message(error), call=framing.REFUSED, number=header.number)
+        return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
 
 
 def _receive(connection: socket.socket, length: int) -> bytearray | None:
-    """Returns the next bytes; None when the other end closed."""
+    """Returns the next `length` bytes; None when the other end closed."""
     data = bytearray(length)
     view = memoryview(data)
     while view:

@@ -1,25 +1,30 @@
-"""How the service and its workers talk over a socket pair: framed messages of the public contract.
+"""The protocol between the service and its worker processes: framed messages of the public API over a socket pair.
 
-    length of the message (4) | which call (1) | number of the call (8) | the message, protobuf
+    message length (4) | call (1) | request number (8) | message, protobuf
 
-Little-endian. A reply bears the call and number of its request; a refusal the call `REFUSED` and an `Error`.
+Little-endian. A reply carries the call and number of its request; an error the call `REFUSED` and an `Error`.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 from freerein import wire
-from freerein.errors import ServiceError, TooLarge, by_code
+from freerein.errors import InvalidInput, ServiceError, TooLarge, by_code
 from freerein.types import sim
 from freerein.types.common import Error
 
 MAX_MESSAGE_BYTES = 65 * 2**20
-"""What a door lets through, and a little for what is around it."""
+"""The service's message limit of 64 MiB, and 1 MiB of overhead."""
+
+MAX_SIZE_PX = 256
+MAX_FRAME_BYTES = 63 * 2**20
+"""Frames in one reply."""
 
 REFUSED = 0
 CALLS: tuple[tuple[type[Any], type[Any]], ...] = (
-    (Error, Error),  # REFUSED; nobody asks for it
+    (Error, Error),  # REFUSED; never a request
     (sim.ListTasksRequest, sim.ListTasksResponse),
     (sim.CreateSessionRequest, sim.CreateSessionResponse),
     (sim.ResetRequest, sim.ResetResponse),
@@ -30,7 +35,7 @@ CALLS: tuple[tuple[type[Any], type[Any]], ...] = (
     (sim.DemonstrateRequest, sim.DemonstrateResponse),  # one trajectory: the one at `first`
     (sim.CloseSessionRequest, sim.CloseSessionResponse),
 )
-"""What can be asked, and what answers it."""
+"""Request and response of each call."""
 
 _NUMBERS = {request: number for number, (request, _) in enumerate(CALLS)}
 _HEADER = struct.Struct("<IBQ")
@@ -39,12 +44,12 @@ HEADER_BYTES = _HEADER.size
 
 @dataclass(frozen=True)
 class Header:
-    """What precedes a message.
+    """Header of a frame.
 
     Attributes:
-        length: The message's bytes.
+        length: Bytes of the message.
         call: Index into `CALLS`.
-        number: Of the call, counted by who asks.
+        number: Request number, counted by the sender.
     """
 
     length: int
@@ -53,7 +58,7 @@ class Header:
 
 
 def call_of(request: object) -> int:
-    """Returns the index into `CALLS` of a request."""
+    """Returns a request's index into `CALLS`."""
     return _NUMBERS[type(request)]
 
 
@@ -61,7 +66,7 @@ def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:
     """Returns a dataclass as (header, message).
 
     Raises:
-        TooLarge: It is longer than `MAX_MESSAGE_BYTES`.
+        TooLarge: The message is longer than `MAX_MESSAGE_BYTES`.
     """
     body = wire.pack(message).SerializeToString()
     _check_length(len(body))
@@ -69,10 +74,10 @@ def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:
 
 
 def decode_header(data: bytes | bytearray) -> Header:
-    """Returns the header that `HEADER_BYTES` bytes describe.
+    """Returns the header of `HEADER_BYTES` bytes.
 
     Raises:
-        TooLarge: It announces more than `MAX_MESSAGE_BYTES`: nothing is allocated for it.
+        TooLarge: It announces more than `MAX_MESSAGE_BYTES`; nothing is allocated.
     """
     header = Header(*_HEADER.unpack(data))
     _check_length(header.length)
@@ -80,22 +85,52 @@ def decode_header(data: bytes | bytearray) -> Header:
 
 
 def decode(data: bytes | bytearray, cls: type[wire.T]) -> wire.T:
-    """Returns the dataclass that bytes describe."""
+    """Returns the dataclass of a message."""
     message = wire.message_type(cls)()
     message.MergeFromString(cast(bytes, data))  # it reads any buffer; its stub knows bytes only
     return wire.unpack(message, cls)
 
 
 def error_message(error: ServiceError) -> Error:
-    """Returns an error as it crosses the socket."""
+    """Returns an error as a message."""
     return Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
 
 
 def error_from(message: Error) -> ServiceError:
-    """Returns the error that crossed the socket."""
+    """Returns the error of a message."""
     return by_code(message.code)(
         message.detail, field=message.field, hint=message.hint, retry_after_s=message.retry_after_s or None
     )
+
+
+def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: int, images: int) -> None:
+    """Checks the size of a reply before anything is rendered. Ignores unknown cameras: the worker refuses them.
+
+    Args:
+        task: The task.
+        cameras: Requested cameras.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        images: Greatest number of images per camera in the reply.
+
+    Raises:
+        InvalidInput: The frames are too large.
+    """
+    if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
+        raise InvalidInput(
+            f"`height` and `width` must be at most {MAX_SIZE_PX} pixels; got {height} and {width}.", field="height"
+        )
+    frame_bytes = sum(
+        images * (height or camera.height) * (width or camera.width) * camera.channels
+        for camera in task.cameras
+        if camera.name in cameras
+    )
+    if frame_bytes > MAX_FRAME_BYTES:
+        raise InvalidInput(
+            f"The frames of one reply must have at most {MAX_FRAME_BYTES} bytes; these may have {frame_bytes}.",
+            field="cameras",
+            hint="Ask for fewer or smaller cameras, or hold fewer environments.",
+        )
 
 
 def _check_length(length: int) -> None:

@@ -12,41 +12,41 @@ from hypothesis import strategies as st
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, Unimplemented
 from freerein.types.sim import StepResponse
 from freerein_sim.workers import snapshots
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, grid
-from freerein_sim.worlds.grid import Grid
-from freerein_sim.worlds.world import Action, Outcome, Task
+from freerein_sim.worlds.grid import GridWorld
+from freerein_sim.worlds.world import Action, StepResult, TaskDefinition
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 GRID, BLOCKS = TASKS["grid"], TASKS["blocks"]
-MakeEnvs = Callable[..., Envs]
+MakeEnvs = Callable[..., VectorEnv]
 
 
-class Fragile(Grid):
+class Fragile(GridWorld):
     """A world that diverges when it is told to pick up."""
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         diverged = int(action[0]) == grid.PICK_UP
-        return Outcome(terminated=diverged, diverged=diverged) if diverged else super().step(action)
+        return StepResult(terminated=diverged, diverged=diverged) if diverged else super().step(action)
 
 
-class Inexact(Grid):
+class Inexact(GridWorld):
     """A world without exact snapshots."""
 
     spec = replace(grid.SPEC, exact_snapshots=False)
 
 
-FRAGILE = Task("fragile", "grid", "", grid.SPEC, lambda: Fragile(indicator=True))
-INEXACT = Task("inexact", "grid", "", Inexact.spec, lambda: Inexact(indicator=True))
+FRAGILE = TaskDefinition("fragile", "grid", "", grid.SPEC, lambda: Fragile(indicator=True))
+INEXACT = TaskDefinition("inexact", "grid", "", Inexact.spec, lambda: Inexact(indicator=True))
 
 
 @pytest.fixture
 def make() -> Iterator[MakeEnvs]:
     """A function that makes environments, closed with the test; not yet reset."""
-    made: list[Envs] = []
+    made: list[VectorEnv] = []
 
-    def make_envs(task: Task = GRID, *, num_envs: int = 3, seed: int = 7, **options: int) -> Envs:
-        made.append(Envs(task, num_envs=num_envs, seed=seed, **options))
+    def make_envs(task: TaskDefinition = GRID, *, num_envs: int = 3, seed: int = 7, **options: int) -> VectorEnv:
+        made.append(VectorEnv(task, num_envs=num_envs, seed=seed, **options))
         return made[-1]
 
     yield make_envs
@@ -58,7 +58,7 @@ def make() -> Iterator[MakeEnvs]:
 def begin(make: MakeEnvs) -> MakeEnvs:
     """As `make`, and reset."""
 
-    def begin_envs(*args: Task, **options: int) -> Envs:
+    def begin_envs(*args: TaskDefinition, **options: int) -> VectorEnv:
         envs = make(*args, **options)
         envs.reset()
         return envs
@@ -66,7 +66,7 @@ def begin(make: MakeEnvs) -> MakeEnvs:
     return begin_envs
 
 
-def some_actions(task: Task, num_envs: int, rng: np.random.Generator) -> np.ndarray:
+def some_actions(task: TaskDefinition, num_envs: int, rng: np.random.Generator) -> np.ndarray:
     spec = task.spec.action
     if spec.choices:
         return rng.integers(spec.choices, size=(num_envs, spec.size))
@@ -159,7 +159,9 @@ def test_a_physics_that_blows_up_is_reported_never_reset_away(begin: MakeEnvs) -
         (BLOCKS, np.full((3, 3), 1.001, np.float32)),
     ],
 )
-def test_wrong_actions_are_refused_and_change_nothing(begin: MakeEnvs, task: Task, actions: np.ndarray) -> None:
+def test_wrong_actions_are_refused_and_change_nothing(
+    begin: MakeEnvs, task: TaskDefinition, actions: np.ndarray
+) -> None:
     envs = begin(task)
     before = envs.snapshot()
 
@@ -237,7 +239,9 @@ def test_only_the_privileged_see_the_truth_and_nobody_gets_its_reward_as_reward(
 
 @pytest.mark.fault("M10")
 @pytest.mark.parametrize("task", [GRID, BLOCKS, TASKS["blocks.red-on-top-of-green"]], ids=lambda task: task.name)
-def test_restored_at_any_cut_the_same_actions_give_the_same_bits(begin: MakeEnvs, make: MakeEnvs, task: Task) -> None:
+def test_restored_at_any_cut_the_same_actions_give_the_same_bits(
+    begin: MakeEnvs, make: MakeEnvs, task: TaskDefinition
+) -> None:
     rng = np.random.default_rng(0)
     actions = [some_actions(task, 2, rng) for _ in range(120)]
     cuts = set(rng.choice(120, size=4, replace=False).tolist())
@@ -268,7 +272,7 @@ def test_a_snapshot_without_its_last_or_with_another_byte_is_refused(begin: Make
 @settings(max_examples=150, deadline=None, database=None)
 @given(data=st.data())
 def test_a_forged_snapshot_is_refused_and_changes_nothing_or_is_a_state(data: st.DataObject) -> None:
-    envs = Envs(GRID, num_envs=2, seed=0)
+    envs = VectorEnv(GRID, num_envs=2, seed=0)
     envs.reset()
     snapshot = envs.snapshot()
     body = bytearray(snapshot[32:])

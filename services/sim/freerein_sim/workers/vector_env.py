@@ -1,8 +1,4 @@
-"""A vector of environments of one task, stepped together: what a session is, without any service around it.
-
-Synchronous and single-threaded. A worker process hosts many; tests and benchmarks use it in process, and get the same
-bits.
-"""
+"""A vector of environments of one task, stepped together: a session without a service. Synchronous, single-threaded."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -14,33 +10,40 @@ from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
 from freerein.types.common import Camera
 from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import Task, check_view
+from freerein_sim.worlds.world import TaskDefinition, check_view
 
 
-class Envs:
+class VectorEnv:
     """N environments of one task. Environment i draws from `SeedSequence(seed).spawn(N)[i]`.
 
-    A call that is refused changes nothing.
+    A refused call changes nothing.
 
     Args:
         task: The task.
         num_envs: N.
         seed: Seeds the generators.
-        height: Height of frames, in pixels; 0 means the cameras' own.
-        width: Width of frames, in pixels; 0 means the cameras' own.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
         privileged: Whether replies hold `Truth`.
 
     Attributes:
         task: The task.
         num_envs: N.
-        step_id: Steps made since the beginning; resets do not change it, `restore` does.
+        step_id: Steps made in total; not changed by `reset`, set by `restore`.
 
     Raises:
-        InvalidInput: A camera cannot render that size.
+        InvalidInput: Unsupported frame size.
     """
 
     def __init__(
-        self, task: Task, *, num_envs: int, seed: int, height: int = 0, width: int = 0, privileged: bool = False
+        self,
+        task: TaskDefinition,
+        *,
+        num_envs: int,
+        seed: int,
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
     ) -> None:
         self.task = task
         self.num_envs = num_envs
@@ -51,50 +54,50 @@ class Envs:
         self._worlds = [task.make() for _ in range(num_envs)]
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
-        self._has_begun = False
-        self._proved: set[Camera] = set()
+        self._is_reset = False
+        self._try_viewsd: set[Camera] = set()
 
     def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
         """Begins new episodes.
 
         Args:
-            envs: Which environments; empty for all.
-            seed: Seeds all generators anew first; None lets them go on.
-            cameras: The cameras to render.
+            envs: Indices of environments; empty for all.
+            seed: Re-seeds all generators first; None keeps them.
+            cameras: Cameras to render.
 
         Raises:
-            InvalidInput: There is no such environment or camera, or one is named twice.
-            FailedPrecondition: Only some environments were named, and the others have no episode yet.
+            InvalidInput: Unknown environment or camera, or a repeated environment.
+            FailedPrecondition: The first reset is not of all environments.
         """
         chosen = self._chosen(envs)
         views = self._cameras(cameras)
-        self._prove(views)
+        self._try_views(views)
         if seed is not None:
             self._rngs = _generators(seed, self.num_envs)
         for i in chosen:
             self._begin(i)
-        self._has_begun = True
+        self._is_reset = True
         return ResetResponse(self._frames(views, range(self.num_envs)), self._truth() if self._privileged else None)
 
     def step(self, actions: npt.NDArray[Any], cameras: Sequence[str] = ()) -> StepResponse:
-        """Steps every environment once; one whose episode ends is reset at once.
+        """Steps every environment once; one whose episode ends is reset in the same call.
 
         Args:
-            actions: float32 or int64 (N, size), as the task's action spec says.
-            cameras: The cameras to render.
+            actions: float32 or int64 (N, size), matching the task's action spec.
+            cameras: Cameras to render.
 
         Raises:
-            InvalidInput: The actions are not what the spec says, or there is no such camera.
+            InvalidInput: The actions do not match the spec, or unknown camera.
             FailedPrecondition: There was no reset yet.
         """
-        self._check_begun("Step")
+        self._check_reset("Step")
         self._check_actions(actions)
         views = self._cameras(cameras)
-        self._prove(views)
-        outcomes = [world.step(action) for world, action in zip(self._worlds, actions, strict=True)]
+        self._try_views(views)
+        results = [world.step(action) for world, action in zip(self._worlds, actions, strict=True)]
         self._steps += 1
         self.step_id += 1
-        terminated = np.array([outcome.terminated for outcome in outcomes])
+        terminated = np.array([result.terminated for result in results])
         truncated = ~terminated & (self._steps >= self.task.spec.max_episode_steps)
         truth = self._truth() if self._privileged else None
         ended = np.flatnonzero(terminated | truncated).tolist()
@@ -107,56 +110,56 @@ class Envs:
             reward=np.zeros(self.num_envs, np.float32),
             terminated=terminated,
             truncated=truncated,
-            diverged=np.array([outcome.diverged for outcome in outcomes]),
+            diverged=np.array([result.diverged for result in results]),
             final_frames=final_frames,
             truth=truth,
         )
 
     def render(self, cameras: Sequence[str] = (), *, height: int = 0, width: int = 0) -> RenderResponse:
-        """Returns what the cameras see now; no cameras means all, a size of 0 means the usual one.
+        """Returns the current frames; no cameras means all, a size of 0 the session's.
 
         Raises:
-            InvalidInput: There is no such camera, or it cannot render that size.
+            InvalidInput: Unknown camera, or unsupported size.
             FailedPrecondition: There was no reset yet.
         """
-        self._check_begun("Render")
+        self._check_reset("Render")
         names = cameras or [camera.name for camera in self.task.spec.cameras]
         return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
 
     def snapshot(self) -> bytes:
-        """Returns the complete state: restored, the same actions give the same bits.
+        """Returns the complete state; after `restore` the same actions give the same bits.
 
         Raises:
             FailedPrecondition: There was no reset yet.
             Unimplemented: The task's worlds have no exact snapshots.
         """
         self._check_snapshots()
-        self._check_begun("Snapshot")
+        self._check_reset("Snapshot")
         states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
         envs = tuple(snapshots.EnvState(steps, rng, world.snapshot()) for steps, rng, world in states)
         return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
 
     def restore(self, snapshot: bytes) -> None:
-        """Goes back, or on from where others were.
+        """Restores a snapshot.
 
         Raises:
-            InvalidInput: The bytes are not what `snapshot` returned.
-            FailedPrecondition: They are of another task, number of environments or build.
+            InvalidInput: The bytes are not a snapshot.
+            FailedPrecondition: It has another task, number of environments or build.
             Unimplemented: The task's worlds have no exact snapshots.
         """
         self._check_snapshots()
         state = snapshots.decode(snapshot)
-        self._check_kin(state)
+        self._check_compatible(state)
         if any(env.steps >= self.task.spec.max_episode_steps for env in state.envs):
             raise InvalidInput("`snapshot` must be of episodes that go on; got one that is over.", field="snapshot")
         self._restore_worlds([env.world for env in state.envs])
         self._rngs = [env.rng for env in state.envs]
         self._steps = np.array([env.steps for env in state.envs], np.int64)
         self.step_id = state.step_id
-        self._has_begun = True
+        self._is_reset = True
 
     def close(self) -> None:
-        """Frees the worlds, on the thread that rendered. Closing twice is fine."""
+        """Closes the worlds, on the thread that rendered; may be called twice."""
         for world in self._worlds:
             world.close()
 
@@ -180,7 +183,7 @@ class Envs:
         )
 
     def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> list[Camera]:
-        """Returns cameras of the task, with the size at which they are to be rendered."""
+        """Returns the named cameras with the size at which to render them."""
         spec = self.task.spec
         views = []
         for name in dict.fromkeys(names):
@@ -190,18 +193,18 @@ class Envs:
             views.append(view)
         return views
 
-    def _prove(self, views: Sequence[Camera]) -> None:
-        """Renders once what was never rendered, so that what cannot be rendered is refused before a step."""
-        unproved = set(views) - self._proved
-        if unproved and not self._has_begun:
+    def _try_views(self, views: Sequence[Camera]) -> None:
+        """Renders each new view once, so that one that cannot be rendered is refused before a step."""
+        untried = set(views) - self._try_viewsd
+        if untried and not self._is_reset:
             self._worlds[0].reset(np.random.default_rng(0))
-        for view in unproved:
+        for view in untried:
             self._worlds[0].render(view.name, height=view.height, width=view.width)
-        self._proved |= unproved
+        self._try_viewsd |= untried
 
     def _restore_worlds(self, states: Sequence[bytes]) -> None:
         """Restores all worlds, or none."""
-        before = [world.snapshot() for world in self._worlds] if self._has_begun else []
+        before = [world.snapshot() for world in self._worlds] if self._is_reset else []
         try:
             for world, state in zip(self._worlds, states, strict=True):
                 world.restore(state)
@@ -217,7 +220,7 @@ class Envs:
                 field="envs",
                 hint="Leave it empty to reset all.",
             )
-        if not self._has_begun and 0 < len(envs) < self.num_envs:
+        if not self._is_reset and 0 < len(envs) < self.num_envs:
             raise FailedPrecondition(
                 f"The first reset must be of all {self.num_envs} environments; got {len(envs)}.",
                 field="envs",
@@ -225,8 +228,8 @@ class Envs:
             )
         return envs or range(self.num_envs)
 
-    def _check_begun(self, call: str) -> None:
-        if not self._has_begun:
+    def _check_reset(self, call: str) -> None:
+        if not self._is_reset:
             raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call Reset first.")
 
     def _check_actions(self, actions: npt.NDArray[Any]) -> None:
@@ -251,7 +254,7 @@ class Envs:
                 "This task's worlds have no exact snapshots.", hint="Replay seed and actions from the last reset."
             )
 
-    def _check_kin(self, snapshot: snapshots.Snapshot) -> None:
+    def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
         if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
             got = "of another task or build"
         elif len(snapshot.envs) != self.num_envs:
