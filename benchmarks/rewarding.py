@@ -31,8 +31,8 @@ from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward import model
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem
-from freerein_reward.model import DualEncoder, DualEncoderSpec, trained
-from freerein_reward.training import GroundingConfig, RewardConfig, design, objects
+from freerein_reward.model import REWARD, DualEncoder, DualEncoderSpec
+from freerein_reward.training import GroundingConfig, RewardConfig, network_spec, synthetic_objects
 
 _CAMERA, _GOAL = "front", "a red block on top of a yellow block"
 _MANY = 32
@@ -168,15 +168,19 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     """Puts a model of the size that fits make into the service's store, active; returns it, and its images' side."""
     tower = GroundingConfig()
     grounding = DualEncoderSpec(
-        cameras=("",), vocabulary=objects.VOCABULARY, side=objects.SIDE, width=tower.width, depth=tower.depth
+        cameras=("",),
+        vocabulary=synthetic_objects.VOCABULARY,
+        image_size=synthetic_objects.IMAGE_SIZE,
+        width=tower.width,
+        depth=tower.depth,
     )
-    spec = design(grounding, RewardConfig(cameras=(_CAMERA,)))
+    spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,)))
     network = DualEncoder(spec)
     weights.initialise(network, generator=torch.Generator().manual_seed(0))
     folder = data_dir / "untrained"
     folder.mkdir()
-    save_model(network, folder, card={"kind": trained.REWARD})
+    save_model(network, folder, card={"kind": REWARD})
     store = ModelStore(data_dir / "models" / "reward")
     ref = store.publish("", folder)
     store.activate(ref)
-    return ref, model.RewardModel(network), spec.side
+    return ref, model.DualEncoderModel(network), spec.image_size

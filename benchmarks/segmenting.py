@@ -30,8 +30,8 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import SegmentRequest
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.wander import Wander
 
 _TIMEOUT_S = 60.0
 _PATH = "/v1/segment"
@@ -108,13 +108,13 @@ def _contestant(name: str, segment: Segment, expected: Labels) -> Contestant:
 def _wander(name: str, task_name: str, timesteps: int) -> _Case:
     """Returns what somebody saw who moved at random; it goes on where an episode would end."""
     task, rng = tasks()[task_name], np.random.default_rng(0)
-    behaviour, camera = Wander(task.spec.action, rng), task.spec.cameras[0]
+    behaviour, camera = SmoothRandomPolicy(task.spec.action, rng), task.spec.cameras[0]
     frames, actions = [], []
     with closing(task.make()) as world:
         world.reset(rng)
         for _ in range(timesteps):
             frames.append(world.render(camera.name, height=camera.height, width=camera.width))
-            actions.append(behaviour.decide().action)
+            actions.append(behaviour.act().action)
             world.step(actions[-1])
     return _Case(name, task_name, np.stack(frames), np.stack(actions))
 

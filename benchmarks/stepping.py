@@ -26,9 +26,9 @@ from benchmarks.world_env import WorldEnv
 from freerein.clients import Channel, SimClient
 from freerein.types.common import ActionSpec
 from freerein.types.sim import CloseSessionRequest, ConnectRequest, CreateSessionRequest, ResetRequest, StepRequest
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.world import Task
+from freerein_sim.worlds.world import TaskDefinition
 
 _TASKS = ("grid", "blocks")
 _ENVS = 16
@@ -52,7 +52,7 @@ async def measure(effort: Effort) -> Findings:
     return found
 
 
-async def _race(task: Task, cameras: tuple[str, ...], address: str, effort: Effort) -> Times:
+async def _race(task: TaskDefinition, cameras: tuple[str, ...], address: str, effort: Effort) -> Times:
     async with AsyncExitStack() as opened:
         client = await opened.enter_async_context(SimClient(Channel(address)))
 
@@ -61,7 +61,7 @@ async def _race(task: Task, cameras: tuple[str, ...], address: str, effort: Effo
 
         singles = [await session(1) for _ in range(_ENVS)]
         stream = await opened.enter_async_context(_stream(await session(1)))
-        local = opened.enter_context(closing(Envs(task, num_envs=_ENVS, seed=_SEED)))
+        local = opened.enter_context(closing(VectorEnv(task, num_envs=_ENVS, seed=_SEED)))
         local.reset(cameras=cameras)
         peer = opened.enter_context(closing(_sync_vector_env(task, cameras)))
 
@@ -114,7 +114,7 @@ def _actions(spec: ActionSpec, num_envs: int) -> Iterator[Actions]:
     return cycle(drawn)
 
 
-def _sync_vector_env(task: Task, cameras: tuple[str, ...]) -> SyncVectorEnv[Any, Any]:
+def _sync_vector_env(task: TaskDefinition, cameras: tuple[str, ...]) -> SyncVectorEnv[Any, Any]:
     seeds = np.random.SeedSequence(_SEED).spawn(_ENVS)
     envs = SyncVectorEnv(
         [partial(WorldEnv, task, cameras, seed=seed) for seed in seeds],

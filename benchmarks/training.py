@@ -15,6 +15,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from freerein_orchestrator.judges import Frames, LearnedReward
+from freerein_orchestrator.networks import ActorCritic
+from freerein_orchestrator.patience import Patience
+from freerein_orchestrator.ppo_config import PPOConfig
+from freerein_orchestrator.ppo_loop import Gather, iterations
+from freerein_orchestrator.ppo_training import Outset, roll_out
+from freerein_orchestrator.rollout import Actions, Observations, Rewards, Rollout, Step
+from freerein_orchestrator.served import ServedEnvironments
+from freerein_orchestrator.served_rollouts import ServedRollouts
+from freerein_sim.workers.envs import Envs
 
 from benchmarks.report import Bar, Findings, Ratio
 from benchmarks.rounds import Contestant, Effort, race
@@ -26,20 +36,10 @@ from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator import ppo_training
-from freerein_orchestrator.judges import Frames, LearnedReward
-from freerein_orchestrator.networks import ActorCritic
-from freerein_orchestrator.patience import Patience
-from freerein_orchestrator.ppo_config import PPOConfig
-from freerein_orchestrator.ppo_loop import Gather, iterations
-from freerein_orchestrator.ppo_training import Outset, roll_out
-from freerein_orchestrator.rollout import Actions, Observations, Rewards, Rollout, Step
-from freerein_orchestrator.served import ServedEnvironments
-from freerein_orchestrator.served_rollouts import ServedRollouts
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
-from freerein_reward.model import trained
-from freerein_reward.relations import rivals
-from freerein_sim.workers.envs import Envs
+from freerein_reward.model import load
+from freerein_reward.relations import rival_captions
 from freerein_sim.worlds.tasks import tasks
 
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
@@ -183,11 +183,11 @@ class _Judge:
     def __init__(self, goal_text: str) -> None:
         store = ModelStore(CLONE_MODELS / "reward")
         self._ref = ModelRef("default", store.active_version("default"))
-        model, _ = trained.load(store.folder(self._ref), "cpu")
+        model = load(store.folder(self._ref), "cpu")
         if not isinstance(model, RewardModel):
             raise TypeError("The default model of the reward service must be a reward model.")
         self._model = model
-        self._texts = (goal_text, *rivals(goal_text))
+        self._texts = (goal_text, *rival_captions(goal_text))
         self._inference = Inference(GoalCache(_CACHE_BYTES))
 
     def __call__(self, reached: Frames) -> Rewards:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import Frame, Task
+from freerein_sim.worlds.world import Frame, TaskDefinition
 
 
 class WorldEnv(gymnasium.Env[Frame, npt.NDArray[Any]]):
@@ -20,7 +20,7 @@ class WorldEnv(gymnasium.Env[Frame, npt.NDArray[Any]]):
         seed: Seeds its generator.
     """
 
-    def __init__(self, task: Task, cameras: tuple[str, ...], *, seed: np.random.SeedSequence) -> None:
+    def __init__(self, task: TaskDefinition, cameras: tuple[str, ...], *, seed: np.random.SeedSequence) -> None:
         self._world = task.make()
         self._longest_steps = task.spec.max_episode_steps
         self._camera = next((camera for camera in task.spec.cameras if camera.name in cameras), None)

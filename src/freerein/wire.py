@@ -25,6 +25,7 @@ from google.protobuf.message import Message
 from freerein import tensors
 from freerein.api.common.v1 import common_pb2
 from freerein.api.imitation.v1 import imitation_pb2
+from freerein.api.jobs.v1 import jobs_pb2
 from freerein.api.learning.v1 import learning_pb2
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
@@ -40,6 +41,7 @@ _ARRAY_DTYPES = {FieldDescriptor.TYPE_FLOAT: np.float32, FieldDescriptor.TYPE_UI
 _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.imitation": imitation_pb2,
+    "freerein.types.jobs": jobs_pb2,
     "freerein.types.learning": learning_pb2,
     "freerein.types.orchestrator": orchestrator_pb2,
     "freerein.types.reward": reward_pb2,

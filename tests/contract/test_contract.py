@@ -25,9 +25,9 @@ from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
 from freerein import errors, wire
 from freerein.api.learning.v1 import learning_pb2
+from freerein.atomic_files import write_atomic
 from freerein.errors import NotFound, ServiceError
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
@@ -37,12 +37,12 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
 from freerein.types.common import Image, ModelRef
-from freerein.types.learning import Fit, StartFitRequest
+from freerein.types.learning import StartFitRequest
 
 Build = Callable[[Path, Health], Service]
 OpenDoors = Callable[[Build], Awaitable[Any]]
 ANSWER = ""
-FIT = "0" * 32
+FIT = "33aff6d631d05c00849156bc87785527"
 VERSION = "524d3f8b85d2"  # of the one model that every row publishes
 
 
@@ -90,7 +90,6 @@ def publish_model(root: Path, name: str = "") -> ModelStore:
 def build_learning(data_dir: Path, health: Health) -> Service:
     """Returns fits that are never started, so that they stand still, and models that are their folders' names."""
     store = publish_model(data_dir / "models")
-    records = FitRecords(data_dir / "fits")
 
     def resolve(dataset: str, config: Any) -> dict[str, Any]:
         if dataset != "demos":
@@ -98,13 +97,13 @@ def build_learning(data_dir: Path, health: Health) -> Service:
         return {"steps": 5, **config}
 
     models = ModelCache(store, lambda folder: folder.name, fit_command="freerein fit toy")
-    fits = Fits(records, module="none", store=store, models=models, resolve=resolve, health=health)
+    fits = FitService(data_dir / "fits", module="none", store=store, models=models, resolve=resolve, health=health)
     services = learning_pb2.DESCRIPTOR.services_by_name
 
     async def start() -> None:
         await models.start()
-        fit = Fit(FIT, "queued", "demos", "default", {"steps": 5, "rate": 0.5}, metrics={"loss": 0.5})
-        await records.add(fit, StartFitRequest("demos"))
+        assert (await fits.start_fit(StartFitRequest("demos", "", {"rate": 0.5}, "key"))).fit.id == FIT
+        write_atomic(data_dir / "fits" / FIT / "metrics.jsonl", b'{"step": 1, "loss": 0.5}\n{"step": 2, "loss": NaN}\n')
 
     async def close() -> None: ...
 
@@ -113,7 +112,8 @@ def build_learning(data_dir: Path, health: Health) -> Service:
 
 
 LEARNING_CASES = (
-    Case("StartFit", learning.StartFitRequest("demos", "mine", {"a": [1, 0.5, None, {"b": "c"}]}, "key")),
+    Case("StartFit", learning.StartFitRequest("demos", "mine", {"a": [1, 0.5, None, {"b": "c"}]}, "another")),
+    Case("StartFit", learning.StartFitRequest("demos", "mine", {"rate": 0.5}, "key"), "already_exists"),
     Case("StartFit", learning.StartFitRequest("none"), "not_found"),
     Case("StartFit", learning.StartFitRequest(""), "invalid_input"),
     Case("StartFit", learning.StartFitRequest("../demos"), "invalid_input"),
@@ -122,6 +122,13 @@ LEARNING_CASES = (
     Case("GetFit", learning.GetFitRequest("1" * 32), "not_found"),
     Case("GetFit", learning.GetFitRequest("../x"), "invalid_input"),
     Case("ListFits", learning.ListFitsRequest()),
+    Case("ListFits", learning.ListFitsRequest(1, FIT)),
+    Case("ListFits", learning.ListFitsRequest(1001), "invalid_input"),
+    Case("ListFits", learning.ListFitsRequest(0, "1" * 32), "invalid_input"),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT)),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT, 2, 1)),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest("1" * 32), "not_found"),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT, 0, 10_001), "invalid_input"),
     Case("CancelFit", learning.CancelFitRequest(FIT)),
     Case("CancelFit", learning.CancelFitRequest("1" * 32), "not_found"),
     Case("WatchFit", learning.WatchFitRequest("1" * 32), "not_found"),

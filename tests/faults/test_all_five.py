@@ -26,7 +26,7 @@ from freerein.clients import (
     SegmentationClient,
     SimClient,
 )
-from freerein.clients.client import Client
+from freerein.clients.channel import Client
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetRunRequest, StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest

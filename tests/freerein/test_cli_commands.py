@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
 from freerein.cli.commands.segment import skill_bar
-from freerein.cli.configuring import setting
+from freerein.cli.config_options import setting
 from freerein.cli.doctor import machine, services
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create

@@ -71,7 +71,7 @@ def test_the_learners_reader_imports_nothing_that_knows_of_truth() -> None:
         reached |= pending
         pending = set().union(*(imported_from_package(module) for module in pending)) - reached
 
-    assert {"reader", "rows", "meta", "layout", "lerobot", "cache"} <= reached
+    assert {"reader", "trajectory_file", "meta", "layout", "lerobot", "cache"} <= reached
     assert "truth" not in reached
     constants = [
         node.value

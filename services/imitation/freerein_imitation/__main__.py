@@ -8,8 +8,7 @@ import torch
 
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.serving.batcher import Batcher
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
@@ -50,8 +49,8 @@ def build(
         fit_command="freerein fit imitation DATASET",
     )
     batcher = Batcher(BatchActor().act_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
-    fits = Fits(
-        FitRecords(settings.data_dir / "fits" / NAME),
+    fits = FitService(
+        settings.data_dir / "fits" / NAME,
         module="freerein_imitation.fit",
         arguments=(str(settings.data_dir), settings.device),
         store=store,

@@ -8,8 +8,7 @@ import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
@@ -48,8 +47,8 @@ def build(
         fit_command="freerein fit segmentation DATASET",
     )
     batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
-    fits = Fits(
-        FitRecords(settings.data_dir / "fits" / NAME),
+    fits = FitService(
+        settings.data_dir / "fits" / NAME,
         module="freerein_segmentation.fit",
         arguments=(str(settings.data_dir), settings.device),
         store=store,

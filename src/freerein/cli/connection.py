@@ -6,8 +6,7 @@ from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
-from freerein.clients.channel import Channel
-from freerein.clients.client import Client
+from freerein.clients.channel import Channel, Client
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)

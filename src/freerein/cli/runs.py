@@ -1,4 +1,4 @@
-"""`freerein runs`: started, listed, watched, cancelled, gone on with, and what came of them."""
+"""`freerein runs`: start, list, watch, cancel and resume runs; their metrics and artifacts."""
 
 import asyncio
 import os
@@ -10,32 +10,37 @@ from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal, TypeVar
 
 import typer
 
-from freerein.cli import watching
-from freerein.cli.configuring import Settings, configuration
+from freerein.cli import job_display
+from freerein.cli.config_options import Settings, configuration
+from freerein.cli.job_progress import metrics_text, steps_text
 from freerein.cli.output import AsJson, command, print_json, show_table
-from freerein.cli.underway import steps_of
 
 if TYPE_CHECKING:
     from freerein.clients import OrchestratorClient
-    from freerein.types.orchestrator import Artifact, Run
+    from freerein.types.jobs import MetricRow
+    from freerein.types.orchestrator import Run
 
 T = TypeVar("T")
 
 app = typer.Typer(
-    help="Runs: collecting, training, distilling, evaluating; they outlive every process.", no_args_is_help=True
+    help="Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.", no_args_is_help=True
 )
 
 _Kind = Annotated[
     Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"],
     typer.Argument(metavar="KIND", help="collect, fit, ppo, distill, evaluate or pipeline."),
 ]
-_Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="The configuration; --set changes it.")]
-_Key = Annotated[str, typer.Option(help="The same key and configuration is the same run, however often it is started.")]
-_Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the end, and draw curves until then.")]
-_Metrics = Annotated[list[str] | None, typer.Option("--metric", help="Draw this one; those that tell most otherwise.")]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="What `freerein runs list` lists.")]
-_Name = Annotated[str, typer.Argument(metavar="NAME", help="Which one to fetch; without it they are listed.")]
-_Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Where to put it, `-` for stdout; NAME by default.")]
+_Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
+_Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]
+_Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the end and draw the curves.")]
+_Metrics = Annotated[
+    list[str] | None, typer.Option("--metric", help="Metric to draw; repeatable. Default: the most relevant ones.")
+]
+_FromStep = Annotated[int, typer.Option(min=0, help="First step to print.")]
+_MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
+_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, as listed by `freerein runs list`.")]
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
+_Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file, `-` for stdout; default NAME.")]
 
 _STDOUT = Path("-")
 
@@ -55,74 +60,78 @@ def start(
     from freerein.types.orchestrator import StartRunRequest
 
     request = StartRunRequest(kind, configuration(settings, config), key)
-
-    async def ask(client: "OrchestratorClient") -> "Run":
-        return (await client.start_run(request)).run
-
-    _show_or_watch(asyncio.run(_call(ask)), watch=watch, as_json=as_json)
+    _show_or_watch(_call(lambda client: client.start_run(request)).run, watch=watch, as_json=as_json)
 
 
 @app.command("list")
 @command
 def list_runs(as_json: AsJson = False) -> None:
-    """List all runs, the newest first."""
-    from freerein.types.orchestrator import ListRunsRequest
-
-    async def ask(client: "OrchestratorClient") -> "tuple[Run, ...]":
-        return (await client.list_runs(ListRunsRequest())).runs
-
-    _show(asyncio.run(_call(ask)), as_json=as_json)
+    """List all runs, newest first."""
+    _show(_call(_all_runs), as_json=as_json)
 
 
 @app.command("watch")
 @command
 def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
-    """Follow a run to its end, with its curves."""
+    """Watch a run to its end, with its curves."""
     _watch(run, metrics=metrics or None, as_json=as_json)
 
 
 @app.command()
 @command
+def metrics(run: _Id, from_step: _FromStep = 0, max_rows: _MaxRows = 1000, as_json: AsJson = False) -> None:
+    """Print the metrics of a run."""
+    job_display.show_metrics(_call(lambda client: _rows(client, run, from_step, max_rows)), as_json=as_json)
+
+
+@app.command()
+@command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
-    """End a run; its last checkpoint stays."""
+    """Cancel a run; its last checkpoint is kept."""
     from freerein.types.orchestrator import CancelRunRequest
 
-    async def ask(client: "OrchestratorClient") -> "Run":
-        return (await client.cancel_run(CancelRunRequest(run))).run
-
-    _show([asyncio.run(_call(ask))], as_json=as_json)
+    _show([_call(lambda client: client.cancel_run(CancelRunRequest(run))).run], as_json=as_json)
 
 
 @app.command()
 @command
 def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
-    """Go on with a run that failed or was cancelled, from its last checkpoint."""
+    """Resume a failed or cancelled run from its last checkpoint."""
     from freerein.types.orchestrator import ResumeRunRequest
 
-    async def ask(client: "OrchestratorClient") -> "Run":
-        return (await client.resume_run(ResumeRunRequest(run))).run
-
-    _show_or_watch(asyncio.run(_call(ask)), watch=watch, as_json=as_json)
+    _show_or_watch(_call(lambda client: client.resume_run(ResumeRunRequest(run))).run, watch=watch, as_json=as_json)
 
 
 @app.command()
 @command
 def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
-    """List the files that a run has left behind, or fetch one."""
+    """List the artifacts of a run, or fetch one."""
     if not name:
-        _show_artifacts(asyncio.run(_call(lambda client: _artifacts(client, run))), as_json=as_json)
+        _list_artifacts(run, as_json=as_json)
     elif out == _STDOUT:
-        asyncio.run(_call(lambda client: _fetch(client, run, name, sys.stdout.buffer)))
+        _call(lambda client: _fetch(client, run, name, sys.stdout.buffer))
     else:
         path = out or Path(name)
-        size = asyncio.run(_call(lambda client: _download(client, run, name, path)))
+        size = _call(lambda client: _download(client, run, name, path))
         print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
 
 
-async def _artifacts(client: "OrchestratorClient", run_id: str) -> "tuple[Artifact, ...]":
-    from freerein.types.orchestrator import ListArtifactsRequest
+async def _all_runs(client: "OrchestratorClient") -> "list[Run]":
+    from freerein.types.orchestrator import ListRunsRequest
 
-    return (await client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
+    runs: list[Run] = []
+    token = ""
+    while True:
+        page = await client.list_runs(ListRunsRequest(page_token=token))
+        runs += page.runs
+        if not (token := page.next_page_token):
+            return runs
+
+
+async def _rows(client: "OrchestratorClient", run_id: str, from_step: int, max_rows: int) -> "Sequence[MetricRow]":
+    from freerein.types.orchestrator import GetMetricsRequest
+
+    return (await client.get_metrics(GetMetricsRequest(run_id, from_step, max_rows))).rows
 
 
 async def _download(client: "OrchestratorClient", run_id: str, name: str, path: Path) -> int:
@@ -163,15 +172,21 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
     Raises:
         FailedPrecondition: It did not succeed.
     """
-    name, way_back = f"run {run_id[:8]}", f"freerein runs watch {run_id}"
-    run = watching.watch(_changes(run_id), name=name, way_back=way_back, metrics=metrics, as_json=as_json)
+    run = job_display.watch(
+        _changes(run_id),
+        lambda: _connected(lambda client: _rows(client, run_id, 0, 0)),
+        name=f"run {run_id[:8]}",
+        command=f"freerein runs watch {run_id}",
+        metrics=metrics,
+        as_json=as_json,
+    )
     if not as_json:
         _show([run], as_json=False)
 
 
 async def _changes(run_id: str) -> "AsyncGenerator[Run, None]":
     from freerein.cli.connection import connect
-    from freerein.cli.following import follow_run
+    from freerein.cli.job_events import follow_run
     from freerein.clients import OrchestratorClient
 
     client = connect(OrchestratorClient, "orchestrator")
@@ -180,7 +195,11 @@ async def _changes(run_id: str) -> "AsyncGenerator[Run, None]":
             yield run
 
 
-async def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
+def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
+    return asyncio.run(_connected(ask))
+
+
+async def _connected(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
     from freerein.cli.connection import connect
     from freerein.clients import OrchestratorClient
 
@@ -200,18 +219,20 @@ def _show(runs: "Sequence[Run]", *, as_json: bool) -> None:
             run.id,
             run.kind,
             run.state,
-            steps_of(run),
+            steps_text(run),
             f"{run.model.name} {run.model.version}" if run.model else "",
-            run.error or watching.figures(run),
+            run.error or metrics_text(run),
         )
         for run in runs
     ]
-    show_table(("run", "kind", "state", "steps", "model", "figures"), rows)
+    show_table(("run", "kind", "state", "steps", "model", "metrics"), rows)
 
 
-def _show_artifacts(found: "Sequence[Artifact]", *, as_json: bool) -> None:
+def _list_artifacts(run_id: str, *, as_json: bool) -> None:
     from freerein import wire
+    from freerein.types.orchestrator import ListArtifactsRequest
 
+    found = _call(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
     if as_json:
         for artifact in found:
             print_json(wire.to_json(artifact))

@@ -1,7 +1,7 @@
 """A fit as a process of its own: `python -m freerein_imitation.fit FOLDER DATA_DIR DEVICE`.
 
 FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. The exit codes are those
-of `freerein.serving.fit_child.run`. The configuration's `policy` says which kind of policy is fitted.
+of `freerein.jobs.child`. The configuration's `policy` says which kind of policy is fitted.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import InvalidInput
-from freerein.serving import fit_child
+from freerein.jobs.child import run_child
 from freerein_imitation.fit import goal_conditioned, language, skills
 from freerein_imitation.fit.source import Source, open_source
 from freerein_imitation.model import GoalConditionedPolicy, LanguagePolicy, SkillsPolicy
@@ -51,10 +51,11 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
 def main(folder: Path, data_dir: Path, device: str) -> int:
     """Fits a model, or goes on fitting it; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        return _kind(values).train(folder, open_source(data_dir, dataset), values, device)
+    def train(asked: Mapping[str, Any]) -> bool:
+        config = asked["config"]
+        return _kind(config).train(folder, open_source(data_dir, asked["dataset"]), config, device)
 
-    return fit_child.run(folder, train)
+    return run_child(folder, train)
 
 
 def _kind(values: Mapping[str, Any]) -> _Kind:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.data.lookup import choose_camera
+from freerein.jobs.child import stop_on_sigterm
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedPolicy, Handshake
 from freerein_imitation.training import goal_conditioned
@@ -23,7 +24,7 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
         InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
     """
     config = GoalConditionedConfig.from_mapping(values)
-    config = replace(config, camera=fit_child.choose_camera(source.dataset, config.camera))
+    config = replace(config, camera=choose_camera(source.dataset, config.camera))
     choices = source.dataset.spec.action.choices
     goal_conditioned.design(config, timestep(source.dataset, config.camera), action_choices=choices)
     return asdict(config)

@@ -8,11 +8,12 @@ from typing import Any
 
 import torch
 
-from freerein.data import Dataset, teachers
+from freerein.data import Dataset, read_teachers
+from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.jobs.child import stop_on_sigterm
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device
-from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import Handshake, LanguageNetwork, LanguagePolicy, language_policy
 from freerein_imitation.model.text_tower import TextTower
@@ -31,7 +32,7 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
         FailedPrecondition: There is no text tower.
     """
     config = LanguageConfig.from_mapping(values)
-    config = replace(config, camera=fit_child.choose_camera(source.dataset, config.camera))
+    config = replace(config, camera=choose_camera(source.dataset, config.camera))
     minilm.check()
     untold = source.dataset.goal_texts.count("")
     if untold:
@@ -53,7 +54,7 @@ def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) 
         fitted = fit(learner, folder, stop=stop)
     if fitted is None:
         return False
-    card = {**_card(source.dataset, learner, fitted), **supervision_of(teachers.read(source.root))}
+    card = {**_card(source.dataset, learner, fitted), **supervision_of(read_teachers(source.root))}
     language_policy.save(fitted.network, tower, folder / "model", name=minilm.NAME, card=card)
     return True
 

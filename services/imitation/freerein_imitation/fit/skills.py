@@ -8,9 +8,10 @@ from typing import Any
 import torch
 
 from freerein.data import labels
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.data.lookup import choose_camera
+from freerein.jobs.child import stop_on_sigterm
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_imitation.fit.source import Source, timestep
 from freerein_imitation.model import Handshake, SkillsNetwork, SkillsPolicy
 from freerein_imitation.training import skills
@@ -26,7 +27,7 @@ def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
         FailedPrecondition: The dataset is not labelled.
     """
     config = SkillsConfig.from_mapping(values)
-    config = replace(config, camera=fit_child.choose_camera(source.dataset, config.camera))
+    config = replace(config, camera=choose_camera(source.dataset, config.camera))
     vocabulary, choices = labels.info(source.root).skills, source.dataset.spec.action.choices
     skills.design(config, timestep(source.dataset, config.camera), skills=vocabulary, action_choices=choices)
     return asdict(config)

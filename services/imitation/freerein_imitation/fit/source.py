@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import Dataset, dataset_path
-from freerein.serving import fit_child
+from freerein.data.lookup import open_dataset
 from freerein_imitation.training.exploration import Exploration
 
 
@@ -30,7 +30,7 @@ def open_source(data_dir: Path, name: str) -> Source:
         NotFound: There is none.
         InvalidInput: It cannot be learned from.
     """
-    return Source(dataset_path(data_dir, name), fit_child.open_dataset(data_dir, name))
+    return Source(dataset_path(data_dir, name), open_dataset(data_dir, name))
 
 
 def timestep(dataset: Dataset, camera: str) -> Exploration:

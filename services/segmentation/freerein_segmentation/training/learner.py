@@ -1,7 +1,6 @@
 """The learner of the segmentation network."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -9,8 +8,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.checkpoints import JSON
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import sample_frames
 from freerein.types.common import ActionSpec
@@ -79,11 +77,6 @@ class SegmentationLearner:
         """Number of training trajectories."""
         return len(self.training)
 
-    @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on."""
-        return {"config": asdict(self.config), "data": self.fingerprint}
-
     def init(self, generator: torch.Generator) -> State:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
@@ -94,12 +87,9 @@ class SegmentationLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
-        config = self.config
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        loss = self._losses(state.network, batch).mean()
-        lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
+        return fit_step(state, self._losses(state.network, batch).mean(), self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

@@ -6,7 +6,7 @@ import socket
 import sys
 
 from freerein.serving import logs
-from freerein_sim.workers.host import Host, serve
+from freerein_sim.workers.handler import RequestHandler, serve
 from freerein_sim.worlds.tasks import tasks
 
 
@@ -16,10 +16,10 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     logs.configure("sim")
     logging.getLogger().setLevel(logging.WARNING)
-    host = Host(tasks())
+    handler = RequestHandler(tasks())
     with socket.socket(fileno=int(sys.argv[1])) as connection:
-        serve(connection, host)
-    host.close()
+        serve(connection, handler)
+    handler.close()
 
 
 if __name__ == "__main__":

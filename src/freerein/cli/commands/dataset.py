@@ -11,7 +11,7 @@ from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput, NotFound
 
 if TYPE_CHECKING:
-    from freerein.data import Dataset, Problem, Summary
+    from freerein.data import Dataset, DatasetSummary, Problem
     from freerein.types.common import Trajectory
 
 app = typer.Typer(help="Inspect and check datasets.", no_args_is_help=True)
@@ -116,7 +116,7 @@ def choose_camera(dataset: "Dataset", camera: str) -> str:
     return camera or cameras[0]
 
 
-def _goal_texts(summary: "Summary") -> str:
+def _goal_texts(summary: "DatasetSummary") -> str:
     """Returns the trajectories' own goal texts, most frequent first."""
     counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
     own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
@@ -125,7 +125,7 @@ def _goal_texts(summary: "Summary") -> str:
     )
 
 
-def _rows(name: str, summary: "Summary") -> list[tuple[str, str]]:
+def _rows(name: str, summary: "DatasetSummary") -> list[tuple[str, str]]:
     spec = summary.spec
     cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
     action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers"

@@ -11,7 +11,7 @@ from freerein.cli.output import AsJson, command, print_json, progress_bar, show_
 
 if TYPE_CHECKING:
     from freerein.clients import SimClient
-    from freerein.clients.recording import Recording
+    from freerein.clients.dataset_recorder import DatasetRecorder
     from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, Task
 
 app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True)
@@ -97,26 +97,26 @@ async def record(
         FailedPrecondition: The dataset was recorded with other options.
         ServiceError: The service refused, or is gone.
     """
-    from freerein.cli.streams import unbroken
-    from freerein.clients.recording import Recording
+    from freerein.cli.streams import reconnecting
+    from freerein.clients.dataset_recorder import DatasetRecorder
     from freerein.types.sim import ListTasksRequest
 
-    with Recording(root, request, await client.list_tasks(ListTasksRequest())) as recording:
+    with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))
-        if not recording.is_whole:
-            async with aclosing(unbroken(lambda: _rest(client, recording))) as demonstrations:
+        if not recording.is_complete:
+            async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:
                 async for demonstration in demonstrations:
                     recording.append(demonstration)
                     on_count(len(recording))
         return len(recording)
 
 
-async def _rest(client: "SimClient", recording: "Recording") -> "AsyncGenerator[DemonstrateResponse, None]":
+async def _rest(client: "SimClient", recording: "DatasetRecorder") -> "AsyncGenerator[DemonstrateResponse, None]":
     """Yields the demonstrations that the dataset does not hold yet."""
-    async with aclosing(client.demonstrate(recording.rest)) as demonstrations:
+    async with aclosing(client.demonstrate(recording.remaining)) as demonstrations:
         async for demonstration in demonstrations:
             yield demonstration
-    recording.check_whole()
+    recording.check_complete()
 
 
 def _row(task: "Task") -> tuple[str, ...]:

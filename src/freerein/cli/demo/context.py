@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freerein.cli import following
+from freerein.cli import job_events
 from freerein.cli.commands.sim import record
 from freerein.cli.connection import channel_to
-from freerein.cli.course import Course
 from freerein.cli.demo.report import Reporter
+from freerein.cli.job_progress import JobProgress
 from freerein.cli.services import Endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, FitClient, OrchestratorClient, SimClient
@@ -83,7 +83,7 @@ class Context:
         self.reporter.command(f"freerein fit watch {fit.id} --service {service}")
         with self.reporter.progress(f"{service} {fit.model_name}", fit.steps) as advance:
             client = FitClient(self.channel(service))
-            async with client, aclosing(following.follow_fit(client, fit.id)) as changes:
+            async with client, aclosing(job_events.follow_fit(client, fit.id)) as changes:
                 async for fit in changes:
                     advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
         _check_succeeded(f"fit of {fit.model_name}", fit.state, fit.error)
@@ -94,7 +94,7 @@ class Context:
         async with OrchestratorClient(self.channel("orchestrator")) as client:
             return (await client.start_run(StartRunRequest(kind, config))).run.id
 
-    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> Course:
+    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
         """Shows a run's progress to its end; returns its curves.
 
         Args:
@@ -107,7 +107,7 @@ class Context:
         """
         self.reporter.command(f"freerein runs watch {run_id}")
         client = OrchestratorClient(self.channel("orchestrator"))
-        async with client, aclosing(following.follow_run(client, run_id)) as changes:
+        async with client, aclosing(job_events.follow_run(client, run_id)) as changes:
             with self.reporter.curves(name, metrics) as show:
                 async for run in changes:
                     curves = show(run)

@@ -13,10 +13,9 @@ from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freerein.cli.course import Course
-from freerein.cli.course_picture import draw
+from freerein.cli.job_display import draw
+from freerein.cli.job_progress import Job, JobProgress
 from freerein.cli.output import print_json
-from freerein.cli.underway import Underway
 
 _COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
@@ -142,20 +141,20 @@ class Reporter:
             yield advance
 
     @contextmanager
-    def curves(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Underway], Course]]:
+    def curves(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Job], JobProgress]]:
         """Yields a function that draws a run's curves and returns them."""
-        course = Course()
+        progress = JobProgress()
         with Live(
             console=self._console,
             auto_refresh=False,
-            get_renderable=lambda: Padding(draw(name, course, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
+            get_renderable=lambda: Padding(draw(name, progress, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
         ) as live:
 
-            def show(now: Underway) -> Course:
-                course.add(now, at_s=time.monotonic())
+            def show(now: Job) -> JobProgress:
+                progress.add(now, at_s=time.monotonic())
                 if self._console.is_terminal:
                     live.refresh()
-                return course
+                return progress
 
             yield show
         if not self._console.is_terminal:

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from freerein.atomic_files import fsync_folder, write_atomic
-from freerein.data import Dataset, dataset_path, teachers
+from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
@@ -149,7 +149,7 @@ def _write_card(context: RunContext, name: str, policies: Sequence[StoredPolicy]
     """Records, durably, that the dataset is complete; only then is it published."""
     dataset = Dataset(context.folder / ROLLOUTS)
     cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
-    teachers.save(context.folder / ROLLOUTS, cards)
+    save_teachers(context.folder / ROLLOUTS, cards)
     card = {
         "dataset": name,
         "trajectories": len(dataset),
