@@ -2,8 +2,7 @@
 
 import typer
 
-from freerein.cli import fit, models, runs
-from freerein.cli.commands import act, dataset, reward, segment, sim, up
+from freerein.cli.commands import act, dataset, fit, models, reward, runs, segment, sim, up
 from freerein.cli.demo import demo
 from freerein.cli.doctor import doctor
 
