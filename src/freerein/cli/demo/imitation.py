@@ -8,7 +8,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import landmarks
-from freerein.cli.demo.evaluation.landmarks import Pursuit, ReachedRates
+from freerein.cli.demo.evaluation.landmarks import LandmarkPursuit, ReachedRates
 from freerein.cli.demo.pictures import FilmstripGoal
 from freerein.cli.demo.report import Figure
 from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
@@ -107,7 +107,7 @@ def _measure(
 ) -> GoalImageResult:
     """Returns the result over those robots whose exploration did not end before its last landmark."""
     indices, confidences = np.stack(policy.goal_index), np.stack(policy.confidence)  # (T, N)
-    pursuits: dict[int, Pursuit] = {}
+    pursuits: dict[int, LandmarkPursuit] = {}
     at_random, block_moves, confidence, truth = [], [], [], []
     for robot in np.flatnonzero(explored.lengths > _EXPLORATION_STEPS).tolist():
         targets = explored.states[_LANDMARK_STEPS, robot]
@@ -135,7 +135,7 @@ def _measure(
 
 
 def _filmstrip(
-    explored: Rollout, followed: Rollout, policy: ServedPolicy, pursuit: Pursuit, robot: int
+    explored: Rollout, followed: Rollout, policy: ServedPolicy, pursuit: LandmarkPursuit, robot: int
 ) -> tuple[FilmstripGoal, ...]:
     """Returns the landmarks that a robot was done with."""
     goals = _goal_images(explored)[robot]

@@ -9,7 +9,7 @@ import numpy as np
 
 from freerein.cli.demo import reward
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
-from freerein.cli.demo.pictures import Bar
+from freerein.cli.demo.pictures import IntervalBar
 from freerein.cli.demo.report import Figure
 from freerein.metrics import mean_interval
 
@@ -175,7 +175,7 @@ def _evaluation(context: Context, side: str, policy: str | dict[str, Any]) -> di
     return {"task": TASKS[side], "policy": policy, "episodes": _EPISODES, "num_envs": _EPISODES, "seed": seed}
 
 
-def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, list[Bar]]:
+def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, list[IntervalBar]]:
     """Returns the bars of the picture by the title of their panel."""
     told = {
         side: {f'student,\ntold "{told}"': student.returns[side, told] for told in sorted(SIDES, key=side.__ne__)}
@@ -184,7 +184,7 @@ def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> 
     left = {"random": baselines["random-left"], "checkpoint": baselines["checkpoint"], "ppo": ppo.returns}
     groups = {"left": {**left, **told["left"]}, "right": {"random": baselines["random-right"], **told["right"]}}
     return {
-        f"{side}-of: steps at the goal": [Bar(name, each.mean, each.interval) for name, each in group.items()]
+        f"{side}-of: steps at the goal": [IntervalBar(name, each.mean, each.interval) for name, each in group.items()]
         for side, group in groups.items()
     }
 
