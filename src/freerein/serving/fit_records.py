@@ -14,7 +14,7 @@ from typing import Any
 from freerein import wire
 from freerein.atomic_files import write_atomic
 from freerein.errors import NotFound
-from freerein.serving.schemas import schema_of
+from freerein.serving.rest.schemas import schema_of
 from freerein.types.common import check_id
 from freerein.types.learning import Fit, StartFitRequest
 
