@@ -15,14 +15,14 @@ from fastapi import FastAPI
 from freerein import errors, wire
 from freerein.clients.grpc_errors import service_error
 from freerein.errors import ServiceError
+from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcServer
-from freerein.serving.schemas import schema_of
+from freerein.serving.rest.app import make_app
+from freerein.serving.rest.schemas import schema_of
 
 
 class Door(Protocol):

@@ -43,7 +43,7 @@ MODULES = {
     "orchestrator": "freerein_orchestrator",
 }
 RECOVERY_S = 10.0
-IN_FLIGHT = re.compile(r'^freerein_calls_in_flight\{door="grpc"\} (\S+)$', re.MULTILINE)
+IN_FLIGHT = re.compile(r'^freerein_calls_in_flight\{protocol="grpc"\} (\S+)$', re.MULTILINE)
 _PATIENT = RestartPolicy(longest_delay_s=0.5, crashes=1000)  # every kill is the first
 
 

@@ -120,8 +120,8 @@ async def stop_under_load(faulty: Any) -> None:
     assert not child.is_running()
 
 
-REST = 'freerein_calls_in_flight{door="rest"}'  # of which one is the reading of the metrics
-GRPC = 'freerein_calls_in_flight{door="grpc"}'
+REST = 'freerein_calls_in_flight{protocol="rest"}'  # of which one is the reading of the metrics
+GRPC = 'freerein_calls_in_flight{protocol="grpc"}'
 
 
 def refuses(faulty: Any) -> bool:

@@ -11,12 +11,12 @@ from freerein import wire
 from freerein.api.reward.v1 import reward_pb2
 from freerein.clients import Channel, RewardClient
 from freerein.errors import InvalidInput
+from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcServer
+from freerein.serving.rest.app import make_app
 from freerein.types.reward import RewardRequest
 
 

@@ -1,4 +1,4 @@
-"""The gRPC door: a grpc.aio server made from a service's methods, with health and reflection."""
+"""The gRPC server of a service: its methods, health and reflection."""
 
 import asyncio
 import contextlib
@@ -17,28 +17,33 @@ from grpc_reflection.v1alpha import reflection
 
 from freerein import wire
 from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError
-from freerein.serving import auth, grpc_errors
+from freerein.serving import auth
+from freerein.serving.error_replies import abort_grpc, internal_error
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, StreamSlots
 from freerein.serving.methods import InvalidMessage, Method, service_names
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
-_HEALTH = "/grpc.health.v1.Health/"
-_WINDOW_BYTES = 4 * 2**20
+_HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
+_HEALTH_PERIOD_S = 0.2
+_LOOKAHEAD_BYTES = 4 * 2**20
 _Context = grpc.aio.ServicerContext[Any, Any]
 T = TypeVar("T")
 
 
 class GrpcServer:
-    """The gRPC door of one service.
+    """The gRPC server of one service.
 
     Args:
-        methods: What it answers.
-        health: Tells readiness, and when draining.
-        metrics: Where calls are counted.
-        limits: The bounds.
+        methods: The service's methods.
+        health: Readiness.
+        metrics: Counts the calls.
+        limits: Size, time and stream limits.
         token: Bearer token that calls must carry; empty for none.
+
+    Attributes:
+        server: The `grpc.aio` server, to bind, start and stop.
     """
 
     def __init__(
@@ -51,20 +56,20 @@ class GrpcServer:
         self._names = service_names(methods)
         self._health_servicer = health_aio.HealthServicer()
         self.server = grpc.aio.server(
-            interceptors=[_Auth(token)] if token else [],
+            interceptors=[_TokenInterceptor(token)] if token else [],
             maximum_concurrent_rpcs=limits.concurrent_calls,
             options=[
                 ("grpc.max_receive_message_length", limits.message_bytes),
                 ("grpc.max_send_message_length", limits.message_bytes),
-                ("grpc.so_reuseport", 0),  # a taken port is an error, not a share
+                ("grpc.so_reuseport", 0),  # a port in use is an error
                 ("grpc.http2.min_ping_interval_without_data_ms", 1_000),
                 ("grpc.keepalive_permit_without_calls", 1),
                 ("grpc.keepalive_time_ms", 10_000),
                 ("grpc.http2.ping_timeout_ms", 1_000),
-                # Probes of the bandwidth are pings, too, whose answers queue behind the data that they measure: on a
-                # thin line they would time out. Without them the window is as large as they might have made it.
+                # Bandwidth probes are pings whose replies queue behind data, so on a slow line they time out. Without
+                # them the flow control window is set to the size that they would find.
                 ("grpc.http2.bdp_probe", 0),
-                ("grpc.http2.lookahead_bytes", _WINDOW_BYTES),
+                ("grpc.http2.lookahead_bytes", _LOOKAHEAD_BYTES),
             ],
         )
         for name in self._names:
@@ -72,16 +77,14 @@ class GrpcServer:
             handlers = {method.name: self._handler(method) for method in own}
             self.server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(name, handlers),))
         health_pb2_grpc.add_HealthServicer_to_server(self._health_servicer, self.server)
-        reflection.enable_server_reflection(
-            (*self._names, health_pb2.DESCRIPTOR.services_by_name["Health"].full_name, reflection.SERVICE_NAME),
-            self.server,
-        )
+        reflection.enable_server_reflection((*self._names, _HEALTH_SERVICE, reflection.SERVICE_NAME), self.server)
 
     async def report_health(self) -> None:
-        """Keeps the standard health service at what `health` says, until draining."""
+        """Copies readiness to the standard health service until the graceful shutdown begins."""
         status: int | None = None
+        states = health_pb2.HealthCheckResponse
         while not self._health.draining:
-            now = _NOT_SERVING if self._health.reason() else _SERVING
+            now = states.NOT_SERVING if self._health.reason() else states.SERVING
             if now != status:
                 status = now
                 for name in ("", *self._names):
@@ -90,7 +93,7 @@ class GrpcServer:
         await self._health_servicer.enter_graceful_shutdown()
 
     def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
-        """Returns what grpc calls, with the bytes as they came: what cannot be read is answered by an error of ours."""
+        """Returns a handler of raw bytes, so that messages that cannot be parsed are answered with our own error."""
         if method.descriptor.client_streaming:
             return grpc.stream_stream_rpc_method_handler(self._streaming(method))
         if method.descriptor.server_streaming:
@@ -103,30 +106,31 @@ class GrpcServer:
                 if self._health.draining:
                     raise self._health.error()
                 try:
-                    async with asyncio.timeout(_seconds(context, self._limits.unary_s)):
-                        return wire.pack(await method.call(_read(message, method.request))).SerializeToString()
+                    async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
+                        return wire.pack(await method.call(_decode(message, method.request))).SerializeToString()
                 except TimeoutError:
-                    raise DeadlineExceeded("The answer was not ready in time.", hint="Send less per call.") from None
+                    raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
 
-            return cast(bytes, await self._guarded(method, context, work()))
+            return cast(bytes, await self._run(method, context, work()))
 
         return answer
 
     def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
+        decode: Any = _decode_stream if method.descriptor.client_streaming else _decode
+
         async def answer(incoming: Any, context: _Context) -> None:
             async def work() -> None:
                 with self._slots.hold():
-                    read: Any = _requests if method.descriptor.client_streaming else _read
-                    async with contextlib.aclosing(method.call(read(incoming, method.request))) as responses:
+                    async with contextlib.aclosing(method.call(decode(incoming, method.request))) as responses:
                         async for response in responses:
                             await context.write(wire.pack(response).SerializeToString())
 
-            await self._guarded(method, context, work())
+            await self._run(method, context, work())
 
         return answer
 
-    async def _guarded(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
-        """Awaits a call's work; counts it, logs it, and turns its errors into statuses."""
+    async def _run(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
+        """Awaits the work of a call; counts it, logs it, and turns exceptions into gRPC statuses."""
         started, code, request_id = time.perf_counter(), "ok", _request_id(context)
         try:
             with (
@@ -136,7 +140,7 @@ class GrpcServer:
                 return await work
         except ServiceError as error:
             code = error.code
-            await grpc_errors.abort(context, error, request_id)
+            await abort_grpc(context, error, request_id)
         except asyncio.CancelledError:
             code = Cancelled.code
             self._metrics.cancelled.labels("grpc").inc()
@@ -144,52 +148,43 @@ class GrpcServer:
         except Exception:
             code = Internal.code
             _log.exception("bug", extra={"route": method.name, "request_id": request_id})
-            bug = Internal("A bug of ours; the log says more.", hint="Report it with the request id.")
-            await grpc_errors.abort(context, bug, request_id)
+            await abort_grpc(context, internal_error(), request_id)
         finally:
             seconds = time.perf_counter() - started
-            asyncio.get_running_loop().call_soon(self._account, method, code, seconds, request_id)  # the reply first
+            # called after the reply has been written
+            asyncio.get_running_loop().call_soon(self._record, method, code, seconds, request_id)
 
-    def _account(self, method: Method, code: str, seconds: float, request_id: str) -> None:
-        """Counts and logs a call that is over."""
+    def _record(self, method: Method, code: str, seconds: float, request_id: str) -> None:
         self._metrics.calls.labels("grpc", method.name, code).inc()
         self._metrics.latency.labels("grpc", method.name).observe(seconds)
-        _log.info(
-            "call",
-            extra={"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id},
-        )
+        fields = {"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id}
+        _log.info("call", extra=fields)
 
 
-_SERVING = health_pb2.HealthCheckResponse.SERVING
-_NOT_SERVING = health_pb2.HealthCheckResponse.NOT_SERVING
-_HEALTH_PERIOD_S = 0.2
-
-
-class _Auth(grpc.aio.ServerInterceptor):
-    """Refuses calls without the token, before their message is read; health checks need none."""
+class _TokenInterceptor(grpc.aio.ServerInterceptor):
+    """Refuses calls without the token before their message is read; health checks need none."""
 
     def __init__(self, token: str) -> None:
         self._token = token
 
     async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
-        if details.method.startswith(_HEALTH):
-            return await continuation(details)
-        metadata = dict(details.invocation_metadata or ())
         try:
-            auth.check(str(metadata.get("authorization", "")), self._token)
+            if not details.method.startswith(f"/{_HEALTH_SERVICE}/"):
+                metadata = dict(details.invocation_metadata or ())
+                auth.check(str(metadata.get("authorization", "")), self._token)
         except ServiceError as error:
-            return _refusal(error)
+            return _refusing_handler(error)
         return await continuation(details)
 
 
-def _refusal(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
+def _refusing_handler(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
     async def refuse(_messages: Any, context: _Context) -> None:
-        await grpc_errors.abort(context, error, _request_id(context))
+        await abort_grpc(context, error, _request_id(context))
 
     return grpc.stream_stream_rpc_method_handler(refuse)
 
 
-def _read(message: bytes, cls: type[T]) -> T:
+def _decode(message: bytes, cls: type[T]) -> T:
     return wire.unpack(_parse(message, cls), cls)
 
 
@@ -203,22 +198,20 @@ def _parse(message: bytes, cls: type[Any]) -> Message:
         ) from None
 
 
-async def _requests(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
-    """Yields each message as its dataclass, or as the `InvalidMessage` that says why it is none."""
+async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
+    """Yields each message as its dataclass, or as an `InvalidMessage`."""
     async for message in messages:
-        yield _request(message, cls)
+        parsed: Message | None = None
+        decoded: Any
+        try:
+            parsed = _parse(message, cls)
+            decoded = wire.unpack(parsed, cls)
+        except ServiceError as error:
+            decoded = InvalidMessage(error, parsed)
+        yield decoded
 
 
-def _request(message: bytes, cls: type[Any]) -> Any:
-    parsed: Message | None = None
-    try:
-        parsed = _parse(message, cls)
-        return wire.unpack(parsed, cls)
-    except ServiceError as error:
-        return InvalidMessage(error, parsed)
-
-
-def _seconds(context: _Context, longest: float) -> float:
+def _timeout_s(context: _Context, longest: float) -> float:
     remaining = context.time_remaining()
     return longest if remaining is None else min(longest, remaining)
 

@@ -1,6 +1,6 @@
-"""Pydantic models of protobuf messages, for REST: the same fields, the same names, nothing unknown, nothing infinite.
+"""Pydantic models of protobuf messages, for REST: the same field names, no unknown fields, finite numbers only.
 
-They check the form of a request; its meaning is checked by the core, alike for both doors.
+They check the types of a request; the core checks its values, for REST and gRPC alike.
 """
 
 import binascii
@@ -23,7 +23,7 @@ _INTEGERS = {
 
 
 class Schema(BaseModel):
-    """A message as JSON. Attributes are named like the message's fields."""
+    """Base of all models. Attributes have the names of the message's fields."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
@@ -32,14 +32,14 @@ _NOT_BASE64 = "must be base64 with padding and without spaces"
 
 
 def _bytes(value: object) -> object:
-    """Decodes strict base64; bytes are what a multipart file already is."""
+    """Decodes strict base64; a multipart file is bytes already."""
     if not isinstance(value, str):
         return value
     try:
         decoded = b64decode(value, validate=True)
     except (binascii.Error, ValueError):
         raise ValueError(_NOT_BASE64) from None
-    if len(value) != (len(decoded) + 2) // 3 * 4:  # more padding than there has to be
+    if len(value) != (len(decoded) + 2) // 3 * 4:  # too much padding
         raise ValueError(_NOT_BASE64)
     return decoded
 
@@ -58,7 +58,7 @@ def schema_of(message: Descriptor) -> type[Schema]:
     return create_model(message.name, __base__=Schema, __doc__=documentation.partition("\n")[0], **fields)
 
 
-_TENSOR_DOC = "An array: its datatype, its shape, and its elements in C order, little-endian, as base64."
+_TENSOR_DOC = "An array: datatype, shape, and the elements in C order, little-endian, as base64."
 
 
 def _tensor_fields() -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _tensor_fields() -> dict[str, Any]:
 
 
 def _field(field: FieldDescriptor) -> Any:
-    """Returns (type, default) as protobuf has it: unset numbers are 0, unset messages None; plain enums must be set."""
+    """Returns (type, default) as in protobuf: unset numbers are 0, unset messages None; enums are required."""
     message = field.message_type
     if message is not None and message.GetOptions().map_entry:
         return dict[str, _type(message.fields_by_name["value"])], {}  # type: ignore[misc]  # a type made at run time

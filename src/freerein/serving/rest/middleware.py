@@ -1,37 +1,38 @@
-"""What every HTTP request passes first, before its body is read: id, token, sizes, one log line, metrics."""
+"""ASGI middleware of the REST API: request id, token, size limits, one log line and metrics per request."""
 
 import logging
 import re
 import time
 import uuid
 from collections.abc import Set
-from typing import Any
 
 import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from freerein.errors import Cancelled, Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
-from freerein.serving import auth, problems
+from freerein.serving import auth
+from freerein.serving.error_replies import internal_error, problem_document, problem_headers
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 
+MAX_HEADER_BYTES = 16 * 1024
+
 _log = logging.getLogger(__name__)
-_OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
-_HEADERS = 100
-HEADER_BYTES = 16 * 1024
+_PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
+_MAX_HEADERS = 100
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
-class Edge:
+class RequestMiddleware:
     """Pure ASGI middleware around the whole app.
 
     Args:
-        app: What it guards.
-        metrics: Where calls are counted.
-        limits: The bounds.
+        app: The app.
+        metrics: Counts the calls.
+        limits: Size limits.
         token: Bearer token that calls must carry; empty for none.
-        paths: Known paths: the only ones that become labels of metrics.
+        paths: Known paths, the only ones that become metric labels.
     """
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics, limits: Limits, token: str, paths: Set[str]) -> None:
@@ -40,7 +41,7 @@ class Edge:
         self._limits = limits
         self._token = token
         self._paths = paths
-        self._buffered = 0
+        self._buffered_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serves one request."""
@@ -56,47 +57,49 @@ class Edge:
             self._metrics.in_flight.labels("rest").track_inprogress(),
         ):
             try:
-                self._admit(scope, headers)
-                await self._bounded(scope, receive, reply)
+                self._check_headers(scope, headers)
+                await self._run_app(scope, receive, reply)
             except ServiceError as error:
                 scope["freerein.code"] = error.code
                 await reply.problem(error)
             except Exception:  # every other exception is a bug
                 scope["freerein.code"] = Internal.code
-                _log.exception("bug", extra={"route": scope["path"] if scope["path"] in self._paths else "other"})
+                _log.exception("bug", extra={"route": self._label(scope)})
                 if reply.status:
                     raise
-                bug = Internal("A bug of ours; the log says more.", hint="Report it with the request id.")
-                await reply.problem(bug)
+                await reply.problem(internal_error())
             finally:
                 self._record(scope, reply.status, time.perf_counter() - started)
 
-    def _admit(self, scope: Scope, headers: Headers) -> None:
+    def _check_headers(self, scope: Scope, headers: Headers) -> None:
         size = len(scope["path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
-        if len(headers) > _HEADERS or size > HEADER_BYTES:
+        if len(headers) > _MAX_HEADERS or size > MAX_HEADER_BYTES:
             raise MalformedRequest(
-                f"A request may have at most {_HEADERS} headers and {HEADER_BYTES // 1024} KiB of them and of its URL; "
-                "it has more.",
-                hint="Send what is long in the body.",
+                f"A request may have at most {_MAX_HEADERS} headers, and {MAX_HEADER_BYTES // 1024} KiB of headers and "
+                "URL; got more.",
+                hint="Send long values in the body.",
             )
-        if scope["path"] not in _OPEN_PATHS:
+        if scope["path"] not in _PATHS_WITHOUT_TOKEN:
             auth.check(headers.get("authorization", ""), self._token)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(
-                "The body must come without Content-Encoding; it names one.", hint="Send it uncompressed."
+                "The body must have no Content-Encoding; the header names one.", hint="Send the body uncompressed."
             )
         if "content-length" in headers and "transfer-encoding" in headers:
-            raise MalformedRequest("A body has one length; two headers tell of it.", hint="Leave it to the client.")
+            raise MalformedRequest(
+                "A request must have Content-Length or Transfer-Encoding; got both.",
+                hint="Let the HTTP client set them.",
+            )
         length = headers.get("content-length", "0")
         if not length.isascii() or not length.isdecimal():
             raise MalformedRequest(
-                "Content-Length must be a number of bytes; it is not.", hint="Leave it to the client."
+                "Content-Length must be a number of bytes; got something else.", hint="Let the HTTP client set it."
             )
         if int(length[:20]) > self._limits.message_bytes:
             raise self._too_large()
 
-    async def _bounded(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Runs the app with a body that ends in an error as soon as it is over a limit."""
+    async def _run_app(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Runs the app; receiving the body raises an error as soon as a size limit is exceeded."""
         received = 0
 
         async def bounded_receive() -> Message:
@@ -104,47 +107,49 @@ class Edge:
             message = await receive()
             size = len(message.get("body", b""))
             received += size
-            self._buffered += size
+            self._buffered_bytes += size
             if received > self._limits.message_bytes:
                 raise self._too_large()
-            if self._buffered > self._limits.buffered_bytes:
-                raise Overloaded("The service holds as many bodies as it may.", hint="Try again after Retry-After.")
+            if self._buffered_bytes > self._limits.buffered_bytes:
+                raise Overloaded(
+                    f"Request bodies may take at most {self._limits.buffered_bytes} bytes together; got more.",
+                    hint="Retry after Retry-After.",
+                )
             return message
 
         try:
             await self._app(scope, bounded_receive, send)
         finally:
-            self._buffered -= received
+            self._buffered_bytes -= received
 
     def _too_large(self) -> TooLarge:
         return TooLarge(
-            f"The body may have at most {self._limits.message_bytes} bytes; it has more.", hint="Send less per call."
+            f"The body may have at most {self._limits.message_bytes} bytes; got more.", hint="Send less per call."
         )
 
+    def _label(self, scope: Scope) -> str:
+        return scope["path"] if scope["path"] in self._paths else "other"
+
     def _record(self, scope: Scope, status: int, seconds: float) -> None:
-        path = scope["path"] if scope["path"] in self._paths else "other"
-        code = scope.get("freerein.code", _code(status))
+        path, code = self._label(scope), scope.get("freerein.code", _code(status))
         self._metrics.calls.labels("rest", path, code).inc()
         self._metrics.latency.labels("rest", path).observe(seconds)
-        if code == "cancelled":
+        if code == Cancelled.code:
             self._metrics.cancelled.labels("rest").inc()
         if path != "other":
-            _log.info("request", extra=_fields(scope["method"], path, status, seconds))
+            fields = {"method": scope["method"], "route": path, "status": status, "ms": round(seconds * 1e3, 3)}
+            _log.info("request", extra=fields)
 
 
 def _code(status: int) -> str:
-    """Returns the code of a reply that no `ServiceError` gave; status 0 is none: the server stopped first."""
+    """Returns the code of a reply without a `ServiceError`; status 0 means that the server stopped first."""
     if not status:
         return Cancelled.code
     return "ok" if status < 400 else "other"
 
 
-def _fields(method: str, path: str, status: int, seconds: float) -> dict[str, Any]:
-    return {"method": method, "route": path, "status": status, "ms": round(seconds * 1e3, 3)}
-
-
 class _Reply:
-    """The response as it leaves: remembers its status, carries the request id, begins once."""
+    """Wraps `send`: records the status, adds the request id header, and sends at most one response."""
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send = send
@@ -154,17 +159,17 @@ class _Reply:
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            names = {name for name, _ in message["headers"]}
-            if b"x-request-id" not in names:
+            if b"x-request-id" not in dict(message["headers"]):
                 message["headers"] = [*message["headers"], (b"x-request-id", self._request_id.encode())]
         await self._send(message)
 
     async def problem(self, error: ServiceError) -> None:
+        """Sends an error, unless the response has started already."""
         if self.status:
-            return  # too late: the reply has begun
-        headers = [(k.encode(), v.encode()) for k, v in problems.headers(error, self._request_id).items()]
+            return
+        headers = [(k.encode(), v.encode()) for k, v in problem_headers(error, self._request_id).items()]
         await self({"type": "http.response.start", "status": error.http_status, "headers": headers})
-        await self({"type": "http.response.body", "body": problems.document(error, self._request_id)})
+        await self({"type": "http.response.body", "body": problem_document(error, self._request_id)})
 
 
 def _request_id(headers: Headers) -> str:

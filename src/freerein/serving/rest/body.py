@@ -1,7 +1,7 @@
-"""A REST request's bytes to a dataclass: JSON, or multipart, or a query.
+"""Decodes the body or query of a REST request into its dataclass.
 
-One rule for the last two: a part or parameter is named by the dotted path of its field (`model.name`); a repeated name
-appends; a part for a message is JSON, a file is an image, anything else is plain text.
+A body is JSON or multipart/form-data. In multipart and in a query, a name is the dotted path of a field
+(`model.name`), a repeated name appends, a part for a message is JSON, a file is an image, and anything else is text.
 
     curl -F images=@0.png -F images=@1.png -F smoothing=1.5 localhost:8101/v1/segment
 """
@@ -9,7 +9,7 @@ appends; a part for a message is JSON, a file is an image, anything else is plai
 import asyncio
 import re
 from collections.abc import AsyncGenerator, Iterable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import orjson
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
@@ -21,37 +21,40 @@ from starlette.requests import ClientDisconnect, Request
 
 from freerein import images, wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
-from freerein.serving.schemas import STRUCT, schema_of
+from freerein.serving.rest.schemas import STRUCT, schema_of
 
 T = TypeVar("T")
 
-_INLINE_BYTES = 64 * 1024  # above it, parsing leaves the event loop
-_PARTS = 20_000
-_PART_BYTES = 64 * 2**20
-_VALUES = 1_000_000
-_LONGEST_FIELD = 200
+_MAX_INLINE_BYTES = 64 * 1024  # longer bodies are parsed off the event loop
+_MAX_PARTS = 20_000
+_MAX_PART_BYTES = 64 * 2**20
+_MAX_VALUES = 1_000_000
+_MAX_FIELD_NAME = 200
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
 
 
 async def read(request: Request, cls: type[T]) -> T:
-    """Returns the dataclass that a request's body holds, in whichever of the two media types it came.
+    """Returns the dataclass in a request's body.
 
     Raises:
-        UnsupportedMedia: Neither `application/json` nor `multipart/form-data`, or another charset than UTF-8.
+        UnsupportedMedia: Neither `application/json` nor `multipart/form-data`, or a charset other than UTF-8.
         MalformedRequest: The multipart framing is broken.
-        InvalidInput: The content is not what `cls` says.
-        TooLarge: Over the body limit.
+        InvalidInput: The content does not match `cls`.
+        TooLarge: The body exceeds its limit.
     """
     media_type, parameters = parse_options_header(request.headers.get("content-type", ""))
     if parameters.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"utf8"):
         raise UnsupportedMedia(
-            "The body must be in UTF-8; its Content-Type names another charset.", hint="Leave it out."
+            "The body must be in UTF-8; its Content-Type names another charset.", hint="Omit the charset."
         )
     if media_type == b"application/json":
-        body = await _receive(request)
-        parse = _parse_json if len(body) <= _INLINE_BYTES else _parse_json_in_thread
-        result = parse(body, cls)
-        return cast(T, await result if asyncio.iscoroutine(result) else result)
+        try:
+            body = await request.body()
+        except ClientDisconnect:
+            raise _disconnected() from None
+        if len(body) <= _MAX_INLINE_BYTES:
+            return _parse_json(body, cls)
+        return await asyncio.to_thread(_parse_json, body, cls)
     if media_type == b"multipart/form-data":
         return await _read_multipart(request, cls)
     raise UnsupportedMedia(
@@ -61,23 +64,16 @@ async def read(request: Request, cls: type[T]) -> T:
 
 
 def read_query(request: Request, cls: type[T]) -> T:
-    """Returns the dataclass that a request's query holds.
+    """Returns the dataclass in a request's query.
 
     Raises:
-        InvalidInput: An unknown, repeated or ill-formed parameter.
+        InvalidInput: A parameter is unknown, repeated or invalid.
     """
     return _from_parts(request.query_params.multi_items(), cls)
 
 
-async def _receive(request: Request) -> bytes:
-    try:
-        return await request.body()
-    except ClientDisconnect:
-        raise Cancelled("The caller went away before the body was complete.") from None
-
-
-async def _parse_json_in_thread(body: bytes, cls: type[T]) -> T:
-    return await asyncio.to_thread(_parse_json, body, cls)
+def _disconnected() -> Cancelled:
+    return Cancelled("The client disconnected before the body was complete.")
 
 
 def _parse_json(body: bytes, cls: type[T]) -> T:
@@ -85,29 +81,27 @@ def _parse_json(body: bytes, cls: type[T]) -> T:
         value = _loads(body)
     except orjson.JSONDecodeError:
         raise InvalidInput(
-            "The body must be JSON in UTF-8 with finite numbers; it could not be read as that.",
-            hint="NaN, Infinity, a byte-order mark, lone surrogates and very deep nesting are not JSON.",
+            "The body must be JSON in UTF-8 with finite numbers; it could not be parsed.",
+            hint="NaN, Infinity, a byte-order mark, lone surrogates and very deep nesting are not allowed.",
         ) from None
     if _repeats_a_key(body, value):
-        raise InvalidInput(
-            "Every key of a JSON object must be there once; one is repeated.", hint="Send each field once."
-        )
+        raise InvalidInput("Keys of a JSON object must be unique; one is repeated.", hint="Send each field once.")
     return _validated(value, cls, strict=True)
 
 
 def _loads(data: bytes) -> Any:
-    """Returns what JSON says, unless it would take much more memory than its bytes: values of two bytes take sixty."""
-    if sum(map(data.count, (b",", b"[", b"{"))) > _VALUES:
+    """Parses JSON of a bounded number of values, since a value of two bytes takes about sixty in memory."""
+    if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
         raise InvalidInput(
-            f"JSON may hold at most {_VALUES} values; it holds more.", hint="Send arrays as tensors: raw is base64."
+            f"JSON may hold at most {_MAX_VALUES} values; got more.", hint="Send arrays as tensors: raw is base64."
         )
     return orjson.loads(data)
 
 
 def _repeats_a_key(body: bytes, value: object) -> bool:
-    """Tells whether a parsed body had more keys than were kept: each pair has one colon outside of strings."""
-    kept = _count_pairs(value)
-    return body.count(b":") != kept and _STRING.sub(b"", body).count(b":") != kept
+    """Returns whether an object had duplicate keys: then the body has more colons outside strings than parsed pairs."""
+    pairs = _count_pairs(value)
+    return body.count(b":") != pairs and _STRING.sub(b"", body).count(b":") != pairs
 
 
 def _count_pairs(value: object) -> int:
@@ -123,17 +117,17 @@ def _count_pairs(value: object) -> int:
 
 
 async def _read_multipart(request: Request, cls: type[T]) -> T:
-    parser = _WholeParser(
-        request.headers, request.stream(), max_files=_PARTS, max_fields=_PARTS, max_part_size=_PART_BYTES
+    parser = _StrictParser(
+        request.headers, request.stream(), max_files=_MAX_PARTS, max_fields=_MAX_PARTS, max_part_size=_MAX_PART_BYTES
     )
     try:
         form = await parser.parse()
     except ClientDisconnect:
-        raise Cancelled("The caller went away before the body was complete.") from None
+        raise _disconnected() from None
     except (MultiPartException, UnicodeError):
         raise MalformedRequest(
-            f"The body must be well-formed multipart/form-data of at most {_PARTS} parts; it is not.",
-            hint="Let your HTTP client write the boundary: with curl, -F field=value.",
+            f"The body must be well-formed multipart/form-data of at most {_MAX_PARTS} parts; it is not.",
+            hint="Let the HTTP client write the boundary: with curl, -F field=value.",
         ) from None
     try:
         parts = [(name, await _content(part)) for name, part in form.multi_items()]
@@ -142,8 +136,8 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
     return await asyncio.to_thread(_from_parts, parts, cls)
 
 
-class _WholeParser(MultiPartParser):
-    """Starlette's parser, which by itself takes a body that breaks off before its last boundary for a whole one."""
+class _StrictParser(MultiPartParser):
+    """Starlette's parser, and an error where the body ends before its last boundary, which Starlette accepts."""
 
     _ended = False
 
@@ -151,10 +145,10 @@ class _WholeParser(MultiPartParser):
         self._ended = True
 
     async def parse(self) -> FormData:
-        self.stream = self._to_its_end(self.stream)
+        self.stream = self._until_boundary(self.stream)
         return await super().parse()
 
-    async def _to_its_end(self, stream: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
+    async def _until_boundary(self, stream: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
         async for chunk in stream:
             yield chunk
         if not self._ended:
@@ -166,7 +160,7 @@ async def _content(part: UploadFile | str) -> bytes | str:
 
 
 def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
-    """Builds the request from (dotted name, content) pairs."""
+    """Builds the dataclass from (dotted field name, content) pairs."""
     tree: dict[str, Any] = {}
     for name, content in parts:
         node, message = tree, wire.descriptor_of(cls)
@@ -174,16 +168,16 @@ def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
         for parent in parents:
             field = _field(message, parent)
             if field.message_type is None or field.is_repeated or field.message_type.full_name == STRUCT:
-                raise _no_such_field()
+                raise _unknown_field()
             message = field.message_type
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
                 raise _repeated(field)
-        _put(node, _field(message, last), content)
+        _insert(node, _field(message, last), content)
     return _validated(tree, cls, strict=False)
 
 
-def _put(node: dict[str, Any], field: FieldDescriptor, content: bytes | str) -> None:
+def _insert(node: dict[str, Any], field: FieldDescriptor, content: bytes | str) -> None:
     value = _part_value(field, content)
     if field.name not in node:
         node[field.name] = [value] if _appends(field, content) else value
@@ -206,7 +200,7 @@ def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
         return _loads(content.encode())
     except orjson.JSONDecodeError:
         raise InvalidInput(
-            f"`{field.name}` must be JSON in a text part; it could not be read as that.",
+            f"`{field.name}` must be JSON in a text part; it could not be parsed.",
             field=field.name,
             hint="For an image, send a file: with curl, -F images=@frame.png.",
         ) from None
@@ -215,17 +209,17 @@ def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
 def _field(message: Descriptor, name: str) -> FieldDescriptor:
     field = message.fields_by_name.get(name)
     if field is None:
-        raise _no_such_field()
+        raise _unknown_field()
     return field
 
 
 def _repeated(field: FieldDescriptor) -> InvalidInput:
-    return InvalidInput(f"`{field.name}` must be there once; it is repeated.", field=field.name, hint="Send it once.")
+    return InvalidInput(f"`{field.name}` must be given once; it is repeated.", field=field.name, hint="Send it once.")
 
 
-def _no_such_field() -> InvalidInput:
+def _unknown_field() -> InvalidInput:
     return InvalidInput(
-        "Every part or parameter must be named like a field of the request; one is not.",
+        "Every part or parameter must be a field of the request; one is unknown.",
         hint="Dots lead into messages: model.name. GET /openapi.json lists the fields.",
     )
 
@@ -239,17 +233,17 @@ def _validated(value: object, cls: type[T], *, strict: bool) -> T:
 
 
 def _invalid(error: ValidationError) -> InvalidInput:
-    """Returns the first complaint of pydantic, without the input that it is about."""
+    """Returns pydantic's first error, without the input."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     known = [str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()]
-    field = ".".join(known)[:_LONGEST_FIELD]
+    field = ".".join(known)[:_MAX_FIELD_NAME]
     if first["type"] == "extra_forbidden":
         return InvalidInput(
-            "The request must have no field but its own; there is another.",
+            "The request must have only the fields of its schema; got an unknown one.",
             hint="GET /openapi.json lists the fields.",
         )
     return InvalidInput(
-        f"`{field}` is not as expected: {first['msg']} ({error.error_count()} such problems).",
+        f"`{field}` is invalid: {first['msg']} ({error.error_count()} errors).",
         field=field,
         hint="GET /openapi.json describes every field.",
     )
