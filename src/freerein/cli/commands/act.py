@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(invoke_without_command=True)
 
-Model = Annotated[str, typer.Option(help="Name of the model.")]
+Model = Annotated[str, typer.Option(help="Name of the model; `default` when empty.")]
 Version = Annotated[str, typer.Option(help="Version of the model; the active one by default.")]
 _Images = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Current image; repeatable, one per camera.")]
 _Goals = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Goal image; repeatable, in order.")]

@@ -41,7 +41,7 @@ def reward(
     raw: Annotated[bool, typer.Option("--raw", help="Return the similarity instead of 0 or 1.")] = False,
     dataset: Annotated[str, typer.Option(help="Reward a trajectory of this dataset instead of images.")] = "",
     index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
-    model: Annotated[str, typer.Option(help="Name of the model.")] = "",
+    model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
     heatmap: _Heatmap = None,
     phrase: _Phrases = None,

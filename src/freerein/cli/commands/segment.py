@@ -27,7 +27,7 @@ def segment(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
     *,
     index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
-    model: Annotated[str, typer.Option(help="Name of the model.")] = "",
+    model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
     camera: Annotated[str, typer.Option(help="Camera of the frames; the dataset's first by default.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
