@@ -25,13 +25,7 @@ _NORMALISATION_FRAMES = 2000
 def network_spec(
     config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the architecture for a dataset.
-
-    Args:
-        config: The configuration.
-        frame: Frame shape H, W, C.
-        action: The dataset's action spec.
-        skills: All skills, in the order of their labels.
+    """Returns the architecture for frames of shape H, W, C and skills in the order of their labels.
 
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
