@@ -40,13 +40,7 @@ _IMAGES_AT_ONCE = 16
 
 
 class GroundingCore:
-    """Core of the RPCs `Ground` and `Describe`.
-
-    Args:
-        models: Model cache, with models of both kinds.
-        batcher: Runs `Inference` on the model's thread.
-        timeout_s: Longest wait for the model, in seconds.
-    """
+    """Core of the RPCs `Ground` and `Describe`."""
 
     def __init__(
         self, models: ModelCache[RewardModel | GroundingModel], batcher: Batcher[Item, Output], *, timeout_s: float
@@ -62,8 +56,7 @@ class GroundingCore:
             InvalidInput: A phrase or the image is invalid, or the model is a reward model.
             UnsupportedMedia: The image is not in the declared encoding.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         inputs.check_phrases(request.phrases, least=1, most=MAX_GROUND_PHRASES)
@@ -81,8 +74,7 @@ class GroundingCore:
             InvalidInput: A phrase, an image or `epsilon` is invalid, or the model is a reward model.
             UnsupportedMedia: An image is not in the declared encoding.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         _check_describe(request)

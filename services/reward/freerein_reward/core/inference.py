@@ -20,8 +20,6 @@ class ScoreItem:
     """Frames to compare with texts, or texts alone.
 
     Attributes:
-        ref: The model's name and version.
-        model: The model.
         texts: One or more texts.
         views: uint8 (N, H, W, 3) by camera; None for texts alone.
     """
@@ -50,9 +48,7 @@ class GroundItem:
     """Images in which to locate phrases.
 
     Attributes:
-        model: The model.
         images: uint8 (N, H, W, 3).
-        phrases: Noun phrases.
     """
 
     model: GroundingModel
@@ -65,11 +61,7 @@ Output: TypeAlias = Scores | PhraseLocations
 
 
 class Inference:
-    """Runs models, on the batcher's thread.
-
-    Args:
-        goals: Cache of goal embeddings.
-    """
+    """Runs models on the batcher's thread, with a cache of goal embeddings."""
 
     def __init__(self, goals: GoalCache) -> None:
         self._goals = goals

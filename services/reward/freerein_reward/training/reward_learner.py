@@ -38,17 +38,7 @@ _HALF_HEAT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class RewardLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling.
-
-    Attributes:
-        config: The configuration.
-        spec: Architecture of the network.
-        training: Training images.
-        validation: Validation images.
-        grounding: The grounding model, which also initialises the image encoder.
-        fingerprint: Fingerprint of the dataset and of the grounding model.
-        device: Device to train on.
-    """
+    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
 
     config: RewardConfig
     spec: DualEncoderSpec

@@ -48,16 +48,7 @@ def network_spec(
 
 @dataclass(frozen=True, eq=False)
 class SegmentationLearner:
-    """A `freerein.learning.fit.Learner` of a segmentation network.
-
-    Attributes:
-        config: The configuration.
-        spec: Architecture of the network.
-        training: Training trajectories.
-        validation: Validation trajectories.
-        fingerprint: Fingerprint of the dataset.
-        device: Device to train on.
-    """
+    """A `freerein.learning.fit.Learner` of a segmentation network."""
 
     config: SegmentationConfig
     spec: ModelSpec
