@@ -26,8 +26,8 @@ from freerein_reward.core import (
     GroundingCore,
     GroundingModel,
     Inference,
-    Item,
-    Output,
+    InferenceItem,
+    InferenceOutput,
     RewardCore,
     RewardModel,
 )
@@ -55,7 +55,7 @@ def build(
     )
     grounding = _grounding_folder(store)
     goals = GoalCache(settings.goal_cache_bytes)
-    batcher: Batcher[Item, Output] = Batcher(
+    batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
     )
     fits = Fits(

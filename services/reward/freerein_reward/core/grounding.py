@@ -24,10 +24,10 @@ from freerein.types.reward import (
     GroundResponse,
 )
 from freerein_reward.core import inputs
-from freerein_reward.core.inference import GroundItem, Item, Output
+from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.model import GROUNDING, PhraseLocations
-from freerein_reward.relations import Relation, caption
+from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
 
 MAX_GROUND_PHRASES = 64
@@ -43,7 +43,11 @@ class GroundingCore:
     """Core of the RPCs `Ground` and `Describe`."""
 
     def __init__(
-        self, models: ModelCache[RewardModel | GroundingModel], batcher: Batcher[Item, Output], *, timeout_s: float
+        self,
+        models: ModelCache[RewardModel | GroundingModel],
+        batcher: Batcher[InferenceItem, InferenceOutput],
+        *,
+        timeout_s: float,
     ) -> None:
         self._models = models
         self._batcher = batcher
@@ -117,7 +121,7 @@ def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) 
     pairs = tuple(permutations(range(len(phrases)), 2))
     return [
         tuple(
-            caption(phrases[first], Relation(of_image[first, second]), phrases[second])
+            caption(phrases[first], SpatialRelation(of_image[first, second]), phrases[second])
             for first, second in pairs
             if of_image[first, second] != NO_CAPTION
         )

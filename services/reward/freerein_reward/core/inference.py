@@ -32,7 +32,7 @@ class ScoreItem:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Output of a `ScoreItem`.
+    """InferenceOutput of a `ScoreItem`.
 
     Attributes:
         goals: Embeddings of K texts.
@@ -56,8 +56,8 @@ class GroundItem:
     phrases: tuple[str, ...]
 
 
-Item: TypeAlias = ScoreItem | GroundItem
-Output: TypeAlias = Scores | PhraseLocations
+InferenceItem: TypeAlias = ScoreItem | GroundItem
+InferenceOutput: TypeAlias = Scores | PhraseLocations
 
 
 class Inference:
@@ -66,17 +66,17 @@ class Inference:
     def __init__(self, goals: GoalCache) -> None:
         self._goals = goals
 
-    def run(self, items: Sequence[Item]) -> list[Output | ServiceError]:
+    def run(self, items: Sequence[InferenceItem]) -> list[InferenceOutput | ServiceError]:
         """Returns the outputs, or errors, of items of one kind and one model."""
         scored = [item for item in items if isinstance(item, ScoreItem)]
         return self._score(scored) if scored else [_ground(item) for item in items if isinstance(item, GroundItem)]
 
-    def _score(self, items: Sequence[ScoreItem]) -> list[Output | ServiceError]:
+    def _score(self, items: Sequence[ScoreItem]) -> list[InferenceOutput | ServiceError]:
         ref, model = items[0].ref, items[0].model
         goals = self._goals.embed(ref, model, chain.from_iterable(item.texts for item in items))
         views = [item.views for item in items if item.views is not None]
         frames = iter(_embed_images(model, views))
-        outputs: list[Output | ServiceError] = []
+        outputs: list[InferenceOutput | ServiceError] = []
         for item in items:
             embeddings = next(frames) if item.views is not None else None
             outputs.append(_scores(tuple(goals[text] for text in item.texts), embeddings))
@@ -107,7 +107,7 @@ def _scores(goals: tuple[GoalEmbedding, ...], frames: npt.NDArray[np.float32] | 
     return Scores(goals, np.clip(frames.astype(np.float32) @ texts.T, -1.0, 1.0))
 
 
-def _ground(item: GroundItem) -> Output | ServiceError:
+def _ground(item: GroundItem) -> InferenceOutput | ServiceError:
     found = item.model.ground(item.images, item.phrases)
     expected = (len(item.images), len(item.phrases))
     if not found.heatmaps.shape[:2] == found.x.shape == found.y.shape == found.presence.shape == expected:

@@ -14,7 +14,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein_reward.core.goal_cache import GoalCache
-from freerein_reward.core.inference import Item, Output, ScoreItem, Scores
+from freerein_reward.core.inference import InferenceItem, InferenceOutput, ScoreItem, Scores
 from freerein_reward.core.inputs import FrameSequence, check_goal_text, check_rivals, model_inputs, request_frames
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.relations import rival_captions
@@ -28,7 +28,7 @@ class RewardCore:
     def __init__(
         self,
         models: ModelCache[RewardModel | GroundingModel],
-        batcher: Batcher[Item, Output],
+        batcher: Batcher[InferenceItem, InferenceOutput],
         goals: GoalCache,
         *,
         timeout_s: float,

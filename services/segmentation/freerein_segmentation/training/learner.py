@@ -15,7 +15,7 @@ from freerein.types.common import ActionSpec
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.demonstrations import Batch, Demonstrations, gather
+from freerein_segmentation.training.demonstrations import Demonstrations, TrajectoryBatch, gather
 
 State = TrainState[SegmentationNetwork]
 
@@ -86,6 +86,6 @@ class SegmentationLearner:
             losses.append(self._losses(state.network, batch))
         return torch.cat(losses).mean().item()
 
-    def _losses(self, network: SegmentationNetwork, batch: Batch) -> Tensor:
+    def _losses(self, network: SegmentationNetwork, batch: TrajectoryBatch) -> Tensor:
         scores, mask = network(batch.frames, batch.actions, batch.lengths)
         return OBJECTIVES[self.config.objective](scores, mask, batch.tags)
