@@ -23,7 +23,7 @@ from freerein_sim.worlds.world import (
     StepResult,
     TaskDefinition,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -108,7 +108,7 @@ class GridWorld:
 
     def step(self, action: Action) -> StepResult:
         """Moves one cell within the field, or picks up the object under the agent."""
-        check_action(SPEC.action, action)
+        check_actions(SPEC.action, action)
         choice = int(action[0])
         if choice == PICK_UP:
             here = np.flatnonzero((self._objects == self._agent).all(axis=1))

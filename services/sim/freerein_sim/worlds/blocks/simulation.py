@@ -20,7 +20,7 @@ from freerein_sim.worlds.world import (
     GroundTruth,
     StepResult,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -88,7 +88,7 @@ class BlocksWorld:
 
         The lead of the set-point over the gripper is limited, so that a blocked gripper does not wind up.
         """
-        check_action(self.spec.action, action)
+        check_actions(self.spec.action, action)
         here = self.gripper
         control = self._data.ctrl
         for i, limits in enumerate((scene.GRIPPER_Y_M, scene.GRIPPER_Z_M)):
