@@ -16,11 +16,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class RequestHandler:
-    """Answers the requests to one worker process, and holds its sessions.
-
-    Args:
-        tasks: The tasks, by name.
-    """
+    """Answers the requests to one worker process, and holds its sessions."""
 
     def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks

@@ -63,9 +63,6 @@ class GridWorld:
     An episode has a recipe, the objects to pick up in order. `pick-up` takes any object under the agent. The indicator
     shows the first object of the recipe that still lies on the field; the episode terminates when none does, and is a
     success if exactly the recipe was picked up, in order.
-
-    Args:
-        indicator: Whether the indicator cell is drawn.
     """
 
     spec = SPEC

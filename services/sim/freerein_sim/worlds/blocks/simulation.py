@@ -38,15 +38,7 @@ _LEAD_M = 0.07
 
 
 class BlocksWorld:
-    """A gripper and blocks in the plane in which the gripper moves.
-
-    Args:
-        spec: Static properties.
-        colours: Colours of the blocks.
-        draw_initial_state: Draws the initial state of an episode.
-        goal: Goal that the oracle judges; None for a world without a goal.
-        pad: Whether there is a pad for hidden blocks.
-    """
+    """A gripper and blocks in the plane in which the gripper moves."""
 
     def __init__(
         self,
