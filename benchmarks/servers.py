@@ -13,8 +13,7 @@ import orjson
 import torch
 from torch import nn
 
-from freerein.cli.services import choose, free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import Stack, choose, free_ports
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore

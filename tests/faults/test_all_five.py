@@ -17,9 +17,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
-from freerein.cli.child import RestartPolicy, Status
-from freerein.cli.services import free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import RestartPolicy, ServiceStatus, Stack, free_ports
 from freerein.clients import (
     Channel,
     ImitationClient,
@@ -109,7 +107,7 @@ async def run_id(orchestrator: Any) -> Any:
 class Asked:
     """A service and the question to it."""
 
-    status: Callable[[], Status]
+    status: Callable[[], ServiceStatus]
     client: Client
     question: Callable[[Any], Awaitable[Any]]
 

@@ -19,9 +19,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from freerein.cli.child import RestartPolicy
-from freerein.cli.services import free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import RestartPolicy, Stack, free_ports
 from freerein.clients import Channel, OrchestratorClient
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest

@@ -17,7 +17,7 @@ from freerein.cli.job_display import draw
 from freerein.cli.job_progress import Job, JobProgress
 from freerein.cli.output import print_json
 
-_COLUMNS = ("measured", "value", "95 % interval", "baseline", "bar", "")
+_COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,6 @@ class Figure:
 
     Attributes:
         name: Key in `summary.json`, such as `reward.two_blocks.accuracy`.
-        text: What was measured, in words.
         value: The value.
         baseline: Value of the trivial answer on the same data; None where there is none.
         baseline_text: The trivial answer, in words.
@@ -37,7 +36,6 @@ class Figure:
     """
 
     name: str
-    text: str
     value: float
     baseline: float | None = None
     baseline_text: str = ""
@@ -70,7 +68,7 @@ class Figure:
         interval = f"{self.interval[0]:.3g} to {self.interval[1]:.3g}" if self.interval else ""
         baseline = "" if self.baseline is None else f"{self.baseline:.3g} ({self.baseline_text})"
         verdict = {None: "", True: "met", False: "not met"}[self.met]
-        return self.text, f"{self.value:.3g}", interval, baseline, self.bar, verdict
+        return self.name, f"{self.value:.3g}", interval, baseline, self.bar, verdict
 
 
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:

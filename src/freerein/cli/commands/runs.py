@@ -13,7 +13,7 @@ import typer
 from freerein.cli import job_display
 from freerein.cli.config_options import Settings, configuration
 from freerein.cli.job_progress import metrics_text, steps_text
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 
 if TYPE_CHECKING:
     from freerein.clients import OrchestratorClient
@@ -46,7 +46,7 @@ _STDOUT = Path("-")
 
 
 @app.command()
-@verb
+@command
 def start(
     kind: _Kind,
     *,
@@ -64,28 +64,28 @@ def start(
 
 
 @app.command("list")
-@verb
+@command
 def list_runs(as_json: AsJson = False) -> None:
     """List all runs, newest first."""
     _show(_call(_all_runs), as_json=as_json)
 
 
 @app.command("watch")
-@verb
+@command
 def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
     """Watch a run to its end, with its curves."""
     _watch(run, metrics=metrics or None, as_json=as_json)
 
 
 @app.command()
-@verb
+@command
 def metrics(run: _Id, from_step: _FromStep = 0, max_rows: _MaxRows = 1000, as_json: AsJson = False) -> None:
     """Print the metrics of a run."""
     job_display.show_metrics(_call(lambda client: _rows(client, run, from_step, max_rows)), as_json=as_json)
 
 
 @app.command()
-@verb
+@command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
     """Cancel a run; its last checkpoint is kept."""
     from freerein.types.orchestrator import CancelRunRequest
@@ -94,7 +94,7 @@ def cancel(run: _Id, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
     """Resume a failed or cancelled run from its last checkpoint."""
     from freerein.types.orchestrator import ResumeRunRequest
@@ -103,7 +103,7 @@ def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
     """List the artifacts of a run, or fetch one."""
     if not name:

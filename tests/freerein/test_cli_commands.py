@@ -1,4 +1,4 @@
-"""Verbs as a user types them: their help, their JSON, their errors."""
+"""Commands as a user types them: their help, their JSON, their errors."""
 
 import json
 import socket
@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
+from freerein.cli.commands.segment import skill_bar
 from freerein.cli.config_options import setting
-from freerein.cli.doctor import doors, machine, storage
-from freerein.cli.segment_picture import bar
+from freerein.cli.doctor import machine, services
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
@@ -71,7 +71,7 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported() -> None:
 @pytest.mark.parametrize(
     "name", ["up", "doctor", "demo", "segment", "reward", "act", "sim", "fit", "runs", "dataset", "models"]
 )
-def test_every_verb_explains_itself(name: str) -> None:
+def test_every_command_has_help(name: str) -> None:
     result = _run(name, "--help")
 
     assert result.exit_code == 0
@@ -139,14 +139,14 @@ def test_settings_are_json_where_they_can_be_and_text_elsewhere() -> None:
 
 
 def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked() -> None:
-    assert bar([0, 0, 1, 2], width=80).plain == "AABC"
-    assert bar([0] * 50 + [1] * 50, width=10).plain == "AAAAABBBBB"
+    assert skill_bar([0, 0, 1, 2], width=80).plain == "AABC"
+    assert skill_bar([0] * 50 + [1] * 50, width=10).plain == "AAAAABBBBB"
 
 
 def test_the_doctor_says_how_to_start_a_service_that_does_not_run(nobody_listens: Ports) -> None:
-    finding = doors.service("sim")
+    result = services.check_service("sim")
 
-    assert (finding.state, finding.fix) == ("warning", "Run `freerein up`.")
+    assert (result.state, result.fix) == ("warning", "Run `freerein up`.")
 
 
 def test_the_doctor_recognises_a_port_that_another_program_holds(
@@ -154,30 +154,30 @@ def test_the_doctor_recognises_a_port_that_another_program_holds(
 ) -> None:
     monkeypatch.setitem(PORTS, "sim", Ports(listener, nobody_listens.grpc))
 
-    finding = doors.service("sim")
+    result = services.check_service("sim")
 
-    assert finding.state == "problem"
-    assert str(listener) in finding.detail
+    assert result.state == "problem"
+    assert str(listener) in result.detail
 
 
 def test_the_doctor_finds_the_wheels_that_are_data() -> None:
-    assert [(each().name, each().state) for each in (machine.meshes, machine.text_tower)] == [
+    assert [(each().name, each().state) for each in (machine.check_meshes, machine.check_text_tower)] == [
         ("robot meshes", "ok"),
         ("text tower", "ok"),
     ]
 
 
 def test_the_doctor_makes_and_measures_the_data_directory(tmp_path: Path) -> None:
-    findings = storage.storage(tmp_path / "new")
+    results = machine.check_storage(tmp_path / "new")
 
-    assert [finding.name for finding in findings] == ["data directory", "disk", "disk sync"]
-    assert findings[0].state == "ok"
+    assert [result.name for result in results] == ["data directory", "disk", "disk sync"]
+    assert results[0].state == "ok"
 
 
 def test_the_doctor_says_where_it_cannot_write(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
-    (finding,) = storage.storage(tmp_path / "file" / "below")
+    (result,) = machine.check_storage(tmp_path / "file" / "below")
 
-    assert finding.state == "problem"
-    assert "FREEREIN_DATA_DIR" in finding.fix
+    assert result.state == "problem"
+    assert "FREEREIN_DATA_DIR" in result.fix

@@ -1,4 +1,4 @@
-"""Services as child processes: restarted, given up, drained, and never left behind. The services here are tiny."""
+"""Services as child processes: restarted, given up, drained, never left behind. The services here are tiny."""
 
 import asyncio
 import os
@@ -12,9 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from freerein.cli.child import RestartPolicy, Status
-from freerein.cli.services import check_free, free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import RestartPolicy, ServiceStatus, Stack
+from freerein.cli.services.endpoints import check_free, free_ports
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import Ports
 
@@ -42,8 +41,7 @@ _HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3)
 _PARENT = """
 import asyncio, os, sys
 from pathlib import Path
-from freerein.cli.services import free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import Stack, free_ports
 async def main():
     ports = free_ports(["sim"])
     async with Stack({"sim": "tiny"}, data_dir=Path(sys.argv[1]), environ=os.environ, ports=ports) as stack:
@@ -57,7 +55,7 @@ asyncio.run(main())
 @pytest.fixture
 def environ(tmp_path: Path) -> dict[str, str]:
     """An environment in which `tiny` can be imported once a test has written it."""
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
 
 
 @pytest.fixture
@@ -78,7 +76,7 @@ async def _ready(stack: Stack) -> AsyncIterator[Stack]:
         yield stack
 
 
-async def _until(stack: Stack, holds: Callable[[Status], bool]) -> Status:
+async def _until(stack: Stack, holds: Callable[[ServiceStatus], bool]) -> ServiceStatus:
     async with asyncio.timeout(20):
         async for statuses in stack.watch():
             if holds(statuses[0]):
@@ -127,14 +125,14 @@ async def test_an_address_that_the_environment_sets_is_what_services_are_told(
 ) -> None:
     environ["FREEREIN_SIM_ADDRESS"] = replicas
     async with tiny(_TOLD) as stack:
-        await _until(stack, lambda status: status.is_hopeless)
+        await _until(stack, lambda status: status.has_failed)
 
     assert _log(tmp_path) == [replicas or stack.addresses["sim"]]
 
 
 async def test_a_service_that_keeps_crashing_is_given_up(tiny: Callable[[str], Stack]) -> None:
     async with tiny(_CRASHING) as stack:
-        status = await _until(stack, lambda status: status.is_hopeless)
+        status = await _until(stack, lambda status: status.has_failed)
 
     assert status.state == "given up"
     assert status.restarts == _HASTY.crashes - 1
@@ -151,7 +149,7 @@ async def test_leaving_the_block_drains_the_services(tiny: Callable[[str], Stack
 
 async def test_a_service_that_opens_no_door_is_not_ready_in_time(tiny: Callable[[str], Stack]) -> None:
     async with tiny(_MUTE) as stack:
-        with pytest.raises(DeadlineExceeded, match="sim: Its doors are not open yet"):
+        with pytest.raises(DeadlineExceeded, match="sim: It does not listen yet"):
             await stack.ready(timeout_s=0.5)
 
 
@@ -164,7 +162,7 @@ def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path, environ: di
         parent.kill()
 
     _, alive = psutil.wait_procs([service], timeout=5)
-    psutil.Process(int(_log(tmp_path)[0].split()[1])).kill()  # this tiny service does not look after its own worker
+    psutil.Process(int(_log(tmp_path)[0].split()[1])).kill()  # the tiny service does not stop its own worker
     assert alive == []
 
 

@@ -1,4 +1,4 @@
-"""`freerein up`: the services as child processes, with a live table of how they stand."""
+"""`freerein up`: runs the services as child processes, with a live table of their states."""
 
 import asyncio
 import json
@@ -11,38 +11,37 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, verb
+from freerein.cli.output import AsJson, command
 from freerein.errors import FailedPrecondition
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from freerein.cli.child import Status
-    from freerein.cli.supervisor import Stack
+    from freerein.cli.services import ServiceStatus, Stack
 
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
 
-_Services = Annotated[list[str] | None, typer.Argument(help="Which; all that are installed when none is named.")]
-_FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on any free ports, not on the usual ones.")]
-_Show = Callable[[tuple["Status", ...]], None]
+_Services = Annotated[list[str] | None, typer.Argument(help="Services to run; all installed ones by default.")]
+_FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on free ports instead of the standard ones.")]
+_Show = Callable[[tuple["ServiceStatus", ...]], None]
 
 
-@verb
+@command
 def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
-    """Run the services until Ctrl-C, and start again what crashes."""
-    from freerein.cli import services as known
+    """Run the services until Ctrl-C; restart them when they crash."""
+    from freerein.cli.services import Stack, choose, configured_ports
+    from freerein.cli.services import free_ports as find_free_ports
     from freerein.cli.settings import CliSettings
-    from freerein.cli.supervisor import Stack
 
-    chosen = known.choose(services or ())
-    ports = known.free_ports(chosen) if free_ports else known.configured_ports(chosen, os.environ)
+    chosen = choose(services or ())
+    ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, os.environ)
     stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
     with _display(as_json=as_json) as show:
         asyncio.run(_run(stack, show))
 
 
 async def _run(stack: "Stack", show: _Show) -> None:
-    """Runs the services until a signal comes, or none of them will ever run. A second signal ends them at once."""
+    """Runs the services until a signal arrives or all have failed. A second signal kills them."""
     this = asyncio.current_task()
     assert this is not None  # noqa: S101  # a coroutine runs in a task
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -51,16 +50,17 @@ async def _run(stack: "Stack", show: _Show) -> None:
         async with stack, aclosing(stack.watch()) as changes:
             async for statuses in changes:
                 show(statuses)
-                if all(status.is_hopeless for status in statuses):
+                if all(status.has_failed for status in statuses):
                     raise FailedPrecondition(
-                        "At least one service must run; none can.", hint="`freerein doctor` says what is missing."
+                        "At least one service must run; all have failed.",
+                        hint="Run `freerein doctor`.",
                     )
     show(stack.statuses)
 
 
 @contextmanager
 def _display(*, as_json: bool) -> Iterator[_Show]:
-    """Yields what shows how the services stand: a live table on a terminal, else a line for each change."""
+    """Yields a function that shows statuses: a live table on a terminal, else a line per change."""
     from rich.console import Console
     from rich.live import Live
 
@@ -71,7 +71,7 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
         return
     shown: dict[str, str] = {}
 
-    def show_changes(statuses: tuple["Status", ...]) -> None:
+    def show_changes(statuses: tuple["ServiceStatus", ...]) -> None:
         for status in statuses:
             line = json.dumps(asdict(status)) if as_json else _line(status)
             if shown.get(status.service) != line:
@@ -81,15 +81,15 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
     yield show_changes
 
 
-def _line(status: "Status") -> str:
-    doors = f"REST {status.rest_url}  gRPC {status.grpc_address}" if status.state == "ready" else status.reason
-    return f"{status.service:<13} {status.state:<13} {doors}".rstrip()
+def _line(status: "ServiceStatus") -> str:
+    detail = f"REST {status.rest_url}  gRPC {status.grpc_address}" if status.state == "ready" else status.reason
+    return f"{status.service:<13} {status.state:<13} {detail}".rstrip()
 
 
-def _table(statuses: tuple["Status", ...]) -> "Table":
+def _table(statuses: tuple["ServiceStatus", ...]) -> "Table":
     from rich.table import Table
 
-    table = Table("service", "state", "REST", "gRPC", "restarts", "", caption="Ctrl-C stops all", box=None)
+    table = Table("service", "state", "REST", "gRPC", "restarts", "", caption="Ctrl-C stops all services", box=None)
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")
         state = f"[{colour}]{status.state}[/]"

@@ -1,4 +1,4 @@
-"""One service as a child process: started, watched, started again when it crashes, drained when it is to end."""
+"""A supervised service process: started, probed, restarted after a crash, drained at the end."""
 
 import asyncio
 import contextlib
@@ -21,21 +21,21 @@ State = Literal["starting", "not ready", "ready", "restarting", "given up", "mis
 
 _POLL_S = 0.1
 _POLL_WHEN_READY_S = 1.0
-_COMPLAINT = "cannot start: "
+_CONFIGURATION_ERROR_PREFIX = "cannot start: "
 
 
 @dataclass(frozen=True)
-class Status:
-    """How a service stands.
+class ServiceStatus:
+    """State of a service process.
 
     Attributes:
-        service: Its name.
-        state: `given up` after too many crashes, `misconfigured` after an exit that says so: neither is started again.
-        rest_url: Where its REST door is.
-        grpc_address: Where its gRPC door is, `host:port`.
-        pid: Its process; 0 while there is none.
-        restarts: How often it was started again.
-        reason: Why it is not ready; empty when it is.
+        service: Name of the service.
+        state: `given up` after too many crashes and `misconfigured` after a configuration error are final.
+        rest_url: URL of the REST API.
+        grpc_address: Address of the gRPC server, `host:port`.
+        pid: Process id; 0 while there is no process.
+        restarts: Number of restarts.
+        reason: Why the service is not ready; empty when it is.
     """
 
     service: str
@@ -47,20 +47,20 @@ class Status:
     reason: str = ""
 
     @property
-    def is_hopeless(self) -> bool:
-        """Whether it will not be started again."""
+    def has_failed(self) -> bool:
+        """Whether it will not be restarted."""
         return self.state in ("given up", "misconfigured")
 
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """When a service that crashed is started again.
+    """Exponential backoff of restarts, and when to give up.
 
     Attributes:
-        first_delay_s: Before the first restart; each further one waits twice as long.
-        longest_delay_s: No restart waits longer.
-        crashes: It is given up after this many crashes,
-        window_s: within this many seconds.
+        first_delay_s: Delay before the first restart; it doubles with each further one.
+        longest_delay_s: Upper bound of the delay.
+        crashes: Number of crashes within `window_s` after which the service is given up.
+        window_s: Length of that window in seconds.
     """
 
     first_delay_s: float = 0.5
@@ -70,13 +70,13 @@ class RestartPolicy:
 
 
 @dataclass(frozen=True)
-class Command:
-    """What a child process is.
+class ServiceCommand:
+    """How to start a service process.
 
     Attributes:
-        module: What `python -m` runs.
-        environ: Its whole environment.
-        log: What it prints is appended here.
+        module: Module for `python -m`.
+        environ: The whole environment.
+        log: File that stdout and stderr are appended to.
     """
 
     module: str
@@ -84,24 +84,24 @@ class Command:
     log: Path
 
 
-class Child:
-    """Runs a service for as long as `run` does.
+class ServiceProcess:
+    """Keeps a service running while `run` runs.
 
     Args:
-        command: What to run.
-        status: How it stands before it is started.
-        policy: When to start it again.
-        client: Asks whether it is ready.
+        command: How to start the process.
+        status: Initial status.
+        policy: When to restart it.
+        client: HTTP client of the readiness probe.
         on_change: Called after each change of `status`.
 
     Attributes:
-        status: How the service stands.
+        status: Current status.
     """
 
     def __init__(
         self,
-        command: Command,
-        status: Status,
+        command: ServiceCommand,
+        status: ServiceStatus,
         policy: RestartPolicy,
         *,
         client: httpx.AsyncClient,
@@ -115,7 +115,7 @@ class Child:
         self._crashes: deque[float] = deque(maxlen=policy.crashes)
 
     async def run(self) -> None:
-        """Keeps the service running until it is hopeless; drains it when cancelled."""
+        """Keeps the service running until it has failed; drains it when cancelled."""
         try:
             await self._keep_running()
         except asyncio.CancelledError:
@@ -126,9 +126,9 @@ class Child:
         while True:
             code = await self._run_once()
             self._crashes.append(time.monotonic())
-            reason = f"It was ended by signal {-code}." if code < 0 else f"It ended with exit code {code}."
+            reason = f"It was killed by signal {-code}." if code < 0 else f"It exited with code {code}."
             if code == CONFIGURATION_ERROR:
-                self._change(state="misconfigured", pid=0, reason=_complaint(self._command.log))
+                self._change(state="misconfigured", pid=0, reason=_configuration_error(self._command.log))
                 return
             if self._has_crashed_too_often():
                 self._change(state="given up", pid=0, reason=f"{reason} Its log says why.")
@@ -138,16 +138,22 @@ class Child:
             self._change(state="starting", restarts=self.status.restarts + 1)
 
     async def _run_once(self) -> int:
-        """Returns the exit code of one process of the service; when cancelled, the process has ended."""
+        """Runs one process of the service; returns its exit code. When cancelled, drains it first."""
         self._command.log.parent.mkdir(parents=True, exist_ok=True)
         with self._command.log.open("ab") as log:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "freerein.cli.tether", str(os.getpid()), self._command.module),
+                *(
+                    sys.executable,
+                    "-m",
+                    "freerein.cli.services.die_with_parent",
+                    str(os.getpid()),
+                    self._command.module,
+                ),
                 env=self._command.environ,
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=True,  # a terminal's Ctrl-C is for the parent, which drains everything in order
+                start_new_session=True,  # so that Ctrl-C reaches only the parent, which drains the services
             )
         self._change(pid=process.pid)
         watch = asyncio.create_task(self._watch_readiness())
@@ -159,7 +165,7 @@ class Child:
             raise
         finally:
             watch.cancel()
-            _kill_group(process.pid)  # its workers and training children: the next process starts its own
+            _kill_group(process.pid)  # its workers and training processes; the next process starts its own
 
     async def _watch_readiness(self) -> None:
         while True:
@@ -172,9 +178,9 @@ class Child:
             answer = await self._client.get(f"{self.status.rest_url}/readyz")
             return ("ready", "") if answer.is_success else ("not ready", str(answer.json()["detail"]))
         except httpx.ConnectError:
-            return "starting", "Its doors are not open yet."
+            return "starting", "It does not listen yet."
         except (httpx.HTTPError, ValueError, KeyError, TypeError):
-            return "not ready", "It does not answer as a service does."
+            return "not ready", "It does not answer the readiness probe."
 
     def _has_crashed_too_often(self) -> bool:
         is_full = len(self._crashes) == self._policy.crashes
@@ -185,14 +191,14 @@ class Child:
         return min(self._policy.longest_delay_s, self._policy.first_delay_s * 2.0 ** (recent - 1))
 
     def _change(self, **changes: object) -> None:
-        changed = replace(self.status, **changes)  # type: ignore[arg-type]  # fields of Status
+        changed = replace(self.status, **changes)  # type: ignore[arg-type]  # fields of ServiceStatus
         if changed != self.status:
             self.status = changed
             self._on_change()
 
 
 async def _drain(process: asyncio.subprocess.Process) -> None:
-    """Tells a process to end, and ends it when it does not."""
+    """Terminates a process; kills it after `DRAIN_S`."""
     with contextlib.suppress(ProcessLookupError):
         process.terminate()
     try:
@@ -207,7 +213,7 @@ def _kill_group(pid: int) -> None:
         os.killpg(pid, signal.SIGKILL)
 
 
-def _complaint(log: Path) -> str:
-    """Returns why a service said that it cannot start: the last line of its log."""
+def _configuration_error(log: Path) -> str:
+    """Returns the service's own error: the last line of its log."""
     lines = log.read_bytes()[-4096:].decode(errors="replace").splitlines()
-    return lines[-1].removeprefix(_COMPLAINT) if lines else ""
+    return lines[-1].removeprefix(_CONFIGURATION_ERROR_PREFIX) if lines else ""

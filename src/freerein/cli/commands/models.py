@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import ServiceError, Unavailable
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ app = typer.Typer(
 
 
 @app.command("list")
-@verb
+@command
 def list_models(
     service: Annotated[str, typer.Option(help="One service; all learned services that answer when empty.")] = "",
     as_json: AsJson = False,
@@ -39,7 +39,7 @@ def list_models(
 
 
 @app.command()
-@verb
+@command
 def activate(
     name: Annotated[str, typer.Argument(help="Model name.")],
     version: Annotated[str, typer.Argument(help="Version to activate.")],

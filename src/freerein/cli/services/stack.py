@@ -1,10 +1,8 @@
-"""Runs services as child processes on this machine: what `up`, `demo` and the end-to-end tests stand on.
+"""Runs services as child processes on this machine, for `up`, `demo` and the end-to-end tests.
 
-    async with Stack(choose(()), data_dir=Path("var"), environ=os.environ) as stack:
-        await stack.ready(timeout_s=30)
-        sim = SimClient(Channel(stack.addresses["sim"]))
-
-Then they listen; when the block ends they are drained.
+async with Stack(choose(()), data_dir=Path("var"), environ=os.environ) as stack:
+    await stack.ready(timeout_s=30)
+    sim = SimClient(Channel(stack.addresses["sim"]))
 """
 
 import asyncio
@@ -16,33 +14,32 @@ from typing import Self
 
 import httpx
 
-from freerein.cli.child import Child, Command, RestartPolicy, Status
-from freerein.cli.services import LOOPBACK, check_free, trust
+from freerein.cli.services.endpoints import LOOPBACK, check_free, tls_context
+from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
 
 _RESTARTS = RestartPolicy()
-_WILDCARDS = ("0.0.0.0", "::")  # recognised, never bound
+_WILDCARDS = ("0.0.0.0", "::")  # clients cannot connect to these
 _PROBE_TIMEOUT_S = 2.0
 
 
 class Stack:
-    """Several services, running together from `async with` on; at its end they are drained.
+    """Services that run within `async with`, and are drained at its end.
 
-    None of them outlives this process, nor the thread that runs the event loop, whatever ends it. The services log to
+    The services die with this process and with the thread of its event loop. They log to
     `<data_dir>/logs/<service>.log`.
 
     Args:
-        services: The module that `python -m` runs, by service; see `services.choose`.
-        data_dir: Where datasets, models, fits and logs lie.
-        environ: The services' environment, such as `os.environ`; ports, the data directory, and those addresses that
-            it does not set are added.
-        ports: Where each listens; None for the port table. `services.free_ports` makes others.
-        policy: When a service that crashed is started again.
+        services: Module for `python -m` by service; see `choose`.
+        data_dir: Data directory of the services.
+        environ: Environment of the services; ports, data directory and missing addresses are added.
+        ports: Ports by service, such as `free_ports` returns; None for the standard ports.
+        policy: When to restart a service that crashed.
 
     Attributes:
-        addresses: The gRPC address, `host:port`, of each service.
-        urls: The address of each service's REST door.
+        addresses: gRPC address by service, `host:port`.
+        urls: REST URL by service.
     """
 
     def __init__(
@@ -63,14 +60,14 @@ class Stack:
         self.addresses = {name: f"{host}:{pair.grpc}" for name, pair in self._ports.items()}
         self.urls = {name: f"{scheme}://{host}:{pair.rest}" for name, pair in self._ports.items()}
         self._changed = asyncio.Event()
-        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=trust(certificate))
+        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=tls_context(certificate))
         self._tasks: list[asyncio.Task[None]] = []
         unset = {name: value for name, value in _addresses(self.addresses).items() if not environ.get(name)}
         shared = {**environ, **unset, "FREEREIN_DATA_DIR": str(data_dir)}
-        self._children = [
-            Child(
-                Command(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
-                Status(name, "starting", self.urls[name], self.addresses[name]),
+        self._processes = [
+            ServiceProcess(
+                ServiceCommand(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
+                ServiceStatus(name, "starting", self.urls[name], self.addresses[name]),
                 policy,
                 client=self._client,
                 on_change=self._on_change,
@@ -79,12 +76,12 @@ class Stack:
         ]
 
     @property
-    def statuses(self) -> tuple[Status, ...]:
-        """How the services stand now."""
-        return tuple(child.status for child in self._children)
+    def statuses(self) -> tuple[ServiceStatus, ...]:
+        """Current status of each service."""
+        return tuple(process.status for process in self._processes)
 
-    async def watch(self) -> AsyncGenerator[tuple[Status, ...], None]:
-        """Yields how the services stand, now and after every change.
+    async def watch(self) -> AsyncGenerator[tuple[ServiceStatus, ...], None]:
+        """Yields the statuses, now and after every change.
 
         Raises:
             OSError: A service's log cannot be written.
@@ -98,32 +95,32 @@ class Stack:
             await changed.wait()
 
     async def ready(self, *, timeout_s: float) -> None:
-        """Returns when every service is ready.
+        """Waits until every service is ready.
 
         Raises:
-            FailedPrecondition: One will not be.
-            DeadlineExceeded: One is not after `timeout_s` seconds.
+            FailedPrecondition: A service failed.
+            DeadlineExceeded: A service is not ready after `timeout_s` seconds.
         """
         try:
             async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
                 async for statuses in changes:
-                    _refuse_hopeless(statuses)
+                    _raise_if_failed(statuses)
                     if all(status.state == "ready" for status in statuses):
                         return
         except TimeoutError:
             waiting = "; ".join(f"{each.service}: {each.reason}" for each in self.statuses if each.state != "ready")
             raise DeadlineExceeded(
-                f"The services must be ready within {timeout_s:g} s; some are not: {waiting}", hint=_SEE_LOG
+                f"All services must be ready within {timeout_s:g} s; got {waiting}", hint=_SEE_LOG
             ) from None
 
     async def __aenter__(self) -> Self:
         """Starts the services.
 
         Raises:
-            FailedPrecondition: Somebody listens on one of the ports.
+            FailedPrecondition: A port is in use.
         """
         check_free(self._ports, host=self._host)
-        self._tasks = [asyncio.create_task(child.run()) for child in self._children]
+        self._tasks = [asyncio.create_task(process.run()) for process in self._processes]
         for task in self._tasks:
             task.add_done_callback(lambda _: self._on_change())
         return self
@@ -147,9 +144,9 @@ class Stack:
 _SEE_LOG = "Read logs/<service>.log in the data directory, or run `freerein doctor`."
 
 
-def _refuse_hopeless(statuses: tuple[Status, ...]) -> None:
+def _raise_if_failed(statuses: tuple[ServiceStatus, ...]) -> None:
     for status in statuses:
-        if status.is_hopeless:
+        if status.has_failed:
             raise FailedPrecondition(
                 f"The {status.service} service must start; it is {status.state}: {status.reason}", hint=_SEE_LOG
             )

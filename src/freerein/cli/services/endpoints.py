@@ -1,4 +1,4 @@
-"""Which services are installed, and on which ports they are to listen."""
+"""Installed services, their addresses, and free ports."""
 
 import contextlib
 import socket
@@ -17,11 +17,11 @@ _MAX_PORT = 65535
 
 @dataclass(frozen=True)
 class Endpoints:
-    """Where services are found.
+    """Addresses of running services.
 
     Attributes:
-        urls: The address of each service's REST door.
-        addresses: The gRPC address, `host:port`, of each.
+        urls: REST URL by service.
+        addresses: gRPC address by service, `host:port`.
     """
 
     urls: Mapping[str, str]
@@ -29,10 +29,10 @@ class Endpoints:
 
 
 def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
-    """Returns where services are that somebody started: what the environment says, REST at its usual port beside gRPC.
+    """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports.
 
     Raises:
-        InvalidInput: One of these names is no service's, or an address is none.
+        InvalidInput: A service or an address is unknown.
     """
     addresses = {name: address(name, environ) for name in names}
     scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
@@ -41,30 +41,30 @@ def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpo
 
 
 def installed() -> dict[str, str]:
-    """Returns the module that `python -m` runs, by the name of each installed service."""
+    """Returns the module of each installed service, for `python -m`."""
     found = {entry.name: entry.module.removesuffix(".__main__") for entry in entry_points(group=GROUP)}
     return {name: found[name] for name in PORTS if name in found}
 
 
 def choose(names: Iterable[str]) -> dict[str, str]:
-    """Returns the installed services of these names, all of them when none is named.
+    """Returns the modules of the named services; of all that are installed where no name is given.
 
     Raises:
-        NotFound: One is not installed, or none is.
+        NotFound: A service is not installed, or none is.
     """
     modules = installed()
     missing = [name for name in names if name not in modules]
     if missing or not modules:
         raise NotFound(
-            f"Services must be among those installed, {', '.join(modules) or 'which are none'}; "
-            f"{len(missing)} of those asked for are not.",
+            f"Services must be installed; installed are {', '.join(modules) or 'none'}, and {len(missing)} of those "
+            "requested are not.",
             hint="Install the service's distribution, such as `pip install -e services/sim`.",
         )
     return {name: modules[name] for name in names} or modules
 
 
 def free_ports(names: Iterable[str]) -> dict[str, Ports]:
-    """Returns two ports on loopback, for each service, that nobody listened on just now."""
+    """Returns a free REST port and a free gRPC port on loopback for each service."""
     with contextlib.ExitStack() as held:
         return {name: Ports(_free_port(held), _free_port(held)) for name in names}
 
@@ -102,22 +102,22 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
 
 
 def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:
-    """Does nothing where every service can have its ports.
+    """Checks that all ports are free.
 
     Raises:
-        FailedPrecondition: Somebody listens on one of them.
+        FailedPrecondition: A port is in use.
     """
     for service, pair in ports.items():
         for port in (pair.rest, pair.grpc):
             if not is_free(port, host=host):
                 raise FailedPrecondition(
-                    f"Port {port} must be free for {service}; somebody listens on it.",
-                    hint="Stop the other `freerein up`, or whatever holds the port; `freerein doctor` says more.",
+                    f"Port {port} must be free for {service}; it is in use.",
+                    hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
                 )
 
 
 def is_free(port: int, *, host: str = LOOPBACK) -> bool:
-    """Returns whether nobody listens on a port."""
+    """Returns whether a port can be bound."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as candidate:
         candidate.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -128,8 +128,8 @@ def is_free(port: int, *, host: str = LOOPBACK) -> bool:
         return True
 
 
-def trust(certificate: str | None) -> ssl.SSLContext | bool:
-    """Returns whom the probe trusts: the services' own certificate, whatever name it was made for, and no other."""
+def tls_context(certificate: str | None) -> ssl.SSLContext | bool:
+    """Returns the TLS verification of probes: only the given certificate, for any host name; the default for None."""
     if certificate is None:
         return True
     context = ssl.create_default_context(cafile=certificate)

@@ -1,38 +1,29 @@
-"""`freerein act`: what a policy would do next, and what it wants to see."""
+"""`freerein act`: asks a policy for the next actions, or for its observation and action spec."""
 
-import asyncio
-from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from freerein.cli.image_files import FILES, read_images
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.commands.image_files import FILES, read_images
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from freerein.clients import ImitationClient
     from freerein.types.common import ModelRef
     from freerein.types.imitation import ActResponse, GetSpecResponse
 
-T = TypeVar("T")
-
 app = typer.Typer(invoke_without_command=True)
 
-Model = Annotated[str, typer.Option(help="Name of the model; `default` when empty.")]
-Version = Annotated[str, typer.Option(help="Version of the model; the active one when empty.")]
-_Images = Annotated[list[str] | None, typer.Option(metavar=FILES, help="What is seen now; one per camera.")]
-_Goals = Annotated[
-    list[str] | None, typer.Option(metavar=FILES, help="An image to reach; several, one after the other.")
-]
-_Recipe = Annotated[
-    list[str] | None, typer.Option(metavar="SKILL", help="A skill to execute; several, one after the other.")
-]
-_GoalText = Annotated[str, typer.Option(metavar="TEXT", help="What is to be done, in words.")]
+Model = Annotated[str, typer.Option(help="Name of the model.")]
+Version = Annotated[str, typer.Option(help="Version of the model; the active one by default.")]
+_Images = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Current image; repeatable, one per camera.")]
+_Goals = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Goal image; repeatable, in order.")]
+_Recipe = Annotated[list[str] | None, typer.Option(metavar="SKILL", help="Skill to execute; repeatable, in order.")]
+_GoalText = Annotated[str, typer.Option(metavar="TEXT", help="Goal text.")]
 
 
 @app.callback()
-@verb
+@command
 def act(
     context: typer.Context,
     *,
@@ -44,10 +35,12 @@ def act(
     version: Version = "",
     as_json: AsJson = False,
 ) -> None:
-    """Ask a policy once for the next actions towards goal images, through a recipe of skills, or as a text says."""
+    """Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text."""
     if context.invoked_subcommand:
         return
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import ImitationClient
     from freerein.types.common import Goal, ModelRef, Observation
     from freerein.types.imitation import ActRequest
 
@@ -57,42 +50,34 @@ def act(
         goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
     )
-    answer = asyncio.run(_call(lambda client: client.act(request)))
+    answer = call(ImitationClient, "imitation", lambda client: client.act(request))
     print_json(wire.to_json(answer)) if as_json else _show_answer(answer)
 
 
 @app.command()
-@verb
+@command
 def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> None:
-    """Say what a model wants to see and what its actions mean."""
+    """Show the observations and actions of a model."""
     from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import ImitationClient
     from freerein.types.common import ModelRef
     from freerein.types.imitation import GetSpecRequest
 
     request = GetSpecRequest(ModelRef(model, version))
-    answer = asyncio.run(_call(lambda client: client.get_spec(request)))
+    answer = call(ImitationClient, "imitation", lambda client: client.get_spec(request))
     print_json(wire.to_json(answer)) if as_json else _show_spec(answer)
-
-
-async def _call(ask: "Callable[[ImitationClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import connect
-    from freerein.clients import ImitationClient
-
-    async with connect(ImitationClient, "imitation") as client:
-        return await ask(client)
 
 
 def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | None, goal_text: str) -> None:
     if not image:
-        raise InvalidInput(
-            "An image of what is seen now must be given; got none.", field="image", hint="Send --image now.png."
-        )
+        raise InvalidInput("The current image must be given; got none.", field="image", hint="Send --image now.png.")
     given = sum(map(bool, (goal, recipe, goal_text)))
     if given != 1:
         raise InvalidInput(
             f"Exactly one of goal images, a recipe and a goal text must be given; got {given or 'none'} of them.",
             field="goal",
-            hint="`freerein act spec` says which one the model takes.",
+            hint="`freerein act spec` shows the model's goal form.",
         )
 
 
@@ -100,9 +85,9 @@ def _show_answer(answer: "ActResponse") -> None:
     rows = [(str(step), ", ".join(f"{number:.4g}" for number in action)) for step, action in enumerate(answer.actions)]
     show_table(("step", "action"), rows)
     reached = "reached" if answer.goal_reached else f"pursuing goal {answer.goal_index}"
-    abandoned = ", one was given up" if answer.goal_abandoned else ""
+    abandoned = ", one abandoned" if answer.goal_abandoned else ""
     is_unknown = answer.goal_reached is None
-    confidence = "cannot tell when it is reached" if is_unknown else f"confidence {answer.goal_confidence:.2f}"
+    confidence = "the model does not recognize goals" if is_unknown else f"confidence {answer.goal_confidence:.2f}"
     typer.echo(f"{reached}{abandoned}; {confidence}; {_name(answer.model)}")
 
 
@@ -116,8 +101,8 @@ def _show_spec(answer: "GetSpecResponse") -> None:
         ("horizon", f"{answer.horizon} actions, one every {answer.control_dt_s:g} s"),
         ("goal", answer.goal_form),
         ("skills", ", ".join(answer.skills)),
-        ("gives up after", f"{answer.max_steps_per_goal} steps"),
-        ("reached from", "" if answer.goal_form == "text" else f"confidence {answer.reached_threshold:.2f}"),
+        ("max steps per goal", str(answer.max_steps_per_goal)),
+        ("reached threshold", "" if answer.goal_form == "text" else f"{answer.reached_threshold:.2f}"),
         ("model", _name(answer.model)),
     ]
     show_table(("", ""), [row for row in rows if row[1]])

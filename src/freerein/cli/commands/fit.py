@@ -10,7 +10,7 @@ import typer
 from freerein.cli import job_display
 from freerein.cli.config_options import Settings, configuration
 from freerein.cli.job_progress import metrics_text, steps_text
-from freerein.cli.output import AsJson, print_json, show_table, verb
+from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.errors import ServiceError, Unavailable
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def _add_start(service: str, explanation: str) -> None:
     """Adds the command that starts a fit of a service."""
 
     @app.command(service, help=explanation)
-    @verb
+    @command
     def start(
         dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
         model_name: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
@@ -63,7 +63,7 @@ for _service, _explanation in _SERVICES.items():
 
 
 @app.command("list")
-@verb
+@command
 def list_fits(service: _Services = "", as_json: AsJson = False) -> None:
     """List all fits, newest first."""
     answers = asyncio.run(_ask_all(service, _all_fits))
@@ -71,14 +71,14 @@ def list_fits(service: _Services = "", as_json: AsJson = False) -> None:
 
 
 @app.command()
-@verb
+@command
 def watch(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """Watch a fit to its end, with its curves."""
     _watch(_service_of(fit, service), fit, as_json=as_json)
 
 
 @app.command()
-@verb
+@command
 def metrics(
     fit: _Id,
     service: _Services = "",
@@ -94,7 +94,7 @@ def metrics(
 
 
 @app.command()
-@verb
+@command
 def cancel(fit: _Id, service: _Services = "", as_json: AsJson = False) -> None:
     """Cancel a fit; its last checkpoint is kept."""
     from freerein.types.learning import CancelFitRequest

@@ -1,4 +1,4 @@
-"""Image files that a user names, as the services take them."""
+"""Image files of the command line, read as the services expect them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
     from freerein.types.common import Image
 
 FILES = "[CAMERA=]FILE"
-"""How a user names one: with its camera where the model sees several."""
+"""Syntax of an image option; the camera is needed where the model has several."""
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 def read_images(named: Sequence[str]) -> "tuple[Image, ...]":
-    """Returns the images that a user names, those of a folder in the order of their names.
+    """Returns images; those of a folder in the order of their names.
 
     Args:
-        named: As `FILES` says; a folder stands for the images in it.
+        named: Files or folders, each as `FILES` describes.
 
     Raises:
-        NotFound: There is no such file, or no image in a folder.
-        UnsupportedMedia: One is no PNG, JPEG or WebP.
+        NotFound: A file does not exist, or a folder holds no image.
+        UnsupportedMedia: A file is not PNG, JPEG or WebP.
     """
     return tuple(_read(path, camera) for text in named for camera, path in _files(text))
 
@@ -38,9 +38,9 @@ def _files(text: str) -> list[tuple[str, Path]]:
     found = sorted(file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES)
     if not found:
         raise NotFound(
-            "An image must be a file, or a folder with PNG, JPEG or WebP files; one of those named is neither.",
+            "An image must be a file, or a folder of PNG, JPEG or WebP files; got neither.",
             field="image",
-            hint="Name the camera before the file, as in front=now.png, only where the model sees several.",
+            hint="Write now.png, or front=now.png where the model has several cameras.",
         )
     return [(camera, file) for file in found]
 

@@ -1,4 +1,4 @@
-"""Whether each service runs and is ready; where it does not run, whether it could have its ports."""
+"""Checks of services: running and ready, or their ports free."""
 
 import os
 from pathlib import Path
@@ -6,45 +6,45 @@ from pathlib import Path
 import grpc
 import httpx
 
-from freerein.cli.doctor.finding import Finding
-from freerein.cli.services import LOOPBACK, is_free, trust
+from freerein.cli.doctor.check_result import CheckResult
+from freerein.cli.services.endpoints import LOOPBACK, is_free, tls_context
 from freerein.ports import PORTS, address, addresses
 
 _TIMEOUT_S = 2.0
 
 
-def service(name: str) -> Finding:
-    """Finds out how a service stands that is to run on this machine, or on the one that its address names."""
+def check_service(name: str) -> CheckResult:
+    """Checks a service on this machine, or at its address in the environment."""
     ports = PORTS[name]
     if os.environ.get(f"FREEREIN_{name.upper()}_ADDRESS"):
-        return _far(name)
+        return _check_remote(name)
     held = [port for port in (ports.rest, ports.grpc) if not is_free(port)]
     if not held:
-        detail = f"does not run; ports {ports.rest} and {ports.grpc} are free"
-        return Finding(name, "warning", detail, "Run `freerein up`.")
+        detail = f"not running; ports {ports.rest} and {ports.grpc} are free"
+        return CheckResult(name, "warning", detail, "Run `freerein up`.")
     answer = _ask(ports.rest)
     if answer is None:
-        detail = f"port {' and '.join(map(str, held))} is held by another program"
-        return Finding(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held[0]}` names it.")
+        detail = f"port {' and '.join(map(str, held))} is used by another program"
+        return CheckResult(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held[0]}` names it.")
     if not answer.is_success:
-        return Finding(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
+        return CheckResult(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
     if not _is_reachable(address(name, os.environ)):
-        return Finding(name, "problem", f"gRPC port {ports.grpc} does not answer", "Stop `freerein up`, start it anew.")
-    return Finding(name, "ok", f"ready at {_scheme()}://{LOOPBACK}:{ports.rest}, gRPC {LOOPBACK}:{ports.grpc}")
+        return CheckResult(name, "problem", f"gRPC port {ports.grpc} does not answer", "Restart `freerein up`.")
+    return CheckResult(name, "ok", f"ready at {_scheme()}://{LOOPBACK}:{ports.rest}, gRPC {LOOPBACK}:{ports.grpc}")
 
 
-def _far(name: str) -> Finding:
+def _check_remote(name: str) -> CheckResult:
     targets, variable = addresses(name, os.environ), f"FREEREIN_{name.upper()}_ADDRESS"
     for target in targets:
         if not _is_reachable(target):
-            return Finding(name, "problem", f"does not answer at {target}", f"Start it there, or mend {variable}.")
-    return Finding(name, "ok", f"answers at {' and '.join(targets)}")
+            return CheckResult(name, "problem", f"no answer at {target}", f"Start it there, or correct {variable}.")
+    return CheckResult(name, "ok", f"answers at {' and '.join(targets)}")
 
 
 def _ask(port: int) -> httpx.Response | None:
-    """Returns what a service of ours says of its readiness; None where no such service listens."""
+    """Returns the readiness reply; None where no freerein service listens."""
     url = f"{_scheme()}://{LOOPBACK}:{port}"
-    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=trust(_certificate())) as client:
+    with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=tls_context(_certificate())) as client:
         try:
             live = client.get(f"{url}/healthz")
             return client.get(f"{url}/readyz") if live.json() == {"live": True} else None
