@@ -1,8 +1,7 @@
-"""Steps per second of the sim service, over its socket and in process, beside Gymnasium's `SyncVectorEnv`.
+"""Steps per second of the sim service, over the network and in process, beside Gymnasium's `SyncVectorEnv`.
 
-All of them step the same worlds with actions drawn alike. The service has one worker process, so that it gains nothing
-by a second core that the others could not have. What crosses the socket is stepped in turn: no call is sent before the
-last was answered, but for the sixteen that belong together.
+All step the same worlds with random actions. The service has one worker process, so that it has no more cores than the
+others. Each network call is sent after the reply to the last, except for the sixteen calls of `16-unary`.
 """
 
 import asyncio
@@ -15,44 +14,45 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from benchmarks.report import Findings, Ratio
-from benchmarks.rounds import Contestant, Effort, Times, race
-from benchmarks.services import running
-from benchmarks.world_env import WorldEnv
+from benchmarks.report import Ratio, Results
+from benchmarks.servers import run_service
+from benchmarks.timing import Effort, Rates, Workload, measure_rates, repeat
 from freerein.clients import Channel, SimClient
 from freerein.types.common import ActionSpec
 from freerein.types.sim import CloseSessionRequest, ConnectRequest, CreateSessionRequest, ResetRequest, StepRequest
 from freerein_sim.workers.envs import Envs
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.world import Task
+from freerein_sim.worlds.world import Frame, Task
 
 _TASKS = ("grid", "blocks")
 _ENVS = 16
 _SEED = 0
-_DRAWN = 256
+_DRAWN_ACTIONS = 256
 _LEASE_S = 600.0
 
 Actions: TypeAlias = npt.NDArray[Any]
 Step: TypeAlias = Callable[[Actions], Awaitable[object]]
 
 
-async def measure(effort: Effort) -> Findings:
-    """Returns how the ways to step compare, for each world, without and with pixels."""
-    found = Findings()
+async def measure(effort: Effort) -> Results:
+    """Returns the ratios of steps per second, for each world, without and with pixels."""
+    results = Results()
     with TemporaryDirectory() as folder:
-        async with running("sim", data_dir=Path(folder), FREEREIN_SIM_WORKERS="1") as stack:
+        async with run_service("sim", data_dir=Path(folder), FREEREIN_SIM_WORKERS="1") as stack:
             for task in (tasks()[name] for name in _TASKS):
                 for cameras in ((), (task.spec.cameras[0].name,)):
                     name = f"{task.name}.pixels" if cameras else task.name
-                    found += _findings(await _race(task, cameras, stack.addresses["sim"], effort), name)
-    return found
+                    results += _results(await _measure(task, cameras, stack.addresses["sim"], effort), name)
+    return results
 
 
-async def _race(task: Task, cameras: tuple[str, ...], address: str, effort: Effort) -> Times:
+async def _measure(task: Task, cameras: tuple[str, ...], address: str, effort: Effort) -> Rates:
     async with AsyncExitStack() as opened:
         client = await opened.enter_async_context(SimClient(Channel(address)))
 
@@ -82,34 +82,29 @@ async def _race(task: Task, cameras: tuple[str, ...], address: str, effort: Effo
             ("unary-1", singles[0].step, 1),
             ("connect-1", stream.step, 1),
         )
-        return await race([_contestant(*way, task.spec.action) for way in ways], effort)
+        return await measure_rates([_workload(*way, task.spec.action) for way in ways], effort)
 
 
-def _findings(times: Times, name: str) -> Findings:
-    return Findings(
+def _results(times: Rates, name: str) -> Results:
+    return Results(
         ratios=(
             Ratio(f"sim.connect_vs_unary.{name}", times.speedup("connect-1", over="unary-1")),
             Ratio(f"sim.step16_vs_16_unary.{name}", times.speedup("unary-16", over="16-unary")),
             Ratio(f"sim.network_vs_syncvector.{name}", times.speedup("unary-16", over="syncvector-16")),
             Ratio(f"sim.in_process_vs_syncvector.{name}", times.speedup("in-process-16", over="syncvector-16")),
         ),
-        raw={f"sim.{name}": times},
+        rates={f"sim.{name}": times},
     )
 
 
-def _contestant(name: str, step: Step, num_envs: int, spec: ActionSpec) -> Contestant:
+def _workload(name: str, step: Step, num_envs: int, spec: ActionSpec) -> Workload:
     actions = _actions(spec, num_envs)
-
-    async def run(times: int) -> None:
-        for _ in range(times):
-            await step(next(actions))
-
-    return Contestant(name, run, num_envs, "steps")
+    return Workload(name, repeat(lambda: step(next(actions))), num_envs, "steps")
 
 
 def _actions(spec: ActionSpec, num_envs: int) -> Iterator[Actions]:
-    """Returns random actions without end, (num_envs, size) each; drawn beforehand, as drawing takes time."""
-    rng, shape = np.random.default_rng(_SEED), (_DRAWN, num_envs, spec.size)
+    """Returns an endless iterator of random actions, (num_envs, size), drawn in advance."""
+    rng, shape = np.random.default_rng(_SEED), (_DRAWN_ACTIONS, num_envs, spec.size)
     drawn = rng.integers(spec.choices, size=shape) if spec.choices else rng.uniform(-1, 1, shape).astype(np.float32)
     return cycle(drawn)
 
@@ -117,7 +112,7 @@ def _actions(spec: ActionSpec, num_envs: int) -> Iterator[Actions]:
 def _sync_vector_env(task: Task, cameras: tuple[str, ...]) -> SyncVectorEnv[Any, Any]:
     seeds = np.random.SeedSequence(_SEED).spawn(_ENVS)
     envs = SyncVectorEnv(
-        [partial(WorldEnv, task, cameras, seed=seed) for seed in seeds],
+        [partial(_WorldEnv, task, cameras, seed=seed) for seed in seeds],
         autoreset_mode=AutoresetMode.SAME_STEP,
     )
     envs.reset()
@@ -126,7 +121,7 @@ def _sync_vector_env(task: Task, cameras: tuple[str, ...]) -> SyncVectorEnv[Any,
 
 @dataclass(frozen=True)
 class _Session:
-    """A session of the service, stepped by unary calls."""
+    """A session of the sim service, stepped by unary calls."""
 
     client: SimClient
     id: str
@@ -149,22 +144,19 @@ async def _session(client: SimClient, task: str, num_envs: int, cameras: tuple[s
 
 
 class _Stream:
-    """A session stepped on a stream, one message after the other."""
+    """A session stepped on a `Connect` stream."""
 
     def __init__(self, session: _Session) -> None:
         self._session = session
         self._requests: asyncio.Queue[ConnectRequest] = asyncio.Queue()
-        self._replies = session.client.connect(self._sent())
+        self.replies = session.client.connect(self._sent())
 
     async def step(self, actions: Actions) -> object:
         await self._requests.put(ConnectRequest(step=self._session.request(actions)))
-        reply = await anext(self._replies)
+        reply = await anext(self.replies)
         if reply.step is None:
             raise RuntimeError(f"A step must be answered by a step; got {reply}.")
         return reply.step
-
-    async def close(self) -> None:
-        await self._replies.aclose()
 
     async def _sent(self) -> AsyncIterator[ConnectRequest]:
         while True:
@@ -175,4 +167,51 @@ class _Stream:
 async def _stream(session: _Session) -> AsyncIterator[_Stream]:
     stream = _Stream(session)
     yield stream
-    await stream.close()
+    await stream.replies.aclose()
+
+
+class _WorldEnv(gymnasium.Env[Frame, npt.NDArray[Any]]):
+    """One world as a Gymnasium environment, without the sim service.
+
+    Args:
+        task: The task.
+        cameras: The camera to observe, or none: an observation is uint8 (H, W, C), or (0,).
+        seed: Seed of its generator.
+    """
+
+    def __init__(self, task: Task, cameras: tuple[str, ...], *, seed: np.random.SeedSequence) -> None:
+        self._world = task.make()
+        self._max_steps = task.spec.max_episode_steps
+        self._camera = next((camera for camera in task.spec.cameras if camera.name in cameras), None)
+        self._rng = np.random.default_rng(seed)
+        self._steps = 0
+        shape = (0,) if self._camera is None else (self._camera.height, self._camera.width, self._camera.channels)
+        self.observation_space = spaces.Box(0, 255, shape, np.uint8)
+        self.action_space = _action_space(task.spec.action)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Frame, dict[str, Any]]:
+        """Starts an episode with the next numbers of the generator."""
+        self._world.reset(self._rng)
+        self._steps = 0
+        return self._observe(), {}
+
+    def step(self, action: npt.NDArray[Any]) -> tuple[Frame, float, bool, bool, dict[str, Any]]:
+        """Takes one action."""
+        outcome = self._world.step(action)
+        self._steps += 1
+        return self._observe(), 0.0, outcome.terminated, self._steps >= self._max_steps, {}
+
+    def close(self) -> None:
+        """Closes the world."""
+        self._world.close()
+
+    def _observe(self) -> Frame:
+        if self._camera is None:
+            return np.empty(0, np.uint8)
+        return self._world.render(self._camera.name, height=self._camera.height, width=self._camera.width)
+
+
+def _action_space(action: ActionSpec) -> spaces.Space[npt.NDArray[Any]]:
+    if action.choices:
+        return spaces.MultiDiscrete([action.choices] * action.size)
+    return spaces.Box(-1.0, 1.0, (action.size,), np.float32)

@@ -1,10 +1,10 @@
-"""Robots that do not wait, in a process of their own: each sends its observations when they are due.
+"""An open-loop load generator in its own process: robots send observations at a fixed rate.
 
-    python -m benchmarks.load < a Load, as msgpack > an Answered, as msgpack
+    python -m benchmarks.load_generator < Load as msgpack > LoadResult as msgpack
 
-Messages are made beforehand and replies are read as far as their number, so that little is measured but the server. A
-latency counts from the moment at which an observation was due until it, or a newer one of its robot, is answered: a
-server is rewarded neither for making its clients wait nor for answering few of them.
+Messages are prepared, and only the number of a reply is decoded. The latency of an observation is from its scheduled
+time until the reply to it, or to a newer one of its robot: a server gains nothing by
+delaying clients or skipping replies.
 """
 
 import asyncio
@@ -22,21 +22,21 @@ import uvloop
 from freerein.api.imitation.v1 import imitation_pb2
 
 _Call: TypeAlias = "grpc.aio.StreamStreamCall[bytes, bytes]"
-_FIRST_S = 0.5
-_LAST_S = 1.0
+_START_DELAY_S = 0.5
+_LAST_REPLY_TIMEOUT_S = 1.0
 
 
 @dataclass(frozen=True)
 class Load:
-    """What to send, and how fast.
+    """A load.
 
     Attributes:
-        address: Where the server listens, `host:port`.
+        address: Address of the server, `host:port`.
         method: The bidirectional gRPC method.
-        hello: The first message of every stream.
-        messages: What every stream sends after it, one after the other.
-        seq_bytes: How many bytes of a reply are its number; 0 for a ControlResponse, whose Hello is answered, too.
-        streams: Streams at once.
+        hello: First message of every stream.
+        messages: Further messages of every stream.
+        seq_bytes: Bytes of the number that begins a reply; 0 for a ControlResponse, whose server also answers Hello.
+        streams: Number of streams.
         rate_hz: Messages per second of each stream.
     """
 
@@ -50,21 +50,20 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Answered:
-    """What came of a load.
+class LoadResult:
+    """The replies to a load.
 
     Attributes:
-        seconds: For each message, from when it was due until it or one after it on its stream was answered; for those
-            still waiting at the end, until then.
-        share: How many were answered themselves.
+        latencies_s: Latency of each message, in seconds; until the end of the run for unanswered ones.
+        answered_share: Fraction of messages with a reply of their own.
     """
 
-    seconds: list[float]
-    share: float
+    latencies_s: list[float]
+    answered_share: float
 
 
-async def run(load: Load) -> Answered:
-    """Runs a load in a process of its own.
+async def run(load: Load) -> LoadResult:
+    """Runs a load in a separate process.
 
     Raises:
         RuntimeError: The process failed.
@@ -73,31 +72,31 @@ async def run(load: Load) -> Answered:
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, stdin=pipe, stdout=pipe)
     output, _ = await process.communicate(msgpack.packb(asdict(load)))
     if process.returncode:
-        raise RuntimeError(f"The clients must come to an end; they ended with {process.returncode}.")
-    return Answered(**msgpack.unpackb(output))
+        raise RuntimeError(f"The load generator must succeed; it ended with exit code {process.returncode}.")
+    return LoadResult(**msgpack.unpackb(output))
 
 
 def main() -> None:
-    """Sends the load of the standard input."""
+    """Runs the load from stdin."""
     load = Load(**msgpack.unpackb(sys.stdin.buffer.read()))
     sys.stdout.buffer.write(msgpack.packb(asdict(uvloop.run(_send(load)))))
 
 
-async def _send(load: Load) -> Answered:
+async def _send(load: Load) -> LoadResult:
     async with grpc.aio.insecure_channel(load.address) as channel:
         calls: list[_Call] = [channel.stream_stream(load.method)() for _ in range(load.streams)]
         for call in calls:
             await call.write(load.hello)
             if not load.seq_bytes:
                 await call.read()
-        begin_s = time.perf_counter() + _FIRST_S
-        starts_s = [begin_s + place / load.streams / load.rate_hz for place in range(load.streams)]
+        first_s = time.perf_counter() + _START_DELAY_S
+        starts_s = [first_s + place / load.streams / load.rate_hz for place in range(load.streams)]
         robots = [_Robot(call, load, start_s) for call, start_s in zip(calls, starts_s, strict=True)]
         await asyncio.gather(*(robot.run() for robot in robots))
         for call in calls:
             call.cancel()
-    seconds = [latency_s for robot in robots for latency_s in robot.latencies_s]
-    return Answered(seconds, sum(robot.answers for robot in robots) / len(seconds))
+    latencies_s = [latency_s for robot in robots for latency_s in robot.latencies_s]
+    return LoadResult(latencies_s, sum(robot.answers for robot in robots) / len(latencies_s))
 
 
 class _Robot:
@@ -110,26 +109,26 @@ class _Robot:
         self._number = _prefix(load.seq_bytes) if load.seq_bytes else _control_seq
 
     async def run(self) -> None:
-        """Sends everything, and waits a moment for the last answers."""
+        """Sends all messages, and waits for the last replies."""
         reading = asyncio.ensure_future(self._read())
         for seq, message in enumerate(self._load.messages):
             await asyncio.sleep(self._due_s(seq) - time.perf_counter())
             await self._call.write(message)
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(reading, _LAST_S)
-        self._settle(len(self._load.messages) - 1)
+            await asyncio.wait_for(reading, _LAST_REPLY_TIMEOUT_S)
+        self._record_until(len(self._load.messages) - 1)
 
     async def _read(self) -> None:
-        """Reads until the last message is answered; answers come in order."""
+        """Reads replies, which come in order, until the last message is answered."""
         while isinstance(reply := await self._call.read(), bytes):
             seq = self._number(reply)
-            self._settle(seq)
+            self._record_until(seq)
             self.answers += 1
             if seq == len(self._load.messages) - 1:
                 return
 
-    def _settle(self, last: int) -> None:
-        """Ends the waiting of all messages up to this one."""
+    def _record_until(self, last: int) -> None:
+        """Records the latency of all messages up to this number."""
         now_s = time.perf_counter()
         self.latencies_s += [now_s - self._due_s(seq) for seq in range(len(self.latencies_s), last + 1)]
 

@@ -1,7 +1,7 @@
-"""What the batcher costs a client who is alone, and what it gives sixteen who are not.
+"""Overhead of the batcher for a single client, and its gain for sixteen.
 
-The model is a perceptron with weights that no cache close to a core holds: most of its time goes into reading them,
-once for a batch. A batch of 1 is batching turned off.
+The model is a perceptron whose weights exceed a core's caches: most of its time is reading them, once per batch. A
+batch size of 1 is batching turned off.
 """
 
 import asyncio
@@ -13,10 +13,10 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from benchmarks.report import Bar, Findings, Ratio
-from benchmarks.rounds import Contestant, Effort, race
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.servers import initialise
+from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein.errors import ServiceError
-from freerein.learning import weights
 from freerein.serving.batcher import Batcher
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
@@ -29,35 +29,35 @@ _TIMEOUT_S = 60.0
 Vector = npt.NDArray[np.float32]
 
 
-async def measure(effort: Effort) -> Findings:
-    """Returns the ratios; first what a batch of eight costs the model, which says how much there is to gain."""
+async def measure(effort: Effort) -> Results:
+    """Returns the ratios; first the cost of a batch of eight, which bounds the gain."""
     model = _Model()
     with ExitStack() as opened:
-        batching, alone = (
+        on, off = (
             opened.enter_context(closing(Batcher(model.answer, queue=Limits.queue, batch=batch, metrics=Metrics())))
             for batch in (Limits.batch, 1)
         )
-        bare = await race([_bare("batch-1", model, 1), _bare("batch-8", model, _MEASURED_BATCH)], effort)
-        lone = await race([_clients("batching", batching, 1), _clients("off", alone, 1)], effort)
-        many = await race([_clients("batching", batching, _CLIENTS), _clients("off", alone, _CLIENTS)], effort)
+        bare = await measure_rates([_bare("batch-1", model, 1), _bare("batch-8", model, _MEASURED_BATCH)], effort)
+        lone = await measure_rates([_clients("batching", on, 1), _clients("off", off, 1)], effort)
+        many = await measure_rates([_clients("batching", on, _CLIENTS), _clients("off", off, _CLIENTS)], effort)
     cost = _MEASURED_BATCH / bare.speedup("batch-8", over="batch-1")
-    return Findings(
+    return Results(
         ratios=(
             Ratio("batcher.model_batch8_vs_batch1_cost", cost, Bar("at most", 2.0)),
             Ratio("batcher.lone_latency_on_vs_off", lone.speedup("off", over="batching"), Bar("at most", 1.10)),
             Ratio("batcher.throughput16_on_vs_off", many.speedup("batching", over="off"), Bar("at least", 2.5)),
         ),
-        raw={"batcher.model": bare, "batcher.1-client": lone, "batcher.16-clients": many},
+        rates={"batcher.model": bare, "batcher.1-client": lone, "batcher.16-clients": many},
     )
 
 
 class _Model:
-    """Square linear layers, and what the batcher asks of a model."""
+    """Square linear layers with the batcher's interface."""
 
     def __init__(self) -> None:
         layers = [layer for _ in range(_LAYERS) for layer in (nn.Linear(_WIDTH, _WIDTH), nn.ReLU())]
         self._network = nn.Sequential(*layers).eval()
-        weights.draw(self._network, generator=torch.Generator().manual_seed(0))
+        initialise(self._network)
 
     @torch.inference_mode()
     def answer(self, items: Sequence[Vector]) -> list[Vector | ServiceError]:
@@ -65,18 +65,17 @@ class _Model:
         return list(self._network(torch.from_numpy(np.stack(items))).numpy())
 
 
-def _bare(name: str, model: _Model, size: int) -> Contestant:
+def _bare(name: str, model: _Model, size: int) -> Workload:
     items = _items(size)
 
-    async def run(count: int) -> None:
-        for _ in range(count):
-            model.answer(items)
+    async def call() -> None:
+        model.answer(items)
 
-    return Contestant(name, run, size, "items")
+    return Workload(name, repeat(call), size, "items")
 
 
-def _clients(name: str, batcher: Batcher[Vector, Vector], clients: int) -> Contestant:
-    """Returns clients who each submit an item, wait for its answer, and submit the next."""
+def _clients(name: str, batcher: Batcher[Vector, Vector], clients: int) -> Workload:
+    """Returns clients that each submit the next item after the result of the last."""
 
     async def client(item: Vector, count: int) -> None:
         for _ in range(count):
@@ -85,7 +84,7 @@ def _clients(name: str, batcher: Batcher[Vector, Vector], clients: int) -> Conte
     async def run(count: int) -> None:
         await asyncio.gather(*(client(item, count) for item in _items(clients)))
 
-    return Contestant(name, run, clients, "items")
+    return Workload(name, run, clients, "items")
 
 
 def _items(count: int) -> list[Vector]:

@@ -1,8 +1,7 @@
-"""Steps per second of PPO over the network, beside the same PPO in one process, and over two sims beside one.
+"""Steps per second of PPO over the network, beside the same PPO in one process, and with two sims beside one.
 
-Each turn is a short training from the same beginning: the same worlds, the same learned reward, the same bits in the
-end, which is checked. In one process the actor and the learner have a thread each, as over the network; the services
-have processes of their own.
+Each turn is a short training from the same checkpoint, with the same worlds and learned reward; equal final weights are
+checked. In one process the actor and the learner have a thread each, as over the network.
 """
 
 import asyncio
@@ -16,9 +15,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from benchmarks.report import Bar, Findings, Ratio
-from benchmarks.rounds import Contestant, Effort, race
-from benchmarks.services import running
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.servers import run_service
+from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein.clients import Channel, RewardClient, SimClient, Synchronous
 from freerein.learning import weights
 from freerein.learning.checkpoints import Checkpoint
@@ -51,47 +50,48 @@ _CACHE_BYTES = 2**20
 _JUDGED_TOGETHER = 32
 
 Train = Callable[[], str]
-"""Trains once; returns the sha256 of the weights."""
+"""Trains once; returns the sha256 of the final weights."""
 
 
-async def measure(effort: Effort) -> Findings:
-    """Returns how fast PPO is over the network and in process."""
+async def measure(effort: Effort) -> Results:
+    """Returns the relative speed of PPO over the network and in process."""
     async with AsyncExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()))
         sims: list[Synchronous] = []
         for name in ("one", "two"):
-            stack = await opened.enter_async_context(running("sim", data_dir=folder / name, FREEREIN_SIM_WORKERS="1"))
+            stack = await opened.enter_async_context(
+                run_service("sim", data_dir=folder / name, FREEREIN_SIM_WORKERS="1")
+            )
             sims.append(opened.enter_context(Synchronous(SimClient(Channel(stack.addresses["sim"])))))
-        stack = await opened.enter_async_context(running("reward", data_dir=folder / "reward"))
+        stack = await opened.enter_async_context(run_service("reward", data_dir=folder / "reward"))
         reward = opened.enter_context(Synchronous(RewardClient(Channel(stack.addresses["reward"]))))
-        return await _race(sims, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
+        return await _measure(sims, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
 
 
-async def _race(sims: Sequence[Synchronous], reward: Synchronous, effort: Effort) -> Findings:
+async def _measure(sims: Sequence[Synchronous], reward: Synchronous, effort: Effort) -> Results:
     one, two = [await asyncio.to_thread(_Served.begin, sims[:count], reward) for count in (1, 2)]
     with closing(_Local(one.begun)) as local:
         trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train}
         ends: dict[str, str] = {}
-        times = await race([_contestant(name, train, ends) for name, train in trainings.items()], effort)
+        times = await measure_rates([_workload(name, train, ends) for name, train in trainings.items()], effort)
     if ends["in-process"] != ends["one-sim"]:
-        raise RuntimeError("Over the network and in process the same weights must come out; they did not.")
-    return Findings(
+        raise RuntimeError("Over the network and in process the final weights must be equal; they differ.")
+    return Results(
         ratios=(
             Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), Bar("at least", 0.8)),
             Ratio("ppo.two_sims_vs_one", times.speedup("two-sims", over="one-sim")),
         ),
-        raw={"ppo": times},
+        rates={"ppo": times},
     )
 
 
-def _contestant(name: str, train: Train, ends: dict[str, str]) -> Contestant:
-    """Returns what is timed; what it ends with is noted by its name."""
+def _workload(name: str, train: Train, ends: dict[str, str]) -> Workload:
+    """Returns a workload that records its final weights' hash in `ends`."""
 
-    async def run(times: int) -> None:
-        for _ in range(times):
-            ends[name] = await asyncio.to_thread(train)
+    async def call() -> None:
+        ends[name] = await asyncio.to_thread(train)
 
-    return Contestant(name, run, _STEPS, "steps")
+    return Workload(name, repeat(call), _STEPS, "steps")
 
 
 def _train(begun: Checkpoint, gather: Gather) -> str:
@@ -127,9 +127,9 @@ def _open(sims: Sequence[Synchronous], reward: Synchronous, snapshots: Sequence[
 
 
 class _Local:
-    """Trains in this process: what the sim service hosts and what the reward service does, without any service.
+    """Trains in this process, with the worlds and the reward model of the services.
 
-    The worlds have a thread of their own, as a GL context belongs to one.
+    The worlds have their own thread, since a GL context belongs to one thread.
     """
 
     num_envs = _CONFIG.num_envs
@@ -178,7 +178,7 @@ class _Local:
 
 
 class _Judge:
-    """The reward service's model and what runs it."""
+    """The reward service's default model."""
 
     def __init__(self, goal_text: str) -> None:
         store = ModelStore(CLONE_MODELS / "reward")

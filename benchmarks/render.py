@@ -1,8 +1,8 @@
 """Frames per second of the blocks world, beside `mujoco.Renderer` on the same scene.
 
-The first peer draws our compiled scene as MuJoCo draws it by default: its light casts shadows, and a pixel has four
-samples. Where a processor draws, shadows cost most of that, so that the light of a second, stricter peer casts none;
-both have the same bar. The third peer has all our settings, and shows that nothing is gained by the loop itself.
+The first baseline renders our compiled scene with MuJoCo's defaults: shadows, and four samples per pixel. On a CPU
+shadows are most of the cost, so the second, stricter baseline has none; both have the same bar. The third baseline has
+all our settings, and shows that the render loop itself gains nothing.
 """
 
 import copy
@@ -11,19 +11,19 @@ from contextlib import ExitStack, closing
 import mujoco
 import numpy as np
 
-from benchmarks.report import Bar, Findings, Ratio
-from benchmarks.rounds import Contestant, Effort, race
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein_sim.worlds.blocks import COLOURS, TASKS, scene
 from freerein_sim.worlds.world import Frame, World
 
 _CAMERA, _SIZE_PX = "front", 64
 _POSE_SIZE = 7
-_CLOSE = 2.0
-"""Mean difference of two pictures of one scene, in 1/255: what stock flags change, such as the sky behind it."""
+_TOLERANCE = 2.0
+"""Tolerance of the mean pixel difference, in 1/255: default flags change, for example, the sky."""
 
 
-async def measure(effort: Effort) -> Findings:
-    """Returns how many times as many frames per second the world draws."""
+async def measure(effort: Effort) -> Results:
+    """Returns the speedup in frames per second."""
     with ExitStack() as opened:
         world = opened.enter_context(closing(TASKS[0].make()))
         world.reset(np.random.default_rng(0))
@@ -37,20 +37,20 @@ async def measure(effort: Effort) -> Findings:
         peers = {name: opened.enter_context(closing(StockRenderer(model, world))) for name, model in models.items()}
         _check_same_scene(world, peers["stock-with-our-settings"])
 
-        async def draw_ours(count: int) -> None:
-            for _ in range(count):
-                world.render(_CAMERA, height=_SIZE_PX, width=_SIZE_PX)
+        async def render() -> None:
+            world.render(_CAMERA, height=_SIZE_PX, width=_SIZE_PX)
 
-        contestants = [Contestant(name, peer.draw, 1, "frames") for name, peer in peers.items()]
-        times = await race([Contestant("ours", draw_ours, 1, "frames"), *contestants], effort)
+        calls = {"ours": render, **{name: peer.render for name, peer in peers.items()}}
+        workloads = [Workload(name, repeat(call), 1, "frames") for name, call in calls.items()]
+        times = await measure_rates(workloads, effort)
     bar, without_shadows = Bar("at least", 3.0), times.speedup("ours", over="stock-without-shadows")
-    return Findings(
+    return Results(
         ratios=(
             Ratio("render.blocks_vs_stock", times.speedup("ours", over="stock"), bar),
             Ratio("render.blocks_vs_stock_without_shadows", without_shadows, bar),
             Ratio("render.blocks_vs_stock_with_our_settings", times.speedup("ours", over="stock-with-our-settings")),
         ),
-        raw={"render": times},
+        rates={"render": times},
     )
 
 
@@ -58,8 +58,8 @@ class StockRenderer:
     """`mujoco.Renderer`, used as its documentation shows.
 
     Args:
-        model: What to draw.
-        world: A blocks world; its poses are copied.
+        model: The scene.
+        world: A blocks world whose poses are copied.
     """
 
     def __init__(self, model: mujoco.MjModel, world: World) -> None:
@@ -79,10 +79,9 @@ class StockRenderer:
         frame: Frame = self._renderer.render()
         return frame
 
-    async def draw(self, count: int) -> None:
-        """Draws so many frames."""
-        for _ in range(count):
-            self.frame()
+    async def render(self) -> None:
+        """Renders one frame."""
+        self.frame()
 
     def close(self) -> None:
         """Frees the OpenGL context."""
@@ -90,7 +89,7 @@ class StockRenderer:
 
 
 def _with_stock_quality(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Returns a copy of a model with the shadow maps and samples per pixel that a new one has."""
+    """Returns a copy of a model with MuJoCo's default shadow maps and samples per pixel."""
     changed, stock = copy.deepcopy(model), mujoco.MjSpec().visual.quality
     changed.vis.quality.shadowsize, changed.vis.quality.offsamples = stock.shadowsize, stock.offsamples
     return changed
@@ -105,5 +104,7 @@ def _with_cast_shadows(model: mujoco.MjModel) -> mujoco.MjModel:
 def _check_same_scene(world: World, renderer: StockRenderer) -> None:
     ours = world.render(_CAMERA, height=_SIZE_PX, width=_SIZE_PX).astype(np.float64)
     difference = float(np.abs(ours - renderer.frame()).mean())
-    if difference > _CLOSE:
-        raise RuntimeError(f"Both must draw one scene; their pictures differ by {difference:.1f} of 255 on average.")
+    if difference > _TOLERANCE:
+        raise RuntimeError(
+            f"Both must render the same scene; their frames differ by {difference:.1f} of 255 on average."
+        )

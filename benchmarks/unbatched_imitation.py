@@ -1,4 +1,4 @@
-"""The imitation service as it is, but for its batcher, which is given one observation at a time."""
+"""The imitation service with a batch size of 1."""
 
 from dataclasses import replace
 
