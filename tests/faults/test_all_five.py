@@ -56,7 +56,7 @@ _PATIENT = RestartPolicy(longest_delay_s=0.5, crashes=1000)  # every kill is the
 async def stack(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Stack]:
     """The five services, with toy models that load at once and answer as slowly as asked."""
     mine = {
-        "PYTHONPATH": str(HERE),
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
         "FREEREIN_SHIPPED_DIR": "none",
         "FREEREIN_SIM_WORKERS": "1",
         "OMP_NUM_THREADS": "1",

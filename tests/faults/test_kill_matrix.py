@@ -121,7 +121,11 @@ async def until(folder: Path, pattern: str, count: int) -> None:
 async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Running]:
     modules = {**MODULES, "imitation": "freerein_imitation"} if FUZZ else MODULES
     data_dir, ports = tmp_path_factory.mktemp("matrix"), free_ports(modules)
-    mine = {"PYTHONPATH": str(HERE), "FREEREIN_SHIPPED_DIR": "none", "FREEREIN_SIM_WORKERS": "1"}
+    mine = {
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
+        "FREEREIN_SHIPPED_DIR": "none",
+        "FREEREIN_SIM_WORKERS": "1",
+    }
     (data_dir / "lies").write_text("slow 1000000")  # so that there is time to kill somebody
     environ = {**os.environ, **mine, "OMP_NUM_THREADS": "1"}
     policy = RestartPolicy(crashes=1000)
