@@ -4,7 +4,6 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from typing import Protocol, TypeVar
 
-from freerein.cli.job_progress import Job
 from freerein.cli.streams import reconnecting
 from freerein.clients import FitClient, OrchestratorClient
 from freerein.errors import Unavailable
@@ -18,7 +17,7 @@ class _Event(Protocol):
 
 
 E = TypeVar("E", bound=_Event)
-J = TypeVar("J", bound=Job)
+J = TypeVar("J", Fit, Run)
 
 
 def follow_fit(client: FitClient, fit_id: str) -> AsyncGenerator[Fit, None]:

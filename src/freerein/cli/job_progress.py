@@ -1,44 +1,16 @@
 """The progress of a fit or run: its learning curves, and the time left."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
-from freerein.types.jobs import JobState, MetricRow
+from freerein.types.jobs import MetricRow
+
+if TYPE_CHECKING:
+    from freerein.types.learning import Fit
+    from freerein.types.orchestrator import Run
 
 _HISTORY_S = 1.0
 _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
-
-
-class Job(Protocol):
-    """A fit or a run."""
-
-    @property
-    def id(self) -> str:
-        """32 hexadecimal digits."""
-
-    @property
-    def state(self) -> JobState:
-        """Its state."""
-
-    @property
-    def step(self) -> int:
-        """Steps done."""
-
-    @property
-    def steps(self) -> int:
-        """Steps planned."""
-
-    @property
-    def metrics(self) -> Mapping[str, float]:
-        """The latest metrics."""
-
-    @property
-    def error(self) -> str:
-        """Reason of the failure; empty unless it has failed."""
-
-    @property
-    def ended(self) -> bool:
-        """Whether it has ended."""
 
 
 class JobProgress:
@@ -49,7 +21,7 @@ class JobProgress:
     """
 
     def __init__(self) -> None:
-        self.job: Job | None = None
+        self.job: Fit | Run | None = None
         self._curves: dict[str, list[tuple[int, float]]] = {}
         self._pace_from: tuple[float, int] | None = None
         self._watched_since_s: float | None = None
@@ -63,7 +35,7 @@ class JobProgress:
                 if not curve or curve[-1][0] < row.step:
                     curve.append((row.step, value))
 
-    def add(self, job: Job, *, at_s: float) -> None:
+    def add(self, job: "Fit | Run", *, at_s: float) -> None:
         """Adds a state. States within a second of the first are history, which says nothing about the pace.
 
         Args:
@@ -77,7 +49,7 @@ class JobProgress:
         elif job.step > self._pace_from[1]:
             self._seconds_per_step = (at_s - self._pace_from[0]) / (job.step - self._pace_from[1])
         self.job = job
-        self.add_rows([MetricRow(job.step, dict(job.metrics))])
+        self.add_rows([MetricRow(job.step, job.metrics)])
 
     @property
     def seconds_left(self) -> float | None:
@@ -107,12 +79,12 @@ def by_relevance(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: (_relevance(name), name))
 
 
-def steps_text(job: Job) -> str:
+def steps_text(job: "Fit | Run") -> str:
     """Returns the steps done, with those planned where known, such as `3/10`."""
     return f"{job.step}/{job.steps}" if job.steps else str(job.step)
 
 
-def metrics_text(job: Job) -> str:
+def metrics_text(job: "Fit | Run") -> str:
     """Returns the latest metrics on one line."""
     return " ".join(f"{name}={job.metrics[name]:.4g}" for name in by_relevance(job.metrics))
 

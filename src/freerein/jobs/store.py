@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
@@ -29,14 +29,6 @@ from freerein.types.orchestrator import Artifact
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
 _PAGE, _MAX_PAGE = 100, 1000
 _ROWS, _MAX_ROWS = 1000, 10_000
-
-
-class StartRequest(Protocol):
-    """A request that starts a job: a dataclass of JSON values."""
-
-    @property
-    def idempotency_key(self) -> str:
-        """Identifies the job; empty for a new job per request."""
 
 
 @dataclass(frozen=True)
@@ -77,36 +69,36 @@ class JobStore:
         """Returns the folder of a job. Raises InvalidInput for a malformed id."""
         return self._root / check_id(job_id, field="id")
 
-    def create(self, request: StartRequest, config: Mapping[str, Any]) -> str:
+    def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
         """Records a request durably and returns the id of its job, the same for the same idempotency key.
 
         Args:
-            request: The request.
+            request: The request as JSON values, with its `idempotency_key`.
             config: Contents of `config.json`.
 
         Raises:
             AlreadyExists: The idempotency key was used for another request.
         """
-        job_id = _id_of(request.idempotency_key) if request.idempotency_key else uuid.uuid4().hex
+        job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
         folder.mkdir(parents=True, exist_ok=True)
         with self.lock(job_id):
             if self.find(request) is None:
                 append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
-                write_atomic(folder / "request.json", json.dumps(vars(request)).encode())
+                write_atomic(folder / "request.json", json.dumps(request).encode())
                 write_atomic(folder / "config.json", json.dumps(config).encode())
         return job_id
 
-    def find(self, request: StartRequest) -> str | None:
+    def find(self, request: Mapping[str, Any]) -> str | None:
         """Returns the id of the job started with a request's idempotency key; None when there is none.
 
         Raises:
             AlreadyExists: The idempotency key was used for another request.
         """
-        job_id = _id_of(request.idempotency_key)
-        if not request.idempotency_key or not self.exists(job_id):
+        job_id = _id_of(request["idempotency_key"])
+        if not request["idempotency_key"] or not self.exists(job_id):
             return None
-        if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(vars(request))):
+        if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(request)):
             raise AlreadyExists(
                 "An idempotency key must be used for one request; this one was used for another.",
                 field="idempotency_key",

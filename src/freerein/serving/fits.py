@@ -134,12 +134,12 @@ class FitService:
         return learning.CancelFitResponse(await self._in_thread(cancel))
 
     def _start(self, request: learning.StartFitRequest) -> learning.Fit:
-        fit_id = self._jobs.find(request)
+        fit_id = self._jobs.find(vars(request))
         if fit_id is None:
             self._queue.check_room()
             config = self._resolve(request.dataset, request.config)
             asked = {"dataset": request.dataset, "model_name": request.model_name or DEFAULT_NAME}
-            fit_id = self._jobs.create(request, {**asked, "config": config, "steps": config["steps"]})
+            fit_id = self._jobs.create(vars(request), {**asked, "config": config, "steps": config["steps"]})
         fit = self._fit(fit_id)
         self._queue.put(fit_id)
         return fit

@@ -107,7 +107,7 @@ class RunService:
             check_name(request.idempotency_key, field="idempotency_key")
 
         def start() -> orchestrator.Run:
-            run_id = self._store.find(request) or self._create(request)
+            run_id = self._store.find(vars(request)) or self._create(request)
             self._queue.start(run_id)
             return self._run(run_id)
 
@@ -227,7 +227,7 @@ class RunService:
         resolved = self._resolve(request.kind, request.config)
         if self._queue.count_queued(limit=_MAX_WAITING) >= _MAX_WAITING:
             raise Overloaded(f"At most {_MAX_WAITING} runs may wait.", hint="Cancel one, or wait for one to end.")
-        return self._store.create(request, {"kind": request.kind, **vars(resolved)})
+        return self._store.create(vars(request), {"kind": request.kind, **vars(resolved)})
 
     def _run(self, run_id: str) -> orchestrator.Run:
         self._check_open()
