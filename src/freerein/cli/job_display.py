@@ -3,14 +3,14 @@
 import asyncio
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
-from contextlib import aclosing, contextmanager
+from contextlib import aclosing, contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 from freerein.cli.job_progress import JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.output import print_json, show_table
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
 
 if TYPE_CHECKING:
@@ -61,7 +61,8 @@ def watch(
         progress = JobProgress()
         with _display(name, progress, metrics, as_json=as_json) as show:
             async with connect() as client, aclosing(changes(client)) as jobs:
-                progress.add_rows(await history(client))
+                with suppress(Unavailable):  # `changes` waits for a service that restarts
+                    progress.add_rows(await history(client))
                 async for job in jobs:
                     progress.add(job, at_s=time.monotonic())
                     show(job)
