@@ -1,11 +1,10 @@
 """`FitService`: fits of models, one at a time, each in a child process that survives crashes of itself and of ours."""
 
 import asyncio
-import functools
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
@@ -20,7 +19,6 @@ from freerein.types.common import check_name
 _POLL_S = 0.1
 _THREADS = 4
 
-P = ParamSpec("P")
 T = TypeVar("T")
 Resolve = Callable[[str, Mapping[str, Any]], dict[str, Any]]
 
@@ -86,11 +84,11 @@ class FitService:
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
         check_name(request.model_name or DEFAULT_NAME, field="model_name")
-        return learning.StartFitResponse(await self._in_thread(self._start, request))
+        return learning.StartFitResponse(await self._in_thread(lambda: self._start(request)))
 
     async def get_fit(self, request: learning.GetFitRequest) -> learning.GetFitResponse:
         """Returns one fit. Raises NotFound when there is no such fit."""
-        return learning.GetFitResponse(await self._in_thread(self._fit, request.id))
+        return learning.GetFitResponse(await self._in_thread(lambda: self._fit(request.id)))
 
     async def list_fits(self, request: learning.ListFitsRequest) -> learning.ListFitsResponse:
         """Returns one page of the fits, newest first."""
@@ -111,7 +109,7 @@ class FitService:
         async def pause(_is_new: bool) -> bool:
             return await self._health.unless_draining(asyncio.sleep(_POLL_S, True)) is not None
 
-        await self._in_thread(self._jobs.config, request.id)
+        await self._in_thread(lambda: self._jobs.config(request.id))
         events = watch(self._jobs, request.id, from_sequence=request.from_sequence, pause=pause, threads=self._threads)
         async for sequence, fields in events:
             yield learning.WatchFitResponse(sequence, learning.Fit(**fields))
@@ -119,7 +117,7 @@ class FitService:
     async def get_fit_metrics(self, request: learning.GetFitMetricsRequest) -> learning.GetFitMetricsResponse:
         """Returns the metrics of a fit from a step on, decimated. Raises NotFound when there is no such fit."""
         found = await self._in_thread(
-            self._jobs.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
+            lambda: self._jobs.metrics(request.id, from_step=request.from_step, max_rows=request.max_rows)
         )
         return learning.GetFitMetricsResponse(**vars(found))
 
@@ -163,6 +161,5 @@ class FitService:
         await self._health.wait_for_drain()
         await asyncio.to_thread(self._queue.close)
 
-    def _in_thread(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> "asyncio.Future[T]":
-        work = functools.partial(call, *args, **kwargs)
-        return asyncio.get_running_loop().run_in_executor(self._threads, work)
+    def _in_thread(self, call: Callable[[], T]) -> "asyncio.Future[T]":
+        return asyncio.get_running_loop().run_in_executor(self._threads, call)
