@@ -43,10 +43,12 @@ def _run(*words: str) -> Result:
 def test_demonstrations_become_labels() -> None:
     _run("sim", "demonstrate", "grid", "--out", "demos", "--count", "12", "--max-skills", "3")
     fit = json.loads(_run("fit", "segmentation", "demos", "--set", "steps=2", "--watch").stdout.splitlines()[-1])
+    rows = [json.loads(line) for line in _run("fit", "metrics", fit["id"]).stdout.splitlines()]
     (model,) = [json.loads(line) for line in _run("models", "list").stdout.splitlines()]
     answer = json.loads(_run("segment", "demos", "--index", "3", "--min-segment", "2").stdout)
 
     assert fit["state"] == "succeeded"
+    assert {"step": fit["step"], **fit["metrics"]} == rows[-1]
     assert (model["ref"], model["active"]) == (fit["model"], True)
     assert answer["model"] == fit["model"]
     assert answer["segments"][-1]["end"] == len(answer["labels"])
