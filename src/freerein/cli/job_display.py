@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
-from freerein.cli.job_progress import JobProgress, by_relevance, metrics_text, steps_text
+from freerein.cli.job_progress import Job, JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.output import print_json, show_table
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
@@ -82,7 +82,7 @@ def watch(
 @contextmanager
 def _display(
     name: str, progress: JobProgress, metrics: Sequence[str] | None, *, as_json: bool
-) -> "Iterator[Callable[[Fit | Run], None]]":
+) -> Iterator[Callable[[Job], None]]:
     """Yields a function that shows a state."""
     from rich.console import Console
     from rich.live import Live
@@ -96,7 +96,7 @@ def _display(
         yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {metrics_text(job)}".rstrip())
     else:
 
-        def redraw(_job: "Fit | Run") -> None:
+        def redraw(_job: Job) -> None:
             nonlocal drawn_s
             if time.monotonic() - drawn_s > _REDRAW_S:  # history arrives faster than it can be drawn
                 live.refresh()
@@ -147,7 +147,7 @@ def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
     show_table(("step", *names), cells)
 
 
-def _state_line(name: str, job: "Fit | Run", seconds_left: float | None) -> "RenderableType":
+def _state_line(name: str, job: Job, seconds_left: float | None) -> "RenderableType":
     from rich.progress_bar import ProgressBar
     from rich.table import Table
     from rich.text import Text

@@ -1,7 +1,7 @@
 """The progress of a fit or run: its learning curves, and the time left."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from freerein.types.jobs import MetricRow
 
@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from freerein.types.learning import Fit
     from freerein.types.orchestrator import Run
 
+Job: TypeAlias = "Fit | Run"
 _HISTORY_S = 1.0
 _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
 
@@ -21,7 +22,7 @@ class JobProgress:
     """
 
     def __init__(self) -> None:
-        self.job: Fit | Run | None = None
+        self.job: Job | None = None
         self._curves: dict[str, list[tuple[int, float]]] = {}
         self._pace_from: tuple[float, int] | None = None
         self._watched_since_s: float | None = None
@@ -35,7 +36,7 @@ class JobProgress:
                 if not curve or curve[-1][0] < row.step:
                     curve.append((row.step, value))
 
-    def add(self, job: "Fit | Run", *, at_s: float) -> None:
+    def add(self, job: Job, *, at_s: float) -> None:
         """Adds a state. States within a second of the first are history, which says nothing about the pace.
 
         Args:
@@ -79,12 +80,12 @@ def by_relevance(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: (_relevance(name), name))
 
 
-def steps_text(job: "Fit | Run") -> str:
+def steps_text(job: Job) -> str:
     """Returns the steps done, with those planned where known, such as `3/10`."""
     return f"{job.step}/{job.steps}" if job.steps else str(job.step)
 
 
-def metrics_text(job: "Fit | Run") -> str:
+def metrics_text(job: Job) -> str:
     """Returns the latest metrics on one line."""
     return " ".join(f"{name}={job.metrics[name]:.4g}" for name in by_relevance(job.metrics))
 

@@ -12,10 +12,8 @@ from rich.table import Table
 
 from freerein.cli.demo.figures import Figure
 from freerein.cli.job_display import draw
-from freerein.cli.job_progress import JobProgress
+from freerein.cli.job_progress import Job, JobProgress
 from freerein.cli.output import print_json
-from freerein.types.learning import Fit
-from freerein.types.orchestrator import Run
 
 Advance = Callable[[int], None]
 
@@ -62,7 +60,7 @@ class Screen:
             yield advance
 
     @contextmanager
-    def course(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Fit | Run], JobProgress]]:
+    def course(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Job], JobProgress]]:
         """Yields what shows how a run goes on, with curves of some metrics, and returns the course so far."""
         course = JobProgress()
         with Live(
@@ -71,7 +69,7 @@ class Screen:
             get_renderable=lambda: Padding(draw(name, course, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
         ) as live:
 
-            def show(now: Fit | Run) -> JobProgress:
+            def show(now: Job) -> JobProgress:
                 course.add(now, at_s=time.monotonic())
                 if self._console.is_terminal:
                     live.refresh()
