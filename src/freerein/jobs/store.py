@@ -70,14 +70,9 @@ class JobStore:
         return self._root / check_id(job_id, field="id")
 
     def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-        """Records a request durably and returns the id of its job, the same for the same idempotency key.
+        """Records a request and the contents of `config.json` durably; returns the id of the job.
 
-        Args:
-            request: The request as JSON values, with its `idempotency_key`.
-            config: Contents of `config.json`.
-
-        Raises:
-            AlreadyExists: The idempotency key was used for another request.
+        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request.
         """
         job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
@@ -92,8 +87,7 @@ class JobStore:
     def find(self, request: Mapping[str, Any]) -> str | None:
         """Returns the id of the job started with a request's idempotency key; None when there is none.
 
-        Raises:
-            AlreadyExists: The idempotency key was used for another request.
+        Raises AlreadyExists when the key was used for another request.
         """
         job_id = _id_of(request["idempotency_key"])
         if not request["idempotency_key"] or not self.exists(job_id):
@@ -121,12 +115,7 @@ class JobStore:
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
 
-        Args:
-            page_size: At most 1000; 0 for 100.
-            page_token: Empty for the first page.
-
-        Raises:
-            InvalidInput: The page is too large, or the token was not returned by this method.
+        Raises InvalidInput when the page is too large, or the token was not returned by this method.
         """
         size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
         ids = self._newest_first()
@@ -149,13 +138,7 @@ class JobStore:
     def record(self, job_id: str, state: JobState, **changes: Any) -> None:
         """Appends an event durably, unless nothing changes. An ended job changes only to `queued`.
 
-        Args:
-            job_id: The job.
-            state: Its new state.
-            changes: `step`, `metrics` and `error` where they change; `error` is empty by default.
-
-        Raises:
-            OSError: The disk is full or broken.
+        `changes` are `step`, `metrics` and `error`. Raises OSError when the disk is full or broken.
         """
         self._append(job_id, [{**changes, "state": state}])
 
@@ -176,14 +159,9 @@ class JobStore:
         return lambda: [_event(document) for document in reader.read()]
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
-        """Returns the fields of a job as `Fit` and `Run` have them.
+        """Returns the fields of `Fit` and `Run` after an event, by default the last one.
 
-        Args:
-            job_id: The job.
-            event: The event after which; the last one by default.
-
-        Raises:
-            NotFound: There is no such job.
+        Raises NotFound when there is no such job.
         """
         config, event = self.config(job_id), event or self.last(job_id)
         path = self.folder(job_id) / "model.json"
@@ -194,9 +172,7 @@ class JobStore:
     def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
         """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
 
-        Raises:
-            NotFound: There is no such job.
-            InvalidInput: `max_rows` is too large.
+        Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
         """
         most = _bounded(max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
         self.config(job_id)

@@ -100,10 +100,9 @@ class FitService:
         return await self._in_thread(page)
 
     async def watch_fit(self, request: learning.WatchFitRequest) -> AsyncIterator[learning.WatchFitResponse]:
-        """Yields the events of a fit from a sequence number on; ends when the fit has ended, or on drain.
+        """Yields the events of a fit from a sequence number on; ends with the fit, or on drain.
 
-        Raises:
-            NotFound: There is no such fit.
+        Raises NotFound when there is no such fit.
         """
 
         async def pause(_is_new: bool) -> bool:
@@ -146,11 +145,7 @@ class FitService:
         return learning.Fit(**self._jobs.fields(fit_id))
 
     def _publish(self, fit_id: str) -> None:
-        """Publishes the model of a fit and activates it.
-
-        Raises:
-            ServiceError: The model cannot be loaded.
-        """
+        """Publishes the model of a fit and activates it. Raises ServiceError when it cannot be loaded."""
         ref = self._store.publish(self._jobs.config(fit_id)["model_name"], self._jobs.folder(fit_id) / "model")
         asyncio.run_coroutine_threadsafe(self._models.resolve(ref), self._loop).result()
         if not self._jobs.last(fit_id).ended:  # cancelled meanwhile
