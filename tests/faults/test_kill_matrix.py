@@ -171,8 +171,8 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
         "steps": 1_000,
         "batch_size": 4,
         "features": 8,
-        "words": 4,
-        "hidden": 8,
+        "text_features": 4,
+        "hidden_size": 8,
         "log_every": 5,
         "checkpoint_every": 50,
     }
