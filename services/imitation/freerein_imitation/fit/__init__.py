@@ -15,8 +15,8 @@ import torch
 
 from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput
-from freerein.jobs.child import run_child, stop_on_sigterm
-from freerein.learning.fit import fit
+from freerein.jobs.child import run_child
+from freerein.learning.fit import fit_and_save
 from freerein_imitation.fit import goal_conditioned, language, skills
 from freerein_imitation.fit.dataset import open_dataset
 
@@ -52,12 +52,7 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
         method, source = _method(values), open_dataset(data_dir, job["dataset"])
         torch.set_num_threads(values["threads"])
         learner = method.prepare(source, values, device)
-        with stop_on_sigterm() as stop:
-            fitted = fit(learner, folder, stop=stop)
-        if fitted is None:
-            return False
-        method.save(folder / "model", source, learner, fitted)
-        return True
+        return fit_and_save(learner, folder, lambda fitted, model: method.save(model, source, learner, fitted))
 
     return run_child(folder, train)
 

@@ -13,7 +13,8 @@ from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
 from freerein.learning.split import train_validation_split
-from freerein_imitation.training.trajectories import TrajectoryArrays, no_action
+from freerein.learning.trajectories import TrajectoryArrays
+from freerein_imitation.training.trajectories import no_action
 
 
 @dataclass(frozen=True)

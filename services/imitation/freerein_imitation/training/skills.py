@@ -17,6 +17,7 @@ from freerein.learning.config import bounded
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import TrajectoryArrays
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.colour_codebook import ColourCodebook, shift_horizontally
@@ -30,7 +31,7 @@ from freerein_imitation.training.skill_segments import (
     find_segments,
     split_segments,
 )
-from freerein_imitation.training.trajectories import TrajectoryArrays, TrajectoryDataset
+from freerein_imitation.training.trajectories import TrajectoryDataset
 
 State = TrainState[SkillsNetwork]
 

@@ -2,23 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.learning import trajectories as trajectory_arrays
 from freerein.learning.split import train_validation_split
-
-D_co = TypeVar("D_co", bound=np.generic, covariant=True)
-
-
-class TrajectoryArrays(Protocol[D_co]):
-    """One array (T, ...) per trajectory: a list of arrays, or `freerein.data.cache.StepCache`."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> npt.NDArray[D_co]: ...
+from freerein.learning.trajectories import TrajectoryArrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +38,7 @@ class TrajectoryDataset:
 
     def sample_frames(self, count: int) -> npt.NDArray[np.uint8]:
         """Returns about `count` frames, uint8 (N, H, W, C), spread evenly over trajectories and time."""
-        every = max(1, int(self.lengths().sum()) // count)
-        return np.concatenate([self.frames[item][item % every :: every] for item in range(len(self))])
+        return trajectory_arrays.sample_frames(self.frames, count)
 
 
 def no_action(actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -71,12 +61,11 @@ def split_trajectories(
         InvalidInput: Fewer than 2 are long enough.
     """
     usable = np.flatnonzero(trajectories.lengths() >= min_length)
-    if len(usable) < 2:
-        raise InvalidInput(
-            f"A fit needs at least 2 trajectories of {min_length} or more timesteps, one of them for validation; "
-            f"got {len(usable)}.",
-            field="dataset",
-            hint="Record more, or longer ones: freerein sim demonstrate TASK --behaviour random --out NAME.",
-        )
-    training, validation = train_validation_split(usable, fraction=fraction, seed=seed)
+    training, validation = train_validation_split(
+        usable,
+        fraction=fraction,
+        seed=seed,
+        unit=f"trajectories of {min_length} or more timesteps",
+        hint="Record more, or longer ones: freerein sim demonstrate TASK --behaviour random --out NAME.",
+    )
     return trajectories.subset(training), trajectories.subset(validation)

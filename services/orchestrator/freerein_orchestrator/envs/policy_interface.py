@@ -1,4 +1,4 @@
-"""What policies observe and do, and checks that tasks, teachers and students fit together."""
+"""Observations and actions of policies, and checks that tasks, teachers and students fit together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ _FIELD = "config.teachers"
 
 
 @dataclass(frozen=True)
-class PolicySpec:
+class PolicyInterface:
     """Observations and actions of a policy.
 
     Attributes:
@@ -33,14 +33,14 @@ class PolicySpec:
     action_choices: int
 
     @classmethod
-    def of_stored(cls, policy: StoredPolicy) -> "PolicySpec":
-        """Returns the spec of a policy of a ppo run."""
+    def of_stored(cls, policy: StoredPolicy) -> "PolicyInterface":
+        """Returns the interface of a policy of a ppo run."""
         spec, camera = policy.network.spec, str(policy.card["camera"])
         return cls(camera, spec.height, spec.width, spec.channels, spec.action_size, spec.action_choices)
 
     @classmethod
-    def of_served(cls, spec: GetSpecResponse) -> "PolicySpec":
-        """Returns the spec of a model of the imitation service."""
+    def of_served(cls, spec: GetSpecResponse) -> "PolicyInterface":
+        """Returns the interface of a model of the imitation service."""
         camera, action = spec.cameras[0], spec.action
         return cls(camera.name, camera.height, camera.width, camera.channels, action.size, action.choices)
 
@@ -49,7 +49,7 @@ class PolicySpec:
         return f"camera {self.camera}, {self.height} x {self.width} x {self.channels}, {action}"
 
 
-def check_teachers(specs: Sequence[PolicySpec], *, student_camera: str) -> None:
+def check_teachers(specs: Sequence[PolicyInterface], *, student_camera: str) -> None:
     """Checks that teachers have the same spec, and their student the same camera.
 
     Args:
@@ -95,7 +95,7 @@ def common_action(tasks: Sequence[Task]) -> tuple[ActionSpec, float]:
     return actions.pop()
 
 
-def check_task(spec: PolicySpec, task: Task) -> None:
+def check_task(spec: PolicyInterface, task: Task) -> None:
     """Checks that a task has a policy's camera and actions.
 
     Raises:
