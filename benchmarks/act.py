@@ -35,7 +35,7 @@ from benchmarks.timing import Call, Effort, Latencies, measure_latencies
 from freerein import wire
 from freerein.clients import Channel, ImitationClient
 from freerein.types.imitation import ActRequest
-from freerein_imitation.model import goal_conditioned_policy
+from freerein_imitation import model
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
@@ -125,14 +125,14 @@ async def _check_same_actions(interfaces: dict[str, Act], robot: Robot) -> None:
 
 def _torch(scene: Scene) -> Act:
     """Returns the model call as the service's core makes it, with the memory passed on."""
-    policy = goal_conditioned_policy.load(scene.folder, "cpu")
+    policy = model.load(scene.folder, "cpu")
     frames, goals = scene.frame[None], policy.encode_goals(scene.goal[None])
-    previous, memory = np.zeros((1, policy.action_size), np.float32), np.zeros((1, policy.memory_size), np.float32)
+    previous, recurrent = policy.spec.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
 
     async def act() -> Actions:
-        nonlocal memory
-        step = policy.step(frames, goals, previous, memory)
-        memory = step.memory
+        nonlocal recurrent
+        step = policy.step(frames, goals, previous, recurrent)
+        recurrent = step.recurrent
         actions: Actions = step.actions[0]
         return actions
 

@@ -28,8 +28,8 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from benchmarks.servers import serve_until_stdin_closes
 from benchmarks.timing import Call
-from freerein_imitation.model import GoalConditionedPolicy, goal_conditioned_policy
-from freerein_imitation.model.step import Step
+from freerein_imitation import model
+from freerein_imitation.model.policy import Policy, PolicyOutput
 
 STREAM = "/bare.Bare/Stream"
 SEQ_BYTES = 8
@@ -114,19 +114,19 @@ async def _serve_stream(reply_bytes: str) -> None:
 
 
 async def _serve_policy(folder: str) -> None:
-    policy = goal_conditioned_policy.load(Path(folder), "cpu")
+    policy = model.load(Path(folder), "cpu")
 
-    async def step(*arguments: Any) -> Step:
+    async def step(*arguments: Any) -> PolicyOutput:
         return policy.step(*arguments)
 
     await _serve_grpc(partial(_act, policy, step))
 
 
 async def _serve_policy_on_thread(folder: str) -> None:
-    policy = goal_conditioned_policy.load(Path(folder), "cpu")
+    policy = model.load(Path(folder), "cpu")
     with ThreadPoolExecutor(1) as thread:
 
-        async def step(*arguments: Any) -> Step:
+        async def step(*arguments: Any) -> PolicyOutput:
             return await asyncio.get_running_loop().run_in_executor(thread, policy.step, *arguments)
 
         await _serve_grpc(partial(_act, policy, step))
@@ -144,20 +144,20 @@ async def _serve_grpc(answer: Callable[[AsyncIterator[bytes], _Context], Awaitab
 
 
 async def _act(
-    policy: GoalConditionedPolicy,
-    step: Callable[..., Awaitable[Step]],
+    policy: Policy,
+    step: Callable[..., Awaitable[PolicyOutput]],
     messages: AsyncIterator[bytes],
     context: _Context,
 ) -> None:
     """Answers each message by its number, an action and the memory; the first message is the goal."""
-    shape = (1, policy.height, policy.width, policy.channels)
+    shape = (1, policy.spec.height, policy.spec.width, policy.spec.channels)
     goal = policy.encode_goals(np.frombuffer(await anext(messages), np.uint8).reshape(shape))
-    previous, memory = np.zeros((1, policy.action_size), np.float32), np.zeros((1, policy.memory_size), np.float32)
+    previous, recurrent = policy.spec.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
     async for message in messages:
         frames = np.frombuffer(message, np.uint8, offset=SEQ_BYTES).reshape(shape)
-        answer = await step(frames, goal, previous, memory)
-        memory = answer.memory
-        await context.write(message[:SEQ_BYTES] + answer.actions.tobytes() + memory.tobytes())
+        answer = await step(frames, goal, previous, recurrent)
+        recurrent = answer.recurrent
+        await context.write(message[:SEQ_BYTES] + answer.actions.tobytes() + recurrent.tobytes())
 
 
 _SERVERS = {

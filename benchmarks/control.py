@@ -24,7 +24,7 @@ from benchmarks.report import Bar, Ratio, Results
 from benchmarks.servers import run_server, run_service
 from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat
 from freerein.clients import Channel, ImitationClient
-from freerein_imitation.model import goal_conditioned_policy
+from freerein_imitation import model
 
 _SIDE_PX = 64
 _WAITING_ROBOTS, _MEASURED_BATCH = 16, 8
@@ -64,14 +64,14 @@ async def _measure_batching(effort: Effort) -> Results:
 
 
 def _model(name: str, scene: Scene, size: int) -> Workload:
-    policy = goal_conditioned_policy.load(scene.folder, "cpu")
+    policy = model.load(scene.folder, "cpu")
     frames = np.repeat(scene.frame[None], size, axis=0)
     goals = np.repeat(policy.encode_goals(scene.goal[None]), size, axis=0)
-    previous = np.zeros((size, policy.action_size), np.float32)
-    memory = np.zeros((size, policy.memory_size), np.float32)
+    previous = np.zeros((size, policy.spec.action.size), np.float32)
+    recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
 
     async def call() -> None:
-        policy.step(frames, goals, previous, memory)
+        policy.step(frames, goals, previous, recurrent)
 
     return Workload(name, repeat(call), size, "observations")
 

@@ -147,11 +147,11 @@ def wait_until(condition: Callable[[], bool], within_s: float) -> float:
     return time.monotonic() - begun
 
 
-def wait_for_the_model_to_begin(faulty: Any, door: str, in_flight: int) -> None:
+def wait_for_the_model_to_begin(faulty: Any, protocol: str, in_flight: int) -> None:
     """Returns when so many calls are in flight and none of them waits: the first then has the model."""
     in_a_row = 0
     while in_a_row < 5:
-        begun = faulty.metric(f'freerein_calls_in_flight{{protocol="{door}"}}') == in_flight
+        begun = faulty.metric(f'freerein_calls_in_flight{{protocol="{protocol}"}}') == in_flight
         in_a_row = in_a_row + 1 if begun and faulty.metric("freerein_queued_items") == 0 else 0
 
 

@@ -22,7 +22,7 @@ LONGEST_TOKENISING_S = 0.02
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: Callable[..., Any]) -> Iterator[httpx.Client]:
-    """The REST door of the service with the models that come with it; no text may make it log a fault."""
+    """An HTTP client of the service with the shipped models; no text may make it log a fault."""
     service = start_module_service("freerein_reward")
     with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
         wait_until_ready(client)

@@ -1,4 +1,4 @@
-"""The fault rows of the simulation, over the gRPC door of a real service process."""
+"""Faults of the sim service, over gRPC to a real process."""
 
 import os
 import signal

@@ -9,7 +9,8 @@ import pytest
 
 from freerein.jobs.attempt import AttemptResult, AttemptRunner, AttemptStopped, StopRequest, retry
 from freerein.jobs.store import JobStore
-from freerein.types.orchestrator import StartRunRequest
+
+START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
 
 
 @pytest.fixture
@@ -61,7 +62,7 @@ def test_a_job_is_attempted_until_it_ends_or_three_attempts_in_a_row_make_no_pro
 
 
 def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(store, runner):
-    run_id = store.create(StartRunRequest("ppo", {}), {"config": {"steps": 4}})
+    run_id = store.create(START, {"config": {"steps": 4}})
     store.record(run_id, "running", step=2)  # by an attempt before
     assert runner.run(run_id, go_on) == AttemptResult("succeeded")
     assert [(event.step, event.metrics) for event in store.events(run_id)()[2:]] == [
@@ -72,7 +73,7 @@ def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(s
 
 @pytest.mark.fault("O5")
 def test_an_attempt_that_could_not_begin_is_tried_again(store, runner):
-    run_id = store.create(StartRunRequest("ppo", {}), {"config": {"steps": 1}})
+    run_id = store.create(START, {"config": {"steps": 1}})
     (store.folder(run_id) / "log.txt").mkdir()
     attempt = runner.run(run_id, go_on)
     assert (attempt.outcome, attempt.error) == ("crashed", "It could not be started: Is a directory.")
@@ -81,7 +82,7 @@ def test_an_attempt_that_could_not_begin_is_tried_again(store, runner):
 @pytest.mark.fault("O10")
 def test_a_child_that_will_not_end_is_killed_within_two_seconds_of_a_cancel(store, runner, monkeypatch):
     monkeypatch.setenv("FREEREIN_DATABASE_URL", "postgresql://user:secret@host/name")
-    run_id = store.create(StartRunRequest("ppo", {}), {"config": {"steps": 3, "wait_at": 2, "deaf": True}})
+    run_id = store.create(START, {"config": {"steps": 3, "wait_at": 2, "deaf": True}})
     told: list[float] = []
 
     def cancel_at_two() -> StopRequest:

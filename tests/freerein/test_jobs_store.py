@@ -12,9 +12,9 @@ from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import MetricsPage, MetricsWriter
 from freerein.jobs.store import JobEvent, JobStore
-from freerein.types.orchestrator import StartRunRequest
 
-REQUEST = StartRunRequest("ppo", {"seed": 3}, "key")
+START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
+REQUEST = {**START, "config": {"seed": 3}, "idempotency_key": "key"}
 
 
 @pytest.fixture
@@ -34,8 +34,8 @@ def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(store):
     assert store.create(REQUEST, {"seed": 3}) == run_id
     assert len(store.events(run_id)()) == 1
     with pytest.raises(AlreadyExists):
-        store.create(StartRunRequest("ppo", {"seed": 4}, "key"), {"seed": 4})
-    unnamed = StartRunRequest("ppo", {})
+        store.create({**START, "config": {"seed": 4}, "idempotency_key": "key"}, {"seed": 4})
+    unnamed = START
     assert store.create(unnamed, {}) != store.create(unnamed, {})
 
 
@@ -133,9 +133,9 @@ def test_a_job_whose_request_was_not_recorded_whole_is_not_there(store):
 
 
 def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(store):
-    ids = [store.create(StartRunRequest("ppo"), {}) for _ in range(5)]
+    ids = [store.create(START, {}) for _ in range(5)]
     first, token = store.page(2, "")
-    store.create(StartRunRequest("ppo"), {})
+    store.create(START, {})
     second, token = store.page(2, token)
     third, end = store.page(2, token)
     assert [*first, *second, *third] == ids[::-1]

@@ -26,7 +26,7 @@ Reply = Any
 
 
 class Worker:
-    """An orchestrator process without doors, on a data directory of its own or shared with others."""
+    """An orchestrator process without REST and gRPC, on a data directory of its own or shared with others."""
 
     def __init__(self, data_dir: Path, name: str = "worker", url: str = "") -> None:
         self.runs = data_dir / "runs"

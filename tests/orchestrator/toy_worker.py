@@ -1,4 +1,4 @@
-"""An orchestrator without doors: `python toy_worker.py DATA_DIR NAME DATABASE_URL`, a JSON command a line on stdin."""
+"""An orchestrator without REST and gRPC: `python toy_worker.py DATA_DIR NAME DATABASE_URL`; JSON commands on stdin."""
 
 import asyncio
 import json

@@ -74,7 +74,7 @@ def test_the_inverse_temperature_is_at_most_100(network: DualEncoder) -> None:
 
 
 def test_attention_pooling_equals_attention_with_explicit_keys_and_values() -> None:
-    pool = AttentionPool(channels=64, embedding_dim=32)
+    pool = AttentionPool(64, embedding_dim=32)
     weights.initialise(pool, generator=torch.Generator().manual_seed(0))
     maps = torch.rand(2, 64, 16, 16, generator=torch.Generator().manual_seed(1))
     cells = maps.flatten(start_dim=2).transpose(1, 2)
@@ -88,7 +88,7 @@ def test_attention_pooling_equals_attention_with_explicit_keys_and_values() -> N
 
 
 def test_a_keypoint_has_position_and_presence() -> None:
-    pool = KeypointPool(channels=2, keypoints=2, hidden=8, embedding_dim=8)
+    pool = KeypointPool(2, 2, hidden=8, embedding_dim=8)
     with torch.no_grad():
         pool.logits.weight.copy_(torch.eye(2))
         pool.logits.bias.fill_(-50.0)

@@ -10,7 +10,7 @@ from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein_reward import objectives
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
-from freerein_reward.relations import Relation
+from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import CaptionDataset, RewardConfig, RewardLearner, evaluate_reward, network_spec
 from freerein_reward.training.caption_dataset import (
     NO_CAPTION,
@@ -100,18 +100,20 @@ def test_the_convolutions_of_the_grounding_model_stay_frozen(learner: RewardLear
 def test_evaluation_has_accuracy_precision_and_recall(learner: RewardLearner) -> None:
     figures = evaluate_reward(learner.init(torch.Generator().manual_seed(0)).network, learner.validation)
     assert 0.0 <= figures["relation_accuracy"] <= 1.0
-    assert {f"{relation.name.lower()}.{kind}" for relation in Relation for kind in ("precision", "recall")} < set(
-        figures
-    )
+    assert {
+        f"{relation.name.lower()}.{kind}" for relation in SpatialRelation for kind in ("precision", "recall")
+    } < set(figures)
 
 
 def test_in_a_mirror_left_is_right_and_top_is_top() -> None:
     dataset = blocks(200, seed=2)
     mirrored = dataset.mirrored(np.ones(200, bool))
     there, back = dataset.relations[:, 0, 1], mirrored.relations[:, 0, 1]
-    assert np.array_equal(there == Relation.LEFT_OF, back == Relation.RIGHT_OF)
-    assert np.array_equal(there == Relation.ON_TOP_OF, back == Relation.ON_TOP_OF)
-    assert np.array_equal(dataset.sides[:, 0, 1] == Relation.LEFT_OF, mirrored.sides[:, 0, 1] == Relation.RIGHT_OF)
+    assert np.array_equal(there == SpatialRelation.LEFT_OF, back == SpatialRelation.RIGHT_OF)
+    assert np.array_equal(there == SpatialRelation.ON_TOP_OF, back == SpatialRelation.ON_TOP_OF)
+    assert np.array_equal(
+        dataset.sides[:, 0, 1] == SpatialRelation.LEFT_OF, mirrored.sides[:, 0, 1] == SpatialRelation.RIGHT_OF
+    )
     assert (mirrored.relations[:, 0, 0] == NO_CAPTION).all()
     assert np.array_equal(mirrored.views[0][:, :, ::-1], dataset.views[0])
 
@@ -127,14 +129,14 @@ def test_images_move_by_whole_pixels() -> None:
 def test_no_caption_mentions_an_object_that_is_not_shown() -> None:
     x = y = np.array([[0.1, 0.5, 0.9]])
     relations = pairwise_relations(x, y, np.array([[True, True, False]]), epsilon=0.1)
-    assert (relations[0, 0, 1], relations[0, 1, 0]) == (Relation.APART_FROM, Relation.APART_FROM)
+    assert (relations[0, 0, 1], relations[0, 1, 0]) == (SpatialRelation.APART_FROM, SpatialRelation.APART_FROM)
     assert (relations[0, 2] == NO_CAPTION).all()
     assert (relations[0, :, 2] == NO_CAPTION).all()
 
 
 def test_captions_come_in_the_order_of_the_relations() -> None:
     texts = relation_captions(PHRASES, np.array([[1, 0]]))
-    assert texts[Relation.BELOW] == "a blue block below a red block"
+    assert texts[SpatialRelation.BELOW] == "a blue block below a red block"
 
 
 def test_whole_trajectories_are_held_out_and_images_without_a_caption_left_out() -> None:
@@ -167,7 +169,7 @@ def test_equal_captions_are_never_each_others_negatives() -> None:
 
 def test_relation_cross_entropy_counts_only_pairs_with_captions() -> None:
     scores = torch.zeros(2, 1, 5)
-    scores[0, 0, Relation.BELOW] = 50.0
-    told = torch.tensor([[int(Relation.BELOW)], [NO_CAPTION]])
+    scores[0, 0, SpatialRelation.BELOW] = 50.0
+    told = torch.tensor([[int(SpatialRelation.BELOW)], [NO_CAPTION]])
     assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
     assert objectives.relation_cross_entropy(scores, torch.full((2, 1), NO_CAPTION)).item() == 0.0

@@ -25,8 +25,8 @@ from freerein_reward.core import (
     GroundingCore,
     GroundingModel,
     Inference,
-    Item,
-    Output,
+    InferenceItem,
+    InferenceOutput,
     RewardCore,
     RewardModel,
 )
@@ -44,15 +44,7 @@ def build(
     *,
     load: Callable[[Path, str], RewardModel | GroundingModel] = model.load,
 ) -> Service:
-    """Returns the service.
-
-    Args:
-        settings: Operator settings.
-        limits: Request limits.
-        metrics: Metrics registry of the batcher.
-        health: Health state of the process.
-        load: Loads the model of a folder onto a device.
-    """
+    """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
     store = open_store(NAME, settings)
     models = ModelCache(
@@ -62,7 +54,7 @@ def build(
     )
     grounding = _grounding_folder(store)
     goals = GoalCache(settings.goal_cache_bytes)
-    batcher: Batcher[Item, Output] = Batcher(
+    batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
     )
     fits = FitService(

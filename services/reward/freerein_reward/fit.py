@@ -25,13 +25,7 @@ _MAX_PHRASES = 32  # captions and time grow with the square
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the complete configuration of a fit.
-
-    Args:
-        data_dir: The data directory.
-        dataset: Name of the dataset.
-        values: The configuration that was requested.
-        threads: Default number of torch threads.
+    """Returns the complete configuration of a fit; `values` override the defaults.
 
     Raises:
         NotFound: There is no such dataset.

@@ -17,7 +17,7 @@ ABOVE = 1.5
 """Largest vertical distance between the centres of stacked objects, in object widths."""
 
 
-class Relation(IntEnum):
+class SpatialRelation(IntEnum):
     """A spatial relation of one object to another; values are indices of arrays."""
 
     LEFT_OF = 0
@@ -27,12 +27,12 @@ class Relation(IntEnum):
     APART_FROM = 4
 
 
-WORDINGS: dict[Relation, tuple[str, ...]] = {
-    Relation.LEFT_OF: ("to the left of", "left of", "on the left of"),
-    Relation.RIGHT_OF: ("to the right of", "right of", "on the right of"),
-    Relation.ON_TOP_OF: ("on top of", "above", "on"),
-    Relation.BELOW: ("below", "under", "beneath"),
-    Relation.APART_FROM: ("apart from", "far from", "away from"),
+WORDINGS: dict[SpatialRelation, tuple[str, ...]] = {
+    SpatialRelation.LEFT_OF: ("to the left of", "left of", "on the left of"),
+    SpatialRelation.RIGHT_OF: ("to the right of", "right of", "on the right of"),
+    SpatialRelation.ON_TOP_OF: ("on top of", "above", "on"),
+    SpatialRelation.BELOW: ("below", "under", "beneath"),
+    SpatialRelation.APART_FROM: ("apart from", "far from", "away from"),
 }
 """The first of each is canonical: captions use it."""
 
@@ -45,7 +45,7 @@ _RELATION = re.compile(
 )
 
 
-def caption(first: str, relation: Relation, second: str, *, wording: str = "") -> str:
+def caption(first: str, relation: SpatialRelation, second: str, *, wording: str = "") -> str:
     """Returns a caption, such as `a red block on top of a yellow block`, with the canonical wording by default."""
     return f"{first} {wording or WORDINGS[relation][0]} {second}"
 
@@ -57,7 +57,7 @@ def rival_captions(goal_text: str) -> tuple[str, ...]:
         return ()
     relation = _RELATION_OF[" ".join(found[0].lower().split())]
     before, after = goal_text[: found.start()], goal_text[found.end() :]
-    return tuple(f"{before}{WORDINGS[other][0]}{after}" for other in Relation if other is not relation)
+    return tuple(f"{before}{WORDINGS[other][0]}{after}" for other in SpatialRelation if other is not relation)
 
 
 def classify_relation(
@@ -71,14 +71,14 @@ def classify_relation(
         epsilon: Object width in the same unit: eps of table 4.1, in which `CLOSE` and `ABOVE` are measured.
 
     Returns:
-        int8 (...), values of `Relation`.
+        int8 (...), values of `SpatialRelation`.
     """
     x, height = first[..., 0] - second[..., 0], second[..., 1] - first[..., 1]
     aligned = np.abs(x) < epsilon
     tests = {
-        Relation.ON_TOP_OF: aligned & (height > epsilon / 2) & (height < ABOVE * epsilon),
-        Relation.BELOW: aligned & (height < -epsilon / 2) & (height > -ABOVE * epsilon),
-        Relation.APART_FROM: np.hypot(x, height) >= CLOSE * epsilon,
-        Relation.LEFT_OF: x < 0,
+        SpatialRelation.ON_TOP_OF: aligned & (height > epsilon / 2) & (height < ABOVE * epsilon),
+        SpatialRelation.BELOW: aligned & (height < -epsilon / 2) & (height > -ABOVE * epsilon),
+        SpatialRelation.APART_FROM: np.hypot(x, height) >= CLOSE * epsilon,
+        SpatialRelation.LEFT_OF: x < 0,
     }
-    return np.select(list(tests.values()), list(tests), Relation.RIGHT_OF).astype(np.int8)
+    return np.select(list(tests.values()), list(tests), SpatialRelation.RIGHT_OF).astype(np.int8)

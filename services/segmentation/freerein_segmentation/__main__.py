@@ -30,15 +30,7 @@ def build(
     *,
     load: Callable[[Path, str], SkillModel] = model.load,
 ) -> Service:
-    """Returns the service.
-
-    Args:
-        settings: Operator settings.
-        limits: Request limits.
-        metrics: Metrics registry of the batcher.
-        health: Health state of the process.
-        load: Loads the model of a folder onto a device.
-    """
+    """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
     store = open_store(NAME, settings)
     models: ModelCache[SkillModel] = ModelCache(

@@ -21,13 +21,7 @@ from freerein_segmentation.training import Demonstrations, SegmentationConfig, S
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the complete configuration of a fit.
-
-    Args:
-        data_dir: The data directory.
-        dataset: Name of the dataset.
-        values: The configuration that was requested.
-        threads: Default number of torch threads.
+    """Returns the complete configuration of a fit; `values` override the defaults.
 
     Raises:
         NotFound: There is no such dataset.

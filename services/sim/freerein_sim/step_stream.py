@@ -17,14 +17,7 @@ from freerein.types.sim import (
 
 
 class StepStream:
-    """Serves stepping streams.
-
-    Args:
-        step: Steps a session.
-        reset: Resets a session.
-        health: Signals draining.
-        drain_s: Time left after the signal, sent to clients, in seconds.
-    """
+    """Serves stepping streams."""
 
     def __init__(
         self,
@@ -40,11 +33,7 @@ class StepStream:
         self._drain_s = drain_s
 
     async def connect(self, requests: AsyncIterator[ConnectRequest | InvalidMessage]) -> AsyncIterator[ConnectResponse]:
-        """Yields a reply to each message; a refused message is answered by an error, and the stream goes on.
-
-        Args:
-            requests: The messages; `InvalidMessage` for one that could not be parsed.
-        """
+        """Yields a reply to each message; a refused message is answered by an error, and the stream goes on."""
         async for request in self._health.iterate_until_drain(requests):
             yield await self._answer(request)
         if self._health.draining:

@@ -2,21 +2,26 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import ExitStack, aclosing
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
+from contextlib import aclosing, contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 from freerein.cli.job_progress import Job, JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.output import print_json, show_table
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-J = TypeVar("J", bound=Job)
+    from freerein.clients.channel import Client
+    from freerein.types.learning import Fit
+    from freerein.types.orchestrator import Run
+
+C = TypeVar("C", bound="Client")
+J = TypeVar("J", "Fit", "Run")
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
@@ -28,19 +33,21 @@ _COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled
 
 
 def watch(
-    changes: AsyncGenerator[J, None],
-    history: Callable[[], Awaitable[Sequence[MetricRow]]],
+    connect: "Callable[[], C]",
+    changes: "Callable[[C], AsyncGenerator[J, None]]",
+    history: "Callable[[C], Awaitable[Sequence[MetricRow]]]",
     *,
     name: str,
     command: str,
     as_json: bool,
     metrics: Sequence[str] | None = None,
-) -> J:
+) -> "J":
     """Shows a fit or run until it ends; returns its last state. Ctrl-C ends the program, not the fit or run.
 
     Args:
-        changes: Its state after each change.
-        history: Returns the metrics so far, for the curves.
+        connect: Returns a client of its service.
+        changes: Yields its state after each change.
+        history: Returns its metrics so far.
         name: What it is called.
         command: The command that watches it again.
         as_json: Whether each change is printed as a JSON document.
@@ -49,8 +56,20 @@ def watch(
     Raises:
         FailedPrecondition: It did not succeed.
     """
+
+    async def show_all() -> "J":
+        progress = JobProgress()
+        with _display(name, progress, metrics, as_json=as_json) as show:
+            async with connect() as client, aclosing(changes(client)) as jobs:
+                with suppress(Unavailable):  # `changes` waits for a service that restarts
+                    progress.add_rows(await history(client))
+                async for job in jobs:
+                    progress.add(job, at_s=time.monotonic())
+                    show(job)
+        return job
+
     try:
-        last = asyncio.run(_watch(changes, history, name, metrics, as_json=as_json))
+        last = asyncio.run(show_all())
     except KeyboardInterrupt:
         typer.echo(f"The {name} continues; `{command}` watches it again.", err=True)
         raise typer.Exit(INTERRUPTED) from None
@@ -60,41 +79,34 @@ def watch(
     return last
 
 
-async def _watch(
-    changes: AsyncGenerator[J, None],
-    history: Callable[[], Awaitable[Sequence[MetricRow]]],
-    name: str,
-    metrics: Sequence[str] | None,
-    *,
-    as_json: bool,
-) -> J:
+@contextmanager
+def _display(
+    name: str, progress: JobProgress, metrics: Sequence[str] | None, *, as_json: bool
+) -> Iterator[Callable[[Job], None]]:
+    """Yields a function that shows a state."""
     from rich.console import Console
     from rich.live import Live
 
     from freerein import wire
 
-    console, progress, drawn_s = Console(), JobProgress(), 0.0
-    with ExitStack() as stack:
-        if is_live := console.is_terminal and not as_json:
-            live = Live(
-                console=console,
-                auto_refresh=False,
-                get_renderable=lambda: draw(name, progress, metrics, width=console.width),
-            )
-            stack.enter_context(live)
-            progress.add_rows(await history())
-        async with aclosing(changes):
-            async for job in changes:
-                if as_json:
-                    print_json(wire.to_json(job))
-                elif not is_live:
-                    typer.echo(f"{name} {job.state} {steps_text(job)} {metrics_text(job)}".rstrip())
-                else:
-                    progress.add(job, at_s=time.monotonic())
-                    if time.monotonic() - drawn_s > _REDRAW_S:  # history arrives faster than it can be drawn
-                        live.refresh()
-                        drawn_s = time.monotonic()
-    return job
+    console, drawn_s = Console(), 0.0
+    if as_json:
+        yield lambda job: print_json(wire.to_json(job))
+    elif not console.is_terminal:
+        yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {metrics_text(job)}".rstrip())
+    else:
+
+        def redraw(_job: Job) -> None:
+            nonlocal drawn_s
+            if time.monotonic() - drawn_s > _REDRAW_S:  # history arrives faster than it can be drawn
+                live.refresh()
+                drawn_s = time.monotonic()
+
+        def render() -> "RenderableType":
+            return draw(name, progress, metrics, width=console.width)
+
+        with Live(console=console, auto_refresh=False, get_renderable=render) as live:
+            yield redraw
 
 
 def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> "RenderableType":

@@ -2,30 +2,22 @@
 
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
-from freerein.cli.job_progress import Job
 from freerein.cli.streams import reconnecting
 from freerein.clients import FitClient, OrchestratorClient
 from freerein.errors import Unavailable
-from freerein.types.learning import Fit, WatchFitRequest
-from freerein.types.orchestrator import Run, WatchRunRequest
+from freerein.types.learning import Fit, WatchFitRequest, WatchFitResponse
+from freerein.types.orchestrator import Run, WatchRunRequest, WatchRunResponse
 
-
-class _Event(Protocol):
-    @property
-    def sequence(self) -> int: ...
-
-
-E = TypeVar("E", bound=_Event)
-J = TypeVar("J", bound=Job)
+E = TypeVar("E", WatchFitResponse, WatchRunResponse)
+J = TypeVar("J", Fit, Run)
 
 
 def follow_fit(client: FitClient, fit_id: str) -> AsyncGenerator[Fit, None]:
     """Yields a fit after each change, from the first to the last.
 
-    Raises:
-        ServiceError: There is no such fit, or the service is gone.
+    Raises ServiceError when there is no such fit, or the service is gone.
     """
     return _follow(lambda start: client.watch_fit(WatchFitRequest(fit_id, start)), lambda event: event.fit)
 
@@ -33,8 +25,7 @@ def follow_fit(client: FitClient, fit_id: str) -> AsyncGenerator[Fit, None]:
 def follow_run(client: OrchestratorClient, run_id: str) -> AsyncGenerator[Run, None]:
     """Yields a run after each change, from the first to the last. A run that was resumed has ended before.
 
-    Raises:
-        ServiceError: There is no such run, or the orchestrator is gone.
+    Raises ServiceError when there is no such run, or the orchestrator is gone.
     """
     return _follow(lambda start: client.watch_run(WatchRunRequest(run_id, start)), lambda event: event.run)
 

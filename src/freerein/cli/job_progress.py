@@ -1,44 +1,17 @@
 """The progress of a fit or run: its learning curves, and the time left."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
-from freerein.types.jobs import JobState, MetricRow
+from freerein.types.jobs import MetricRow
 
+if TYPE_CHECKING:
+    from freerein.types.learning import Fit
+    from freerein.types.orchestrator import Run
+
+Job: TypeAlias = "Fit | Run"
 _HISTORY_S = 1.0
 _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
-
-
-class Job(Protocol):
-    """A fit or a run."""
-
-    @property
-    def id(self) -> str:
-        """32 hexadecimal digits."""
-
-    @property
-    def state(self) -> JobState:
-        """Its state."""
-
-    @property
-    def step(self) -> int:
-        """Steps done."""
-
-    @property
-    def steps(self) -> int:
-        """Steps planned."""
-
-    @property
-    def metrics(self) -> Mapping[str, float]:
-        """The latest metrics."""
-
-    @property
-    def error(self) -> str:
-        """Reason of the failure; empty unless it has failed."""
-
-    @property
-    def ended(self) -> bool:
-        """Whether it has ended."""
 
 
 class JobProgress:
@@ -77,7 +50,7 @@ class JobProgress:
         elif job.step > self._pace_from[1]:
             self._seconds_per_step = (at_s - self._pace_from[0]) / (job.step - self._pace_from[1])
         self.job = job
-        self.add_rows([MetricRow(job.step, dict(job.metrics))])
+        self.add_rows([MetricRow(job.step, job.metrics)])
 
     @property
     def seconds_left(self) -> float | None:

@@ -122,18 +122,8 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
     Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next episode, and
     `info["final_obs"]` and `info["final_info"]` hold the last of the old one.
 
-    Args:
-        task: Task name.
-        address: `host:port` of the sim service.
-        num_envs: Number of environments, N.
-        cameras: As in `SimEnv`, like all arguments below.
-        height: See `SimEnv`.
-        width: See `SimEnv`.
-        privileged: See `SimEnv`; `info["truth"]` of an environment whose episode ended is in `final_info`.
-        lease_s: See `SimEnv`.
-        render_mode: See `SimEnv`; `render()` returns a tuple with a frame of each environment.
-        token: See `SimEnv`.
-        root_certificates: See `SimEnv`.
+    The arguments are those of `SimEnv`, and `num_envs`, N. `info["truth"]` of an environment whose episode ended is in
+    `final_info`; `render()` returns a tuple with a frame of each environment.
 
     Raises:
         ServiceError: As every method: the service refused, was unreachable or did not answer in time.

@@ -40,12 +40,7 @@ _HINTS: dict[type[ServiceError], str] = {
 
 
 def service_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
-    """Returns the `ServiceError` of a failed call.
-
-    Args:
-        error: gRPC's error.
-        call: Name and address of the call, for errors of gRPC itself, such as `Step at 127.0.0.1:9104`.
-    """
+    """Returns the `ServiceError` of a failed call."""
     status = _status(error)
     info = _detail(status, error_details_pb2.ErrorInfo)
     if info is None or info.domain != DOMAIN:

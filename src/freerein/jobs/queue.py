@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from freerein.errors import Overloaded, ServiceError
-from freerein.jobs.attempt import INTERNAL_ERROR, AttemptResult, AttemptRunner, AttemptStopped, StopRequest, retry
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest, retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
 
@@ -82,9 +82,20 @@ class LocalQueue:
                 self._run(job_id)
             except AttemptStopped:
                 pass
-            except Exception:  # a bug in one job must not end the queue
+            except ServiceError as error:
+                self._record(job_id, "failed", error=f"{error.detail} {error.hint}")
+            except Exception as error:  # a bug, or the disk: it must not end the queue
                 _log.exception("a job failed", extra={"job": job_id})
-                self._record(job_id, "failed", error=INTERNAL_ERROR)
+                reason = f"The disk failed: {error.strerror}." if isinstance(error, OSError) else INTERNAL_ERROR
+                self._record(job_id, "failed", error=reason)
+
+    def _run(self, job_id: str) -> None:
+        result = retry(lambda: self._runner.run(job_id, lambda: self._request))
+        if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
+            return
+        if result.outcome == "succeeded":
+            self._publish(job_id)
+        self._record(job_id, "succeeded" if result.outcome == "succeeded" else "failed", error=result.error)
 
     def _next(self) -> str:
         """Returns the next job, once there is one; empty when the queue closes."""
@@ -96,24 +107,6 @@ class LocalQueue:
                 return ""
             self._running, self._request = self._waiting.popleft(), ""
             return self._running
-
-    def _run(self, job_id: str) -> None:
-        result = retry(lambda: self._runner.run(job_id, lambda: self._request))
-        if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
-            return
-        if result.outcome == "succeeded":
-            result = self._try_to_publish(job_id)
-        self._record(job_id, "succeeded" if result.outcome == "succeeded" else "failed", error=result.error)
-
-    def _try_to_publish(self, job_id: str) -> AttemptResult:
-        try:
-            self._publish(job_id)
-        except ServiceError as error:
-            return AttemptResult("failed", error=f"{error.detail} {error.hint}")
-        except OSError as error:
-            _log.exception("the result of a job cannot be published", extra={"job": job_id})
-            return AttemptResult("failed", error=f"The disk failed: {error.strerror}.")
-        return AttemptResult("succeeded")
 
     def _record(self, job_id: str, state: JobState, **changes: Any) -> None:
         """Records the end of a job, as soon as the disk takes it."""

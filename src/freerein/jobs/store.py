@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
@@ -29,14 +29,6 @@ from freerein.types.orchestrator import Artifact
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
 _PAGE, _MAX_PAGE = 100, 1000
 _ROWS, _MAX_ROWS = 1000, 10_000
-
-
-class StartRequest(Protocol):
-    """A request that starts a job: a dataclass of JSON values."""
-
-    @property
-    def idempotency_key(self) -> str:
-        """Identifies the job; empty for a new job per request."""
 
 
 @dataclass(frozen=True)
@@ -77,36 +69,30 @@ class JobStore:
         """Returns the folder of a job. Raises InvalidInput for a malformed id."""
         return self._root / check_id(job_id, field="id")
 
-    def create(self, request: StartRequest, config: Mapping[str, Any]) -> str:
-        """Records a request durably and returns the id of its job, the same for the same idempotency key.
+    def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+        """Records a request and the contents of `config.json` durably; returns the id of the job.
 
-        Args:
-            request: The request.
-            config: Contents of `config.json`.
-
-        Raises:
-            AlreadyExists: The idempotency key was used for another request.
+        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request.
         """
-        job_id = _id_of(request.idempotency_key) if request.idempotency_key else uuid.uuid4().hex
+        job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
         folder.mkdir(parents=True, exist_ok=True)
         with self.lock(job_id):
             if self.find(request) is None:
                 append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
-                write_atomic(folder / "request.json", json.dumps(vars(request)).encode())
+                write_atomic(folder / "request.json", json.dumps(request).encode())
                 write_atomic(folder / "config.json", json.dumps(config).encode())
         return job_id
 
-    def find(self, request: StartRequest) -> str | None:
+    def find(self, request: Mapping[str, Any]) -> str | None:
         """Returns the id of the job started with a request's idempotency key; None when there is none.
 
-        Raises:
-            AlreadyExists: The idempotency key was used for another request.
+        Raises AlreadyExists when the key was used for another request.
         """
-        job_id = _id_of(request.idempotency_key)
-        if not request.idempotency_key or not self.exists(job_id):
+        job_id = _id_of(request["idempotency_key"])
+        if not request["idempotency_key"] or not self.exists(job_id):
             return None
-        if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(vars(request))):
+        if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(request)):
             raise AlreadyExists(
                 "An idempotency key must be used for one request; this one was used for another.",
                 field="idempotency_key",
@@ -129,12 +115,7 @@ class JobStore:
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
 
-        Args:
-            page_size: At most 1000; 0 for 100.
-            page_token: Empty for the first page.
-
-        Raises:
-            InvalidInput: The page is too large, or the token was not returned by this method.
+        Raises InvalidInput when the page is too large, or the token was not returned by this method.
         """
         size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
         ids = self._newest_first()
@@ -157,13 +138,7 @@ class JobStore:
     def record(self, job_id: str, state: JobState, **changes: Any) -> None:
         """Appends an event durably, unless nothing changes. An ended job changes only to `queued`.
 
-        Args:
-            job_id: The job.
-            state: Its new state.
-            changes: `step`, `metrics` and `error` where they change; `error` is empty by default.
-
-        Raises:
-            OSError: The disk is full or broken.
+        `changes` are `step`, `metrics` and `error`. Raises OSError when the disk is full or broken.
         """
         self._append(job_id, [{**changes, "state": state}])
 
@@ -184,14 +159,9 @@ class JobStore:
         return lambda: [_event(document) for document in reader.read()]
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
-        """Returns the fields of a job as `Fit` and `Run` have them.
+        """Returns the fields of `Fit` and `Run` after an event, by default the last one.
 
-        Args:
-            job_id: The job.
-            event: The event after which; the last one by default.
-
-        Raises:
-            NotFound: There is no such job.
+        Raises NotFound when there is no such job.
         """
         config, event = self.config(job_id), event or self.last(job_id)
         path = self.folder(job_id) / "model.json"
@@ -202,9 +172,7 @@ class JobStore:
     def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
         """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
 
-        Raises:
-            NotFound: There is no such job.
-            InvalidInput: `max_rows` is too large.
+        Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
         """
         most = _bounded(max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
         self.config(job_id)

@@ -1,11 +1,10 @@
 """`FitService`: fits of models, one at a time, each in a child process that survives crashes of itself and of ours."""
 
 import asyncio
-import functools
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
@@ -20,7 +19,6 @@ from freerein.types.common import check_name
 _POLL_S = 0.1
 _THREADS = 4
 
-P = ParamSpec("P")
 T = TypeVar("T")
 Resolve = Callable[[str, Mapping[str, Any]], dict[str, Any]]
 
@@ -86,11 +84,11 @@ class FitService:
         if request.idempotency_key:
             check_name(request.idempotency_key, field="idempotency_key")
         check_name(request.model_name or DEFAULT_NAME, field="model_name")
-        return learning.StartFitResponse(await self._in_thread(self._start, request))
+        return learning.StartFitResponse(await self._in_thread(lambda: self._start(request)))
 
     async def get_fit(self, request: learning.GetFitRequest) -> learning.GetFitResponse:
         """Returns one fit. Raises NotFound when there is no such fit."""
-        return learning.GetFitResponse(await self._in_thread(self._fit, request.id))
+        return learning.GetFitResponse(await self._in_thread(lambda: self._fit(request.id)))
 
     async def list_fits(self, request: learning.ListFitsRequest) -> learning.ListFitsResponse:
         """Returns one page of the fits, newest first."""
@@ -102,16 +100,15 @@ class FitService:
         return await self._in_thread(page)
 
     async def watch_fit(self, request: learning.WatchFitRequest) -> AsyncIterator[learning.WatchFitResponse]:
-        """Yields the events of a fit from a sequence number on; ends when the fit has ended, or on drain.
+        """Yields the events of a fit from a sequence number on; ends with the fit, or on drain.
 
-        Raises:
-            NotFound: There is no such fit.
+        Raises NotFound when there is no such fit.
         """
 
         async def pause(_is_new: bool) -> bool:
             return await self._health.await_or_drain(asyncio.sleep(_POLL_S, True)) is not None
 
-        await self._in_thread(self._jobs.config, request.id)
+        await self._in_thread(lambda: self._jobs.config(request.id))
         events = watch(self._jobs, request.id, from_sequence=request.from_sequence, pause=pause, threads=self._threads)
         async for sequence, fields in events:
             yield learning.WatchFitResponse(sequence, learning.Fit(**fields))
@@ -119,7 +116,7 @@ class FitService:
     async def get_fit_metrics(self, request: learning.GetFitMetricsRequest) -> learning.GetFitMetricsResponse:
         """Returns the metrics of a fit from a step on, decimated. Raises NotFound when there is no such fit."""
         found = await self._in_thread(
-            self._jobs.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
+            lambda: self._jobs.metrics(request.id, from_step=request.from_step, max_rows=request.max_rows)
         )
         return learning.GetFitMetricsResponse(**vars(found))
 
@@ -134,12 +131,12 @@ class FitService:
         return learning.CancelFitResponse(await self._in_thread(cancel))
 
     def _start(self, request: learning.StartFitRequest) -> learning.Fit:
-        fit_id = self._jobs.find(request)
+        fit_id = self._jobs.find(vars(request))
         if fit_id is None:
             self._queue.check_room()
             config = self._resolve(request.dataset, request.config)
             asked = {"dataset": request.dataset, "model_name": request.model_name or DEFAULT_NAME}
-            fit_id = self._jobs.create(request, {**asked, "config": config, "steps": config["steps"]})
+            fit_id = self._jobs.create(vars(request), {**asked, "config": config, "steps": config["steps"]})
         fit = self._fit(fit_id)
         self._queue.put(fit_id)
         return fit
@@ -148,11 +145,7 @@ class FitService:
         return learning.Fit(**self._jobs.fields(fit_id))
 
     def _publish(self, fit_id: str) -> None:
-        """Publishes the model of a fit and activates it.
-
-        Raises:
-            ServiceError: The model cannot be loaded.
-        """
+        """Publishes the model of a fit and activates it. Raises ServiceError when it cannot be loaded."""
         ref = self._store.publish(self._jobs.config(fit_id)["model_name"], self._jobs.folder(fit_id) / "model")
         asyncio.run_coroutine_threadsafe(self._models.resolve(ref), self._loop).result()
         if not self._jobs.last(fit_id).ended:  # cancelled meanwhile
@@ -163,6 +156,5 @@ class FitService:
         await self._health.wait_for_drain()
         await asyncio.to_thread(self._queue.close)
 
-    def _in_thread(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> "asyncio.Future[T]":
-        work = functools.partial(call, *args, **kwargs)
-        return asyncio.get_running_loop().run_in_executor(self._threads, work)
+    def _in_thread(self, call: Callable[[], T]) -> "asyncio.Future[T]":
+        return asyncio.get_running_loop().run_in_executor(self._threads, call)

@@ -207,8 +207,16 @@ async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> Asyn
             parsed = _parse(message, cls)
             decoded = wire.unpack(parsed, cls)
         except ServiceError as error:
-            decoded = InvalidMessage(error, parsed)
+            decoded = InvalidMessage(error, _seq(parsed))
         yield decoded
+
+
+def _seq(message: Message | None) -> int | None:
+    """Returns the `seq` of the part of a message that has one."""
+    for field, value in message.ListFields() if message is not None else ():
+        if field.message_type is not None and "seq" in field.message_type.fields_by_name:
+            return int(value.seq)
+    return None
 
 
 def _timeout_s(context: _Context, longest: float) -> float:

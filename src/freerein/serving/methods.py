@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
-from google.protobuf.message import Message
 
 from freerein import wire
 from freerein.errors import ServiceError
@@ -74,11 +73,11 @@ class InvalidMessage:
 
     Attributes:
         error: The reason.
-        message: The protobuf message; None when the bytes could not be parsed.
+        seq: The `seq` of the numbered part that the message holds; None when it holds none.
     """
 
     error: ServiceError
-    message: Message | None = None
+    seq: int | None = None
 
 
 def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:

@@ -9,7 +9,7 @@ A workflow waits for an unreachable database as long as it takes; a query about 
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -351,6 +351,7 @@ def _unreachable() -> Unavailable:
 
 def _run_status(workflow: WorkflowStatus) -> RunStatus:
     if workflow.status == "SUCCESS":
-        return RunStatus(**workflow.output)  # type: ignore[arg-type]  # what `_execute` returned
+        status: Mapping[str, Any] = workflow.output  # type: ignore[assignment]  # what `_execute` returned
+        return RunStatus(status["state"], status.get("error", ""))
     state = _STATES[workflow.status]
     return RunStatus(state, INTERNAL_ERROR if state == "failed" else "")

@@ -74,8 +74,7 @@ class RunService:
     async def start(self) -> None:
         """Resumes the runs that had not ended; waits for the database as long as it takes.
 
-        Raises:
-            FailedPrecondition: A worker of this name is running.
+        Raises FailedPrecondition when a worker of this name is running.
         """
         while not self._health.draining:
             try:
@@ -107,7 +106,7 @@ class RunService:
             check_name(request.idempotency_key, field="idempotency_key")
 
         def start() -> orchestrator.Run:
-            run_id = self._store.find(request) or self._create(request)
+            run_id = self._store.find(vars(request)) or self._create(request)
             self._queue.start(run_id)
             return self._run(run_id)
 
@@ -132,10 +131,9 @@ class RunService:
         return await self._in_thread(page)
 
     async def watch_run(self, request: orchestrator.WatchRunRequest) -> AsyncIterator[orchestrator.WatchRunResponse]:
-        """Yields the events of a run from a sequence number on; ends when the run has ended, or on drain.
+        """Yields the events of a run from a sequence number on; ends with the run, or on drain.
 
-        Raises:
-            NotFound: There is no such run.
+        Raises NotFound when there is no such run.
         """
         await self._in_thread(lambda: self._run(request.id))
         clock = asyncio.get_running_loop().time
@@ -173,9 +171,7 @@ class RunService:
     async def resume_run(self, request: orchestrator.ResumeRunRequest) -> orchestrator.ResumeRunResponse:
         """Queues a failed or cancelled run again; it resumes from its last checkpoint.
 
-        Raises:
-            NotFound: There is no such run.
-            FailedPrecondition: It is neither failed nor cancelled.
+        Raises NotFound when there is no such run, FailedPrecondition when it is neither failed nor cancelled.
         """
 
         def resume() -> orchestrator.Run:
@@ -201,11 +197,7 @@ class RunService:
     async def get_artifact(
         self, request: orchestrator.GetArtifactRequest
     ) -> AsyncIterator[orchestrator.GetArtifactResponse]:
-        """Yields the parts of one artifact, at least one.
-
-        Raises:
-            NotFound: There is no such run or artifact.
-        """
+        """Yields the parts of one artifact, at least one. Raises NotFound when there is no such run or artifact."""
         with await asyncio.to_thread(lambda: self._store.artifact(request.id, request.name).open("rb")) as file:
             part = await asyncio.to_thread(file.read, _PART_BYTES)
             yield orchestrator.GetArtifactResponse(part)
@@ -227,7 +219,7 @@ class RunService:
         resolved = self._resolve(request.kind, request.config)
         if self._queue.count_queued(limit=_MAX_WAITING) >= _MAX_WAITING:
             raise Overloaded(f"At most {_MAX_WAITING} runs may wait.", hint="Cancel one, or wait for one to end.")
-        return self._store.create(request, {"kind": request.kind, **vars(resolved)})
+        return self._store.create(vars(request), {"kind": request.kind, **vars(resolved)})
 
     def _run(self, run_id: str) -> orchestrator.Run:
         self._check_open()

@@ -24,10 +24,10 @@ from freerein.types.reward import (
     GroundResponse,
 )
 from freerein_reward.core import inputs
-from freerein_reward.core.inference import GroundItem, Item, Output
+from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.model import GROUNDING, PhraseLocations
-from freerein_reward.relations import Relation, caption
+from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
 
 MAX_GROUND_PHRASES = 64
@@ -40,16 +40,14 @@ _IMAGES_AT_ONCE = 16
 
 
 class GroundingCore:
-    """Core of the RPCs `Ground` and `Describe`.
-
-    Args:
-        models: Model cache, with models of both kinds.
-        batcher: Runs `Inference` on the model's thread.
-        timeout_s: Longest wait for the model, in seconds.
-    """
+    """Core of the RPCs `Ground` and `Describe`."""
 
     def __init__(
-        self, models: ModelCache[RewardModel | GroundingModel], batcher: Batcher[Item, Output], *, timeout_s: float
+        self,
+        models: ModelCache[RewardModel | GroundingModel],
+        batcher: Batcher[InferenceItem, InferenceOutput],
+        *,
+        timeout_s: float,
     ) -> None:
         self._models = models
         self._batcher = batcher
@@ -62,8 +60,7 @@ class GroundingCore:
             InvalidInput: A phrase or the image is invalid, or the model is a reward model.
             UnsupportedMedia: The image is not in the declared encoding.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         inputs.check_phrases(request.phrases, least=1, most=MAX_GROUND_PHRASES)
@@ -81,8 +78,7 @@ class GroundingCore:
             InvalidInput: A phrase, an image or `epsilon` is invalid, or the model is a reward model.
             UnsupportedMedia: An image is not in the declared encoding.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         _check_describe(request)
@@ -125,7 +121,7 @@ def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) 
     pairs = tuple(permutations(range(len(phrases)), 2))
     return [
         tuple(
-            caption(phrases[first], Relation(of_image[first, second]), phrases[second])
+            caption(phrases[first], SpatialRelation(of_image[first, second]), phrases[second])
             for first, second in pairs
             if of_image[first, second] != NO_CAPTION
         )

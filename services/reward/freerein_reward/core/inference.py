@@ -20,8 +20,6 @@ class ScoreItem:
     """Frames to compare with texts, or texts alone.
 
     Attributes:
-        ref: The model's name and version.
-        model: The model.
         texts: One or more texts.
         views: uint8 (N, H, W, 3) by camera; None for texts alone.
     """
@@ -34,7 +32,7 @@ class ScoreItem:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Output of a `ScoreItem`.
+    """InferenceOutput of a `ScoreItem`.
 
     Attributes:
         goals: Embeddings of K texts.
@@ -50,9 +48,7 @@ class GroundItem:
     """Images in which to locate phrases.
 
     Attributes:
-        model: The model.
         images: uint8 (N, H, W, 3).
-        phrases: Noun phrases.
     """
 
     model: GroundingModel
@@ -60,31 +56,27 @@ class GroundItem:
     phrases: tuple[str, ...]
 
 
-Item: TypeAlias = ScoreItem | GroundItem
-Output: TypeAlias = Scores | PhraseLocations
+InferenceItem: TypeAlias = ScoreItem | GroundItem
+InferenceOutput: TypeAlias = Scores | PhraseLocations
 
 
 class Inference:
-    """Runs models, on the batcher's thread.
-
-    Args:
-        goals: Cache of goal embeddings.
-    """
+    """Runs models on the batcher's thread, with a cache of goal embeddings."""
 
     def __init__(self, goals: GoalCache) -> None:
         self._goals = goals
 
-    def run(self, items: Sequence[Item]) -> list[Output | ServiceError]:
+    def run(self, items: Sequence[InferenceItem]) -> list[InferenceOutput | ServiceError]:
         """Returns the outputs, or errors, of items of one kind and one model."""
         scored = [item for item in items if isinstance(item, ScoreItem)]
         return self._score(scored) if scored else [_ground(item) for item in items if isinstance(item, GroundItem)]
 
-    def _score(self, items: Sequence[ScoreItem]) -> list[Output | ServiceError]:
+    def _score(self, items: Sequence[ScoreItem]) -> list[InferenceOutput | ServiceError]:
         ref, model = items[0].ref, items[0].model
         goals = self._goals.embed(ref, model, chain.from_iterable(item.texts for item in items))
         views = [item.views for item in items if item.views is not None]
         frames = iter(_embed_images(model, views))
-        outputs: list[Output | ServiceError] = []
+        outputs: list[InferenceOutput | ServiceError] = []
         for item in items:
             embeddings = next(frames) if item.views is not None else None
             outputs.append(_scores(tuple(goals[text] for text in item.texts), embeddings))
@@ -115,7 +107,7 @@ def _scores(goals: tuple[GoalEmbedding, ...], frames: npt.NDArray[np.float32] | 
     return Scores(goals, np.clip(frames.astype(np.float32) @ texts.T, -1.0, 1.0))
 
 
-def _ground(item: GroundItem) -> Output | ServiceError:
+def _ground(item: GroundItem) -> InferenceOutput | ServiceError:
     found = item.model.ground(item.images, item.phrases)
     expected = (len(item.images), len(item.phrases))
     if not found.heatmaps.shape[:2] == found.x.shape == found.y.shape == found.presence.shape == expected:

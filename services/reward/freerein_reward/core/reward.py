@@ -14,7 +14,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein_reward.core.goal_cache import GoalCache
-from freerein_reward.core.inference import Item, Output, ScoreItem, Scores
+from freerein_reward.core.inference import InferenceItem, InferenceOutput, ScoreItem, Scores
 from freerein_reward.core.inputs import FrameSequence, check_goal_text, check_rivals, model_inputs, request_frames
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.relations import rival_captions
@@ -23,19 +23,12 @@ _FRAMES_AT_ONCE = 64
 
 
 class RewardCore:
-    """Core of the RPCs `Reward` and `EmbedGoal`.
-
-    Args:
-        models: Model cache, with models of both kinds.
-        batcher: Runs `Inference` on the model's thread.
-        goals: Cache of goal embeddings, shared with `Inference`.
-        timeout_s: Longest wait for the model, in seconds.
-    """
+    """Core of the RPCs `Reward` and `EmbedGoal`."""
 
     def __init__(
         self,
         models: ModelCache[RewardModel | GroundingModel],
-        batcher: Batcher[Item, Output],
+        batcher: Batcher[InferenceItem, InferenceOutput],
         goals: GoalCache,
         *,
         timeout_s: float,
@@ -53,8 +46,7 @@ class RewardCore:
                 is a grounding model and the mode is not raw.
             TooLarge: There are too many frames.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
@@ -88,8 +80,7 @@ class RewardCore:
         Raises:
             InvalidInput: The text is empty, blank or too long, or the model is a grounding model.
             OutputNotFinite: The model overflowed.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)

@@ -12,33 +12,25 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein_reward.model.spec import DualEncoderSpec
+
 _EXPANSION = 4
 _HEAD_CHANNELS = 16
-DOWNSAMPLING = 4
-"""Image pixels per cell of the feature map, in each direction."""
 
 
 class ClipImageEncoder(nn.Module):
-    """Embeds images.
+    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
 
-    Args:
-        width: Channels of the stem; the feature map has 8 times as many.
-        depth: Bottlenecks per stage.
-        keypoints: Number of keypoints; 0 for CLIP's attention pooling.
-        hidden: Units of each hidden layer after keypoint pooling.
-        embedding_dim: Dimension of the embedding.
-    """
-
-    def __init__(self, *, width: int, depth: int, keypoints: int, hidden: int, embedding_dim: int) -> None:
+    def __init__(self, spec: DualEncoderSpec) -> None:
         super().__init__()
+        width, channels = spec.width, 2 * _EXPANSION * spec.width
         self.stem = _stem(width)
-        self.layer1 = _stage(2 * width, width, depth, stride=2)
-        self.layer2 = _stage(_EXPANSION * width, 2 * width, depth, stride=1)
-        channels = 2 * _EXPANSION * width
+        self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
+        self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
         self.pool: AttentionPool | KeypointPool = (
-            KeypointPool(channels=channels, keypoints=keypoints, hidden=hidden, embedding_dim=embedding_dim)
-            if keypoints
-            else AttentionPool(channels=channels, embedding_dim=embedding_dim)
+            KeypointPool(channels, spec.keypoints, hidden=spec.hidden, embedding_dim=spec.embedding_dim)
+            if spec.keypoints
+            else AttentionPool(channels, embedding_dim=spec.embedding_dim)
         )
 
     def forward(self, images: Tensor) -> Tensor:
@@ -72,13 +64,9 @@ class AttentionPool(nn.Module):
 
     With one query per image, keys and values need not be computed per cell: q . (K x) is (K^T q) . x, and the weighted
     sum of V x is V times the weighted sum of x.
-
-    Args:
-        channels: Channels of the feature map.
-        embedding_dim: Dimension of the embedding.
     """
 
-    def __init__(self, *, channels: int, embedding_dim: int) -> None:
+    def __init__(self, channels: int, *, embedding_dim: int) -> None:
         super().__init__()
         self._heads = (channels // _HEAD_CHANNELS, _HEAD_CHANNELS)
         self.query = nn.Linear(channels, channels)
@@ -106,25 +94,15 @@ class AttentionPool(nn.Module):
 class KeypointPool(nn.Module):
     """Keypoints by spatial soft-argmax, each with a presence probability, then an MLP.
 
-    Each keypoint's softmax runs over all cells and one "absent" class whose logit is 0.
-
-    Args:
-        channels: Channels of the feature map.
-        keypoints: Number of keypoints.
-        hidden: Units of each of the two hidden layers: relations are not linear in positions.
-        embedding_dim: Dimension of the embedding.
+    Each keypoint's softmax runs over all cells and one "absent" class whose logit is 0. Two hidden layers, because
+    relations are not linear in positions.
     """
 
-    def __init__(self, *, channels: int, keypoints: int, hidden: int, embedding_dim: int) -> None:
+    def __init__(self, channels: int, keypoints: int, *, hidden: int, embedding_dim: int) -> None:
         super().__init__()
         self.logits = nn.Linear(channels, keypoints)
-        self.mlp = nn.Sequential(
-            nn.Linear(3 * keypoints, hidden),
-            nn.ReLU(),
-            nn.Linear(hidden, hidden),
-            nn.ReLU(),
-            nn.Linear(hidden, embedding_dim),
-        )
+        layers = (nn.Linear(3 * keypoints, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
+        self.mlp = nn.Sequential(*layers, nn.Linear(hidden, embedding_dim))
 
     def forward(self, maps: Tensor) -> Tensor:
         """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""
@@ -140,13 +118,7 @@ class KeypointPool(nn.Module):
 
 
 class Bottleneck(nn.Module):
-    """CLIP's residual block, with average pooling in front of strides.
-
-    Args:
-        channels: Input channels.
-        planes: Channels of the inner convolutions; the output has four times as many.
-        stride: 1 or 2.
-    """
+    """CLIP's residual block, with average pooling instead of strides; the output has 4 * planes channels."""
 
     def __init__(self, channels: int, planes: int, *, stride: int) -> None:
         super().__init__()

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
-from freerein_reward.model.dual_encoder import DualEncoder, DualEncoderSpec
+from freerein_reward.model.dual_encoder import DualEncoder
 from freerein_reward.model.dual_encoder_model import DualEncoderModel
 from freerein_reward.model.grounding import GradCamModel
+from freerein_reward.model.spec import DualEncoderSpec
 
 GROUNDING, REWARD = "grounding", "reward"
 

@@ -4,28 +4,23 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein_reward.model.spec import DualEncoderSpec
 from freerein_reward.model.tokenizer import END, MAX_TOKENS
 
 _HEAD_CHANNELS = 16
 
 
 class ClipTextEncoder(nn.Module):
-    """Embeds texts.
+    """Embeds texts of a vocabulary of `tokens` tokens."""
 
-    Args:
-        tokens: Vocabulary size.
-        width: Channels of the transformer; a multiple of 16.
-        depth: Number of layers.
-        embedding_dim: Dimension of the embedding.
-    """
-
-    def __init__(self, *, tokens: int, width: int, depth: int, embedding_dim: int) -> None:
+    def __init__(self, spec: DualEncoderSpec, *, tokens: int) -> None:
         super().__init__()
+        width = spec.text_width
         self.token_embedding = nn.Embedding(tokens, width)
         self.position_embedding = nn.Embedding(MAX_TOKENS, width)
-        self.layers = nn.ModuleList(_TransformerLayer(width) for _ in range(depth))
+        self.layers = nn.ModuleList(_TransformerLayer(width) for _ in range(spec.text_depth))
         self.norm = nn.LayerNorm(width)
-        self.head = nn.Linear(width, embedding_dim)
+        self.head = nn.Linear(width, spec.embedding_dim)
 
     def forward(self, ids: Tensor) -> Tensor:
         """Returns unnormalised embeddings (K, D) of tokens int64 (K, L), L at most 77."""

@@ -15,13 +15,21 @@ from freerein.errors import InvalidInput
 from freerein.learning import tensor_files
 from freerein.learning.split import train_validation_split
 from freerein_reward.model import GradCamModel, preprocess
-from freerein_reward.relations import WORDINGS, Relation, caption, classify_relation
+from freerein_reward.relations import WORDINGS, SpatialRelation, caption, classify_relation
 from freerein_reward.training.config import RewardConfig
 
 NO_CAPTION = -1
 """Instead of a relation: no caption mentions this pair."""
 
-_MIRRORED = np.array([Relation.RIGHT_OF, Relation.LEFT_OF, Relation.ON_TOP_OF, Relation.BELOW, Relation.APART_FROM])
+_MIRRORED = np.array(
+    [
+        SpatialRelation.RIGHT_OF,
+        SpatialRelation.LEFT_OF,
+        SpatialRelation.ON_TOP_OF,
+        SpatialRelation.BELOW,
+        SpatialRelation.APART_FROM,
+    ]
+)
 _CANONICAL_WORDING = 0.7
 """Probability of a relation's first wording, which captions and the sim's goal texts use."""
 
@@ -153,7 +161,7 @@ def pairwise_relations(
 
 def pairwise_sides(x: npt.NDArray[np.float64], relations: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
     """Returns left or right at any distance, int8 (N, P, P), of x (N, P), where `relations` has captions."""
-    left = np.where(x[:, :, None] < x[:, None], Relation.LEFT_OF, Relation.RIGHT_OF)
+    left = np.where(x[:, :, None] < x[:, None], SpatialRelation.LEFT_OF, SpatialRelation.RIGHT_OF)
     return np.where(relations == NO_CAPTION, NO_CAPTION, left).astype(np.int8)
 
 
@@ -166,7 +174,7 @@ def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
 def relation_captions(
     phrases: Sequence[str], pairs: npt.NDArray[np.int64], *, rng: np.random.Generator | None = None
 ) -> tuple[str, ...]:
-    """Returns the caption with each relation, in the order of `Relation`, of each pair.
+    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair.
 
     Args:
         phrases: Noun phrases.
@@ -176,7 +184,7 @@ def relation_captions(
     return tuple(
         caption(phrases[first], relation, phrases[second], wording=_wording(relation, rng))
         for first, second in pairs
-        for relation in Relation
+        for relation in SpatialRelation
     )
 
 
@@ -204,7 +212,7 @@ def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
     return np.stack([preprocess(frame, size=size) for frame in frames])
 
 
-def _wording(relation: Relation, rng: np.random.Generator | None) -> str:
+def _wording(relation: SpatialRelation, rng: np.random.Generator | None) -> str:
     wordings = WORDINGS[relation]
     if rng is None or rng.random() < _CANONICAL_WORDING:
         return wordings[0]

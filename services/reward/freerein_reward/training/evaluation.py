@@ -8,7 +8,7 @@ import numpy.typing as npt
 import torch
 
 from freerein_reward.model import DualEncoder, contrast_texts
-from freerein_reward.relations import Relation
+from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.caption_dataset import NO_CAPTION, CaptionDataset, flatten_pairs
 from freerein_reward.training.grounding_learner import GroundingLearner
@@ -28,7 +28,7 @@ def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, 
     has_caption = targets != NO_CAPTION
     targets, predictions = targets[has_caption], relation_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
     figures = {"relation_accuracy": float((predictions == targets).mean())}
-    for relation in Relation:
+    for relation in SpatialRelation:
         true_positives = float(((predictions == relation) & (targets == relation)).sum())
         name = relation.name.lower()
         figures[f"{name}.precision"] = true_positives / max(1, int((predictions == relation).sum()))

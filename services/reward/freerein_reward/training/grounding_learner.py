@@ -40,13 +40,7 @@ class ObjectBatch:
 
 @dataclass(frozen=True, eq=False)
 class GroundingLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with attention pooling.
-
-    Attributes:
-        config: The configuration.
-        device: Device to train on.
-        fingerprint: Fingerprint of the data; none but the configuration.
-    """
+    """A `freerein.learning.fit.Learner` of a dual encoder with attention pooling; its data follow from `config`."""
 
     config: GroundingConfig
     device: torch.device

@@ -14,7 +14,7 @@ from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
 from freerein_reward.model.tokenizer import words
 from freerein_reward.objectives import contrastive_loss, relation_cross_entropy
-from freerein_reward.relations import WORDINGS, Relation
+from freerein_reward.relations import WORDINGS, SpatialRelation
 from freerein_reward.training.caption_dataset import (
     NO_CAPTION,
     CaptionDataset,
@@ -38,17 +38,7 @@ _HALF_HEAT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class RewardLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling.
-
-    Attributes:
-        config: The configuration.
-        spec: Architecture of the network.
-        training: Training images.
-        validation: Validation images.
-        grounding: The grounding model, which also initialises the image encoder.
-        fingerprint: Fingerprint of the dataset and of the grounding model.
-        device: Device to train on.
-    """
+    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
 
     config: RewardConfig
     spec: DualEncoderSpec
@@ -125,7 +115,7 @@ def relation_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
     texts = network.embed_texts(network.tokenize(captions))
     parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
     images = torch.cat([network.embed_images(part.to(network.device)) for part in parts])
-    scores: Tensor = network.temperature(images @ texts.T).unflatten(1, (-1, len(Relation))).cpu()
+    scores: Tensor = network.temperature(images @ texts.T).unflatten(1, (-1, len(SpatialRelation))).cpu()
     return scores
 
 
@@ -148,15 +138,15 @@ def _loss(network: DualEncoder, batch: CaptionDataset, rng: np.random.Generator)
     texts = network.embed_texts(network.tokenize(captions))
     images = network.embed_images(_stacked_views(batch).to(network.device))
     scores = network.temperature(images @ texts.T)  # (N, 7 pairs)
-    scores, side_scores = scores.tensor_split([len(Relation) * len(pairs)], dim=1)  # (N, 5 pairs), (N, 2 pairs)
+    scores, side_scores = scores.tensor_split([len(SpatialRelation) * len(pairs)], dim=1)  # (N, 5 pairs), (N, 2 pairs)
     targets, sides = (
         torch.from_numpy(values[:, has_caption]).to(network.device)  # (N, pairs)
         for values in (relations, flatten_pairs(batch.sides))
     )
-    positives = (targets[:, :, None] == torch.arange(len(Relation), device=network.device)).flatten(start_dim=1)
+    positives = (targets[:, :, None] == torch.arange(len(SpatialRelation), device=network.device)).flatten(start_dim=1)
     return (
         contrastive_loss(scores, positives)
-        + relation_cross_entropy(scores.unflatten(1, (-1, len(Relation))), targets)
+        + relation_cross_entropy(scores.unflatten(1, (-1, len(SpatialRelation))), targets)
         + relation_cross_entropy(side_scores.unflatten(1, (-1, len(SIDES))), sides)
     )
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +24,8 @@ _SMALL_BELOW, _BIG_ABOVE = 0.07, 0.12
 _MAX_CLUTTER = 7
 
 Colour = tuple[int, int, int]
+Pen = PIL.ImageDraw.ImageDraw
+Rng = np.random.Generator
 Point = tuple[float, float]
 
 _HUES: Mapping[str, tuple[Point, Point, Point]] = MappingProxyType(
@@ -66,18 +67,7 @@ class Attributes:
         return all(own is None or own == other for own, other in zip(ours, theirs, strict=True))
 
 
-class _Stroke(NamedTuple):
-    """Position, radius and colour of a drawing."""
-
-    pen: PIL.ImageDraw.ImageDraw
-    x: float
-    y: float
-    radius: float
-    colour: Colour
-    rng: np.random.Generator
-
-
-def render(rng: np.random.Generator) -> tuple[npt.NDArray[np.uint8], Attributes | None]:
+def render(rng: Rng) -> tuple[npt.NDArray[np.uint8], Attributes | None]:
     """Returns a picture, uint8 (64, 64, 3), and the object that it shows; None for none."""
     scale = _OVERSAMPLING if rng.random() < 0.5 else 1  # 1: hard edges, as simulators render
     side = IMAGE_SIZE * scale
@@ -93,7 +83,7 @@ def render(rng: np.random.Generator) -> tuple[npt.NDArray[np.uint8], Attributes 
     return np.clip(pixels + noise, 0, 255).astype(np.uint8), shown
 
 
-def caption(shown: Attributes | None, rng: np.random.Generator) -> tuple[str, Attributes | None]:
+def caption(shown: Attributes | None, rng: Rng) -> tuple[str, Attributes | None]:
     """Returns a true caption of an object, and the attributes that it mentions."""
     if shown is None:
         return NOTHING, None
@@ -107,7 +97,7 @@ def caption(shown: Attributes | None, rng: np.random.Generator) -> tuple[str, At
     return " ".join(("an" if words[0][0] in "aeiou" else "a", *words)), said
 
 
-def _background(side: int, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+def _background(side: int, rng: Rng) -> npt.NDArray[np.uint8]:
     """Returns a gradient of dull colours, often in two parts."""
     top, bottom = (np.array(_dull(rng)) for _ in range(2))
     at = np.linspace(0, 1, side)[:, None, None]
@@ -119,7 +109,7 @@ def _background(side: int, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(np.clip(picture, 0, 255), dtype=np.uint8)
 
 
-def _dull(rng: np.random.Generator) -> Colour:
+def _dull(rng: Rng) -> Colour:
     return _hsv(rng.uniform(0, 360), rng.uniform(0, 0.25) * rng.random(), rng.uniform(0.02, 1.0))
 
 
@@ -133,7 +123,7 @@ def _shade(colour: Colour, factor: float) -> Colour:
     return red, green, blue
 
 
-def _clutter(pen: PIL.ImageDraw.ImageDraw, side: int, rng: np.random.Generator, *, thin: bool = False) -> None:
+def _clutter(pen: Pen, side: int, rng: Rng, *, thin: bool = False) -> None:
     width, height = rng.uniform(0.02, 0.06 if thin else 0.5, size=2) * side
     if thin and rng.random() < 0.8:
         height *= 6
@@ -145,20 +135,19 @@ def _clutter(pen: PIL.ImageDraw.ImageDraw, side: int, rng: np.random.Generator, 
         pen.ellipse(box, fill=colour)
 
 
-def _object(pen: PIL.ImageDraw.ImageDraw, side: int, rng: np.random.Generator) -> Attributes:
+def _object(pen: Pen, side: int, rng: Rng) -> Attributes:
     name = COLOURS[rng.integers(len(COLOURS))]
     shape = SHAPES[rng.integers(len(SHAPES))]
     radius = float(np.exp(rng.uniform(*np.log(_RADIUS))))
     x, y = rng.uniform(0.03, 0.97, size=2) * side
     colour = _hsv(*(rng.uniform(*span) for span in _HUES[name]))
-    _DRAWINGS[shape](_Stroke(pen, x, y, radius * side, colour, rng))
+    _DRAWINGS[shape](pen, x, y, radius * side, colour, rng=rng)
     size = "small" if radius < _SMALL_BELOW else "big" if radius > _BIG_ABOVE else None
     return Attributes(name, shape, size)
 
 
-def _block(stroke: _Stroke) -> None:
+def _block(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     """Draws a box in perspective, or a rotated square."""
-    pen, x, y, radius, colour, rng = stroke
     dx, dy = rng.uniform(-0.7, 0.7) * radius, -rng.uniform(0, 0.7) * radius
     left, right, up, down = x - radius, x + radius, y - radius, y + radius
     if rng.random() < 0.6:
@@ -172,8 +161,7 @@ def _block(stroke: _Stroke) -> None:
         pen.polygon(_corners(x, y, radius * math.sqrt(2), 4, turn=math.pi / 4 + rng.normal(0, 0.15)), fill=colour)
 
 
-def _ball(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _ball(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     dark, offset = rng.uniform(0.7, 1.0), rng.uniform(-0.3, 0.3, size=2) * radius
     pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_shade(colour, dark))
     inner = 0.65 * radius
@@ -181,8 +169,7 @@ def _ball(stroke: _Stroke) -> None:
     pen.ellipse((ix - inner, iy - inner, ix + inner, iy + inner), fill=colour)
 
 
-def _cylinder(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _cylinder(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     half, lid = 0.7 * radius, 0.3 * radius
     pen.rectangle((x - half, y - radius, x + half, y + radius), fill=colour)
     pen.ellipse((x - half, y + radius - lid, x + half, y + radius + lid), fill=colour)
@@ -190,37 +177,32 @@ def _cylinder(stroke: _Stroke) -> None:
     pen.ellipse((x - half, y - radius - lid, x + half, y - radius + lid), fill=lid_colour)
 
 
-def _cone(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _cone(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     lid = 0.3 * radius
     pen.ellipse((x - radius, y + radius - lid, x + radius, y + radius + lid), fill=_shade(colour, rng.uniform(0.8, 1)))
     pen.polygon([(x - radius, y + radius), (x, y - radius), (x + radius, y + radius)], fill=colour)
 
 
-def _ring(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _ring(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     width = max(1, round(rng.uniform(0.3, 0.5) * radius))
     flat = rng.uniform(0.7, 1.0) * radius
     pen.ellipse((x - radius, y - flat, x + radius, y + flat), outline=colour, width=width)
 
 
-def _star(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _star(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     turn = rng.uniform(0, 2 * math.pi)
     outer = _corners(x, y, 1.2 * radius, 5, turn=turn)
     inner = _corners(x, y, 0.5 * radius, 5, turn=turn + math.pi / 5)
     pen.polygon([point for pair in zip(outer, inner, strict=True) for point in pair], fill=colour)
 
 
-def _cross(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _cross(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     half = rng.uniform(0.25, 0.4) * radius
     pen.rectangle((x - radius, y - half, x + radius, y + half), fill=colour)
     pen.rectangle((x - half, y - radius, x + half, y + radius), fill=colour)
 
 
-def _pyramid(stroke: _Stroke) -> None:
-    pen, x, y, radius, colour, rng = stroke
+def _pyramid(pen: Pen, x: float, y: float, radius: float, colour: Colour, *, rng: Rng) -> None:
     ridge = x + rng.uniform(-0.4, 0.4) * radius
     flank = _shade(colour, rng.uniform(0.65, 0.9))
     pen.polygon([(x - radius, y + radius), (x, y - radius), (x + radius, y + radius)], fill=flank)
@@ -232,7 +214,7 @@ def _corners(x: float, y: float, radius: float, count: int, *, turn: float) -> l
     return [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles]
 
 
-_DRAWINGS: Mapping[str, Callable[[_Stroke], None]] = MappingProxyType(
+_DRAWINGS: Mapping[str, Callable[..., None]] = MappingProxyType(
     {
         "block": _block,
         "ball": _ball,

@@ -61,13 +61,7 @@ def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
 
 
 class Segmenter:
-    """The core of the segmentation service.
-
-    Args:
-        models: Model cache.
-        batcher: Runs `segment_batch` on the model's thread.
-        timeout_s: Longest wait for the model, in seconds.
-    """
+    """The core of the segmentation service."""
 
     def __init__(
         self, models: ModelCache[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
@@ -80,8 +74,7 @@ class Segmenter:
         """Returns the skills and the expected inputs of a model.
 
         Raises:
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         ref, model = await self._models.resolve(request.model)
         return ListSkillsResponse(
@@ -100,8 +93,7 @@ class Segmenter:
         Raises:
             InvalidInput: An option, the frames or the actions are not what the model expects.
             TooLarge: The trajectory is too long.
-            NotFound: There is no such model.
-            FailedPrecondition: No model is active.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         ref, model, frames = await timer.decode(self._inputs(request))

@@ -15,7 +15,7 @@ from freerein.types.common import ActionSpec
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.demonstrations import Batch, Demonstrations, gather
+from freerein_segmentation.training.demonstrations import Demonstrations, TrajectoryBatch, gather
 
 State = TrainState[SegmentationNetwork]
 
@@ -25,13 +25,7 @@ _NORMALISATION_FRAMES = 2000
 def network_spec(
     config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the architecture for a dataset.
-
-    Args:
-        config: The configuration.
-        frame: Frame shape H, W, C.
-        action: The dataset's action spec.
-        skills: All skills, in the order of their labels.
+    """Returns the architecture for frames of shape H, W, C and skills in the order of their labels.
 
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
@@ -54,16 +48,7 @@ def network_spec(
 
 @dataclass(frozen=True, eq=False)
 class SegmentationLearner:
-    """A `freerein.learning.fit.Learner` of a segmentation network.
-
-    Attributes:
-        config: The configuration.
-        spec: Architecture of the network.
-        training: Training trajectories.
-        validation: Validation trajectories.
-        fingerprint: Fingerprint of the dataset.
-        device: Device to train on.
-    """
+    """A `freerein.learning.fit.Learner` of a segmentation network."""
 
     config: SegmentationConfig
     spec: ModelSpec
@@ -101,6 +86,6 @@ class SegmentationLearner:
             losses.append(self._losses(state.network, batch))
         return torch.cat(losses).mean().item()
 
-    def _losses(self, network: SegmentationNetwork, batch: Batch) -> Tensor:
+    def _losses(self, network: SegmentationNetwork, batch: TrajectoryBatch) -> Tensor:
         scores, mask = network(batch.frames, batch.actions, batch.lengths)
         return OBJECTIVES[self.config.objective](scores, mask, batch.tags)

@@ -11,8 +11,8 @@ from freerein_sim.worlds.tasks import tasks
 
 
 def main() -> None:
-    """Serves the socket until its other end closes: by the service's wish, or because the service is dead."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # sent to the whole group by a terminal: the service decides
+    """Serves the socket until the service closes it or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal signals the whole group; the service stops its workers
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     logs.configure("sim")
     logging.getLogger().setLevel(logging.WARNING)

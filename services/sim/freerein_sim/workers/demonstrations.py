@@ -20,10 +20,6 @@ def make_demonstration(world: World, request: DemonstrateRequest) -> Demonstrate
 
     It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
 
-    Args:
-        world: A world of the request's task, in any state.
-        request: The request.
-
     Raises:
         InvalidInput: Unknown skill or camera, or impossible bounds.
         FailedPrecondition: The expert failed in every try.

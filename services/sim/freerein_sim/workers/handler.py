@@ -16,16 +16,12 @@ _LOG = logging.getLogger(__name__)
 
 
 class RequestHandler:
-    """Answers the requests to one worker process, and holds its sessions.
-
-    Args:
-        tasks: The tasks, by name.
-    """
+    """Answers the requests to one worker process, and holds its sessions."""
 
     def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
         self._sessions: dict[str, VectorEnv] = {}
-        self._stages: dict[str, World] = {}  # by task: where demonstrations are made
+        self._demonstration_worlds: dict[str, World] = {}  # by task
         self._answers: dict[type[Any], Callable[[Any], object]] = {
             sim.ListTasksRequest: self._list_tasks,
             sim.CreateSessionRequest: self._create_session,
@@ -57,10 +53,10 @@ class RequestHandler:
         """Frees every world."""
         for envs in self._sessions.values():
             envs.close()
-        for world in self._stages.values():
+        for world in self._demonstration_worlds.values():
             world.close()
         self._sessions.clear()
-        self._stages.clear()
+        self._demonstration_worlds.clear()
 
     def _list_tasks(self, _request: sim.ListTasksRequest) -> sim.ListTasksResponse:
         return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
@@ -97,9 +93,9 @@ class RequestHandler:
         return sim.RestoreResponse(envs.step_id)
 
     def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
-        if request.task not in self._stages:
-            self._stages[request.task] = self._task(request.task).make()
-        return demonstrations.make_demonstration(self._stages[request.task], request)
+        if request.task not in self._demonstration_worlds:
+            self._demonstration_worlds[request.task] = self._task(request.task).make()
+        return demonstrations.make_demonstration(self._demonstration_worlds[request.task], request)
 
     def _close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         self._discard(request.session)

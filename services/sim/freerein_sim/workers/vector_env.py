@@ -10,7 +10,7 @@ from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
 from freerein.types.common import Camera
 from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import TaskDefinition, check_view
+from freerein_sim.worlds.world import TaskDefinition, check_actions, check_view
 
 
 class VectorEnv:
@@ -91,7 +91,7 @@ class VectorEnv:
             FailedPrecondition: There was no reset yet.
         """
         self._check_reset("Step")
-        self._check_actions(actions)
+        check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
         views = self._cameras(cameras)
         self._try_views(views)
         results = [world.step(action) for world, action in zip(self._worlds, actions, strict=True)]
@@ -231,22 +231,6 @@ class VectorEnv:
     def _check_reset(self, call: str) -> None:
         if not self._is_reset:
             raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call Reset first.")
-
-    def _check_actions(self, actions: npt.NDArray[Any]) -> None:
-        spec = self.task.spec.action
-        dtype = np.dtype(np.int64 if spec.choices else np.float32)
-        low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
-        shape = (self.num_envs, spec.size)
-        wanted = f"{dtype} {shape}, finite and within [{low}, {high}]: {', '.join(spec.names)}"
-        if actions.dtype != dtype or actions.shape != shape:
-            got = f"{actions.dtype} {actions.shape}"
-        elif wrong := int((~((actions >= low) & (actions <= high))).sum()):  # NaN is neither
-            got = f"{wrong} of {actions.size} that are not"
-        else:
-            return
-        raise InvalidInput(
-            f"`actions` must be {wanted}; got {got}.", field="actions", hint="See the task's `action` in ListTasks."
-        )
 
     def _check_snapshots(self) -> None:
         if not self.task.spec.exact_snapshots:

@@ -43,9 +43,6 @@ class Worker:
     async def start(cls, *, stuck_s: float) -> "Worker":
         """Starts a child, and returns when it answers.
 
-        Args:
-            stuck_s: Time after which a child that has not answered a call is killed.
-
         Raises:
             WorkerLost: It died before it answered.
         """
@@ -70,10 +67,7 @@ class Worker:
     async def call(self, request: object, response: type[Response], *, timeout_s: float | None = None) -> Response:
         """Sends a request and returns the response. The child completes it even if the caller is cancelled.
 
-        Args:
-            request: A request of `protocol.CALLS`.
-            response: The response's class.
-            timeout_s: Time after which the child counts as hung and is killed; None for the worker's default.
+        A child that does not answer within `timeout_s` (None: the worker's `stuck_s`) is killed.
 
         Raises:
             WorkerLost: The child died, or hung and was killed.

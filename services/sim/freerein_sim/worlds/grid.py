@@ -23,7 +23,7 @@ from freerein_sim.worlds.world import (
     StepResult,
     TaskDefinition,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -63,9 +63,6 @@ class GridWorld:
     An episode has a recipe, the objects to pick up in order. `pick-up` takes any object under the agent. The indicator
     shows the first object of the recipe that still lies on the field; the episode terminates when none does, and is a
     success if exactly the recipe was picked up, in order.
-
-    Args:
-        indicator: Whether the indicator cell is drawn.
     """
 
     spec = SPEC
@@ -108,7 +105,7 @@ class GridWorld:
 
     def step(self, action: Action) -> StepResult:
         """Moves one cell within the field, or picks up the object under the agent."""
-        check_action(SPEC.action, action)
+        check_actions(SPEC.action, action)
         choice = int(action[0])
         if choice == PICK_UP:
             here = np.flatnonzero((self._objects == self._agent).all(axis=1))

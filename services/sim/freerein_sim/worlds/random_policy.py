@@ -15,10 +15,6 @@ class SmoothRandomPolicy:
 
     A continuous action moves halfway to its target each step; targets are often at a limit, so that grippers open and
     close fully and the whole workspace is visited. A discrete action is repeated. The policy never finishes.
-
-    Args:
-        action: Action spec.
-        rng: Draws targets and hold times.
     """
 
     def __init__(self, action: ActionSpec, rng: np.random.Generator) -> None:

@@ -195,23 +195,26 @@ class TaskDefinition:
         )
 
 
-def check_action(spec: ActionSpec, action: npt.NDArray[Any]) -> None:
-    """Checks one action.
+def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
+    """Checks one action, or a batch of actions of shape (*batch, A).
 
     Raises:
-        InvalidInput: Its dtype, shape or values do not match the spec.
+        InvalidInput: The dtype, shape or values do not match the spec.
     """
-    dtype = np.int64 if spec.choices else np.float32
-    if not isinstance(action, np.ndarray) or action.dtype != dtype or action.shape != (spec.size,):
-        got = f"{action.dtype} {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-        raise InvalidInput(f"Expected an action of {np.dtype(dtype)} ({spec.size},); got {got}.", field="action")
+    dtype = np.dtype(np.int64 if spec.choices else np.float32)
     low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
-    if not np.all((action >= low) & (action <= high)):  # false for NaN
-        raise InvalidInput(
-            f"Every number of an action must be finite and in [{low}, {high}]; got one that is not.",
-            field="action",
-            hint="Clip what the policy proposes before stepping.",
-        )
+    shape = (*batch, spec.size)
+    if not isinstance(actions, np.ndarray) or actions.dtype != dtype or actions.shape != shape:
+        got = f"{actions.dtype} {actions.shape}" if isinstance(actions, np.ndarray) else type(actions).__name__
+    elif wrong := int((~((actions >= low) & (actions <= high))).sum()):  # NaN is neither
+        got = f"{wrong} of {actions.size} numbers outside"
+    else:
+        return
+    raise InvalidInput(
+        f"`actions` must be {dtype} {shape}, finite and within [{low}, {high}]: {', '.join(spec.names)}; got {got}.",
+        field="actions",
+        hint="See the task's `action` in ListTasks.",
+    )
 
 
 def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Camera:

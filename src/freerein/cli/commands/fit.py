@@ -1,8 +1,7 @@
 """`freerein fit`: start, list, watch and cancel fits; their metrics."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import aclosing
+from collections.abc import Awaitable, Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
@@ -162,9 +161,12 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
     Raises:
         FailedPrecondition: It did not succeed.
     """
+    from freerein.cli.job_events import follow_fit
+
     fit = job_display.watch(
-        _changes(service, fit_id),
-        lambda: _call(service, lambda client: _rows(client, fit_id, 0, 0)),
+        lambda: _connect(service),
+        lambda client: follow_fit(client, fit_id),
+        lambda client: _rows(client, fit_id, 0, 0),
         name=f"fit {fit_id[:8]}",
         command=f"freerein fit watch {fit_id}",
         as_json=as_json,
@@ -173,21 +175,15 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
         _show([(service, fit)], as_json=False)
 
 
-async def _changes(service: str, fit_id: str) -> "AsyncGenerator[Fit, None]":
+def _connect(service: str) -> "FitClient":
     from freerein.cli.connection import connect
-    from freerein.cli.job_events import follow_fit
     from freerein.clients import FitClient
 
-    async with connect(FitClient, service) as client, aclosing(follow_fit(client, fit_id)) as fits:
-        async for fit in fits:
-            yield fit
+    return connect(FitClient, service)
 
 
 async def _call(service: str, ask: "Callable[[FitClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import connect
-    from freerein.clients import FitClient
-
-    async with connect(FitClient, service) as client:
+    async with _connect(service) as client:
         return await ask(client)
 
 

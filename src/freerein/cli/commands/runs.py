@@ -3,7 +3,7 @@
 import asyncio
 import os
 import sys
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import aclosing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal, TypeVar
@@ -172,9 +172,12 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
     Raises:
         FailedPrecondition: It did not succeed.
     """
+    from freerein.cli.job_events import follow_run
+
     run = job_display.watch(
-        _changes(run_id),
-        lambda: _connected(lambda client: _rows(client, run_id, 0, 0)),
+        _connect,
+        lambda client: follow_run(client, run_id),
+        lambda client: _rows(client, run_id, 0, 0),
         name=f"run {run_id[:8]}",
         command=f"freerein runs watch {run_id}",
         metrics=metrics,
@@ -184,27 +187,19 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
         _show([run], as_json=False)
 
 
-async def _changes(run_id: str) -> "AsyncGenerator[Run, None]":
+def _connect() -> "OrchestratorClient":
     from freerein.cli.connection import connect
-    from freerein.cli.job_events import follow_run
     from freerein.clients import OrchestratorClient
 
-    client = connect(OrchestratorClient, "orchestrator")
-    async with client, aclosing(follow_run(client, run_id)) as runs:
-        async for run in runs:
-            yield run
+    return connect(OrchestratorClient, "orchestrator")
 
 
 def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
-    return asyncio.run(_connected(ask))
+    async def call() -> T:
+        async with _connect() as client:
+            return await ask(client)
 
-
-async def _connected(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
-    from freerein.cli.connection import connect
-    from freerein.clients import OrchestratorClient
-
-    async with connect(OrchestratorClient, "orchestrator") as client:
-        return await ask(client)
+    return asyncio.run(call())
 
 
 def _show(runs: "Sequence[Run]", *, as_json: bool) -> None:

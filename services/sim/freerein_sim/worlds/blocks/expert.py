@@ -54,12 +54,6 @@ class BlocksExpert:
     """Moves one block after the other, using the true state.
 
     Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more.
-
-    Args:
-        world: The world.
-        skills: Skills to execute, in order.
-        goal: Where to place the block; None for anywhere else.
-        rng: Draws places, speed, noise and pauses.
     """
 
     def __init__(

@@ -74,10 +74,6 @@ class Scene:
 def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
     """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second.
 
-    Args:
-        colours: Colours of the blocks.
-        pad: Whether there is a pad behind the back wall for hidden blocks.
-
     Raises:
         FailedPrecondition: The wheel with the gripper's meshes is not installed.
     """

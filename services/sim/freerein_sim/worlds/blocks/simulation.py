@@ -20,7 +20,7 @@ from freerein_sim.worlds.world import (
     GroundTruth,
     StepResult,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -38,15 +38,7 @@ _LEAD_M = 0.07
 
 
 class BlocksWorld:
-    """A gripper and blocks in the plane in which the gripper moves.
-
-    Args:
-        spec: Static properties.
-        colours: Colours of the blocks.
-        draw_initial_state: Draws the initial state of an episode.
-        goal: Goal that the oracle judges; None for a world without a goal.
-        pad: Whether there is a pad for hidden blocks.
-    """
+    """A gripper and blocks in the plane in which the gripper moves."""
 
     def __init__(
         self,
@@ -88,7 +80,7 @@ class BlocksWorld:
 
         The lead of the set-point over the gripper is limited, so that a blocked gripper does not wind up.
         """
-        check_action(self.spec.action, action)
+        check_actions(self.spec.action, action)
         here = self.gripper
         control = self._data.ctrl
         for i, limits in enumerate((scene.GRIPPER_Y_M, scene.GRIPPER_Z_M)):
