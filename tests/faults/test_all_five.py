@@ -186,7 +186,7 @@ async def test_on_sigterm_a_service_answers_accepted_calls_and_refuses_new_ones(
 async def ended(stack: Stack, one: Probe) -> None:
     """Waits until a service that was told to stop has exited with code 0."""
     await until(stack, lambda: one.status().state == "restarting", 120)
-    assert one.status().reason == "It ended with exit code 0."
+    assert one.status().reason == "It exited with code 0."
 
 
 async def within(seconds: float, measure: Callable[[], Awaitable[float]]) -> None:

@@ -35,11 +35,11 @@ TINY = {
     "reward_model": "default",
     "iterations": 3,
     "num_envs": 2,
-    "steps": 16,
+    "num_steps": 16,
     "epochs": 2,
     "batch_size": 16,
-    "features": 8,
-    "hidden": 8,
+    "feature_size": 8,
+    "hidden_size": 8,
 }
 ROLLOUTS, TIMEOUT_S = 8, 200.0
 POLICY = "policy.safetensors"

@@ -29,11 +29,11 @@ TINY = {
     "reward_model": "default",
     "iterations": 4,
     "num_envs": 2,
-    "steps": 16,
+    "num_steps": 16,
     "epochs": 1,
     "batch_size": 16,
-    "features": 8,
-    "hidden": 8,
+    "feature_size": 8,
+    "hidden_size": 8,
 }
 
 
@@ -53,8 +53,9 @@ class Run:
 
     def configure(self, **config: Any) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        asked = {"kind": "ppo", "config": KINDS["ppo"].resolve({**TINY, **config}), "steps": 4}
-        (self.folder / "config.json").write_text(json.dumps(asked))
+        kind = KINDS["ppo"]
+        job = {"kind": "ppo", "config": kind.dump(kind.parse({**TINY, **config})), "steps": 4}
+        (self.folder / "config.json").write_text(json.dumps(job))
 
     def start(self) -> psutil.Popen:
         module = [sys.executable, "-m", "freerein_orchestrator.runs.child"]
@@ -185,7 +186,7 @@ def test_damaged_checkpoints_are_passed_over_with_a_word_and_the_one_before_serv
     steps = [int(path.parent.name.removeprefix("step-")) for path in (newest, second)]
     assert begun.finish() == 0
     assert begun.policy == whole.policy
-    assert [f"Checkpoint {step} is passed over:" in begun.log for step in steps] == [True, True]
+    assert [f"Checkpoint {step} is skipped:" in begun.log for step in steps] == [True, True]
 
 
 @pytest.mark.fault("O5")
@@ -258,7 +259,7 @@ def test_nonsense_is_rolled_back(run: Run, whole: Run, lies: Callable[[str], Non
 def test_nonsense_without_end_stops_the_run_with_a_diagnosis(begun: Run, lies: Callable[[str], None]) -> None:
     lies("short 1000000")
     assert begun.finish() == PERMANENT_FAILURE
-    assert "Iteration 3 was worthless 3 times in a row" in begun.reason
+    assert "Iteration 3 was rejected 3 times in a row" in begun.reason
 
 
 @pytest.mark.fault("O12")
@@ -279,7 +280,7 @@ def test_a_checkpoint_that_is_a_program_is_never_run(begun: Run, whole: Run, tmp
     rewrite(second, "state.safetensors", (1 << 40).to_bytes(8, "little") + b"{" * 64)  # a header of a terabyte
     assert begun.finish() == 0
     assert begun.policy == whole.policy
-    assert begun.log.count("is passed over") == 2
+    assert begun.log.count("is skipped") == 2
     assert not ran.exists()
 
 
@@ -287,7 +288,7 @@ def test_a_checkpoint_that_is_a_program_is_never_run(begun: Run, whole: Run, tmp
 def test_a_policy_that_is_a_program_or_of_other_weights_is_refused(run: Run, whole: Run, tmp_path: Path) -> None:
     ran, planted = tmp_path / "ran", tmp_path / "runs" / ("0" * 32)
     shutil.copytree(whole.folder / "artifacts", planted / "artifacts")
-    run.configure(start_from="0" * 32)
+    run.configure(init_from="0" * 32)
     policy = planted / "artifacts" / "policy.safetensors"
     policy.write_bytes(b"cposix\nsystem\n(S'touch %s'\ntR." % str(ran).encode())
     assert run.finish() == PERMANENT_FAILURE

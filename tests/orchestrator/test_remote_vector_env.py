@@ -199,7 +199,7 @@ def test_the_reward_model_is_pinned_and_what_it_cannot_reward_refused_at_once(re
     assert one.shape == (1,)
     with pytest.raises(InvalidInput, match="rivals"):
         LearnedReward(reward, "a red block", CAMERA).resolve_model(64, 64, 3)
-    with pytest.raises(FailedPrecondition, match="fitted"):
+    with pytest.raises(FailedPrecondition, match="active model"):
         LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve_model(64, 64, 3)
 
 
