@@ -3,14 +3,14 @@
 #   docker build --build-arg SERVICE=sim -t freerein-sim:0.1.0 .
 #
 # SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
-# --build-arg TORCH_INDEX= to get torch as PyPI has it. Docker's old builder reads this file as well as BuildKit.
+# --build-arg TORCH_INDEX= to get torch from PyPI. Works with BuildKit and with Docker's old builder.
 ARG SERVICE
 
 FROM python:3.11-slim-bookworm AS python
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
 
 
-# Our own wheels: the library's, and the service's.
+# Wheels of the library and of the service.
 FROM python AS wheels
 WORKDIR /build
 COPY constraints.txt ./
@@ -22,8 +22,8 @@ ARG SERVICE
 RUN pip wheel --no-build-isolation --no-deps --wheel-dir /wheels . $([ "$SERVICE" = cli ] || echo "./services/$SERVICE")
 
 
-# What all images share: the user, the data directory, and what the library's manifest asks for. Code is not looked at
-# here, so that an edit installs nothing anew.
+# Shared by all images: the user, the data directory, and the library's dependencies. Does not depend on code, so that
+# an edit reinstalls nothing.
 FROM python AS common
 RUN groupadd --gid 10001 freerein \
  && useradd --uid 10001 --gid freerein --no-create-home --home-dir /tmp freerein \
@@ -34,8 +34,8 @@ RUN mkdir -p src/freerein && touch README.md LICENSE src/freerein/__init__.py \
  && pip install -c constraints.txt '.[serving]' && pip uninstall -y freerein
 
 
-# With torch; its own index is passed over when it does not answer within 3 seconds. Headers and torch's own tests are
-# a quarter of its size.
+# With torch; its own index is skipped if it does not answer within 3 seconds. Headers and torch's tests, a quarter of
+# its size, are removed.
 FROM common AS torch
 ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 RUN index=$TORCH_INDEX \

@@ -1,5 +1,5 @@
-"""Measures freerein beside its peers: `python -m benchmarks`.
+"""Compares freerein with its peers: `python -m benchmarks`.
 
-A figure is a ratio of two things measured in one run, turn by turn, so that a slow or busy machine slows both. Where
-the project promises a figure it has a bar. Nothing imports what is here, and no test judges a time.
+A figure is a ratio of two measurements that take turns in one run, so that a slow or busy machine slows both. Required
+values are bars. Nothing imports this package, and no test judges a time.
 """

@@ -1,4 +1,4 @@
-"""What was measured: as a table for people, as JSON for programs."""
+"""Benchmark results, printed as tables and written as JSON."""
 
 import json
 import os
@@ -12,8 +12,7 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.latencies import Latencies
-from benchmarks.rounds import Times
+from benchmarks.timing import Latencies, Rates
 
 _PACKAGES = ("freerein", "grpcio", "gymnasium", "httpx", "mujoco", "numpy", "protobuf", "torch", "uvicorn", "uvloop")
 _SHARES = {"p50": 0.5, "p99": 0.99}
@@ -21,10 +20,10 @@ _SHARES = {"p50": 0.5, "p99": 0.99}
 
 @dataclass(frozen=True)
 class Bar:
-    """What a ratio has to be.
+    """The required value of a ratio.
 
     Attributes:
-        side: On which side of the limit.
+        side: Side of the limit.
         limit: The limit.
     """
 
@@ -32,7 +31,7 @@ class Bar:
     limit: float
 
     def is_met(self, value: float) -> bool:
-        """Returns whether a ratio is on the right side."""
+        """Returns whether a value meets the bar."""
         return value >= self.limit if self.side == "at least" else value <= self.limit
 
     def __str__(self) -> str:
@@ -41,12 +40,12 @@ class Bar:
 
 @dataclass(frozen=True)
 class Ratio:
-    """One figure.
+    """A ratio of two measurements.
 
     Attributes:
-        name: Its name, under which it is published.
-        value: How many times as much.
-        bar: What it has to be; None where nothing was promised.
+        name: Its name.
+        value: Its value.
+        bar: Its required value; None for no requirement.
     """
 
     name: str
@@ -60,51 +59,51 @@ class Ratio:
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What benchmarks found.
+class Results:
+    """Results of benchmarks.
 
     Attributes:
-        ratios: The figures.
-        raw: By name, what the figures were made from.
-        latencies: By name, what figures about single calls were made from.
+        ratios: The ratios.
+        rates: By benchmark, the measured rates.
+        latencies: By benchmark, the measured latencies.
     """
 
     ratios: tuple[Ratio, ...] = ()
-    raw: dict[str, Times] = field(default_factory=dict)
+    rates: dict[str, Rates] = field(default_factory=dict)
     latencies: dict[str, Latencies] = field(default_factory=dict)
 
-    def __add__(self, other: "Findings") -> "Findings":
-        return Findings(self.ratios + other.ratios, self.raw | other.raw, self.latencies | other.latencies)
+    def __add__(self, other: "Results") -> "Results":
+        return Results(self.ratios + other.ratios, self.rates | other.rates, self.latencies | other.latencies)
 
 
-def show(findings: Findings) -> None:
-    """Prints the figures and what they were made from."""
-    Console().print(*(table for table in _tables(findings) if table.row_count))
+def show(results: Results) -> None:
+    """Prints all tables."""
+    Console().print(*(table for table in _tables(results) if table.row_count))
 
 
-def _tables(findings: Findings) -> tuple[Table, ...]:
+def _tables(results: Results) -> tuple[Table, ...]:
     rates = Table("measured", "per second", "ms each", "of", title="Medians")
-    for race, times in findings.raw.items():
+    for benchmark, times in results.rates.items():
         for name in times.rates:
             rate = times.rate(name)
-            rates.add_row(f"{race}.{name}", f"{rate:,.1f}", f"{1e3 / rate:.3f}", times.unit)
+            rates.add_row(f"{benchmark}.{name}", f"{rate:,.1f}", f"{1e3 / rate:.3f}", times.unit)
     calls = Table("call", *(f"{name} ms" for name in _SHARES), title="Latencies, medians of rounds")
-    for race, latencies in findings.latencies.items():
+    for benchmark, latencies in results.latencies.items():
         for name in latencies.seconds:
             values = (latencies.quantile(name, share) for share in _SHARES.values())
-            calls.add_row(f"{race}.{name}", *(f"{1e3 * value:.3f}" for value in values))
+            calls.add_row(f"{benchmark}.{name}", *(f"{1e3 * value:.3f}" for value in values))
     ratios = Table("ratio", "value", "bar", "met", title="Ratios")
-    for ratio in findings.ratios:
+    for ratio in results.ratios:
         ratios.add_row(ratio.name, f"{ratio.value:.2f}", str(ratio.bar or ""), _tick(ratio.is_met))
     return rates, calls, ratios
 
 
-def write(findings: Findings, path: Path, *, load: Sequence[float]) -> None:
-    """Writes everything, with the machine and the versions.
+def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
+    """Writes the results with the machine and the package versions as JSON.
 
     Args:
-        findings: What was found.
-        path: Where to.
+        results: The results.
+        path: The file.
         load: The machine's load averages before the run, over 1, 5 and 15 minutes.
     """
     document = {
@@ -114,19 +113,19 @@ def write(findings: Findings, path: Path, *, load: Sequence[float]) -> None:
                 "bar": None if ratio.bar is None else str(ratio.bar),
                 "met": ratio.is_met,
             }
-            for ratio in findings.ratios
+            for ratio in results.ratios
         },
         "raw": {
-            f"{race}.{name}": {"unit": f"{times.unit}/s", "median": times.rate(name), "rounds": times.rates[name]}
-            for race, times in findings.raw.items()
+            f"{benchmark}.{name}": {"unit": f"{times.unit}/s", "median": times.rate(name), "rounds": times.rates[name]}
+            for benchmark, times in results.rates.items()
             for name in times.rates
         },
         "latencies": {
-            f"{race}.{name}": {
+            f"{benchmark}.{name}": {
                 f"{quantile}_ms": [round(1e3 * value, 4) for value in latencies.quantiles(name, share)]
                 for quantile, share in _SHARES.items()
             }
-            for race, latencies in findings.latencies.items()
+            for benchmark, latencies in results.latencies.items()
             for name in latencies.seconds
         },
         "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(), "load": load},
@@ -141,7 +140,7 @@ def _tick(met: bool | None) -> str:
 
 
 def _processor() -> str:
-    """Returns what Linux calls the processor."""
+    """Returns the processor's model name."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -22,8 +22,8 @@ class RunningService:
 
     Attributes:
         process: The process.
-        url: The REST door, such as `http://127.0.0.1:12345`.
-        address: The gRPC door, such as `127.0.0.1:12346`.
+        url: URL of its REST API, such as `http://127.0.0.1:12345`.
+        address: Address of its gRPC server, such as `127.0.0.1:12346`.
         data_dir: Its data directory.
         log: Where its log goes.
     """
@@ -48,7 +48,7 @@ StartService = Callable[..., RunningService]
 
 
 def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
-    """Starts `python -m module` and returns when its doors are open."""
+    """Starts `python -m module` and returns when it listens."""
     log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
     data_dir.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", module]
@@ -65,7 +65,7 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     line = process.stdout.readline() if readable else b""
     if not line:
         process.kill()
-        pytest.fail(f"{module} did not open its doors:\n{log.read_text()[-3000:]}")
+        pytest.fail(f"{module} did not start to listen:\n{log.read_text()[-3000:]}")
     ports = json.loads(line)
     url, address = f"http://127.0.0.1:{ports['http_port']}", f"127.0.0.1:{ports['grpc_port']}"
     return RunningService(process, url, address, data_dir, log)

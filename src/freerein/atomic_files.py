@@ -1,4 +1,4 @@
-"""Files that are whole or absent after a crash."""
+"""Crash-safe file writes: after a crash a file is complete or absent."""
 
 import os
 from pathlib import Path
@@ -7,14 +7,14 @@ TEMP_SUFFIX = ".tmp"
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Writes a file so that it survives a crash whole, or not at all: beside it, fsync, rename, fsync of the folder."""
+    """Writes a file atomically: temporary file, fsync, rename, fsync of the folder. Creates missing folders."""
     _make_folder(path.parent)
-    unfinished = path.with_name(path.name + TEMP_SUFFIX)
-    with unfinished.open("wb") as file:
+    temporary = path.with_name(path.name + TEMP_SUFFIX)
+    with temporary.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
-    unfinished.replace(path)
+    temporary.replace(path)
     fsync_folder(path.parent)
 
 

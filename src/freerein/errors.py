@@ -1,42 +1,42 @@
-"""The errors that may cross a boundary of freerein, and nothing else may.
+"""The errors of freerein's public interfaces.
 
     ServiceError
-    ├── MalformedRequest      400  INVALID_ARGUMENT     the bytes are not a request
-    ├── InvalidInput          422  INVALID_ARGUMENT     a request, but a value is wrong
-    │   └── OutputNotFinite   422  INVALID_ARGUMENT     finite input overflowed the model
-    ├── UnsupportedMedia      415  INVALID_ARGUMENT     a content type, encoding or image format that is not served
+    ├── MalformedRequest      400  INVALID_ARGUMENT     the bytes cannot be parsed as a request
+    ├── InvalidInput          422  INVALID_ARGUMENT     a value of the request is invalid
+    │   └── OutputNotFinite   422  INVALID_ARGUMENT     the model's output overflowed
+    ├── UnsupportedMedia      415  INVALID_ARGUMENT     unsupported content type, encoding or image format
     ├── Unauthenticated       401  UNAUTHENTICATED
     ├── NotFound              404  NOT_FOUND
     │   └── SessionNotFound   404  NOT_FOUND            the session was never made, was closed, or its lease has ended
     ├── AlreadyExists         409  ALREADY_EXISTS
-    ├── FailedPrecondition    409  FAILED_PRECONDITION  the thing is not in the state that this call needs
-    │   └── StepOutOfOrder    409  FAILED_PRECONDITION  a step that does not follow the session's last
-    ├── WorkerLost            409  ABORTED              the process that held the session is gone
-    ├── TooLarge              413  RESOURCE_EXHAUSTED   a single request over a limit: retrying cannot help
-    ├── Overloaded            429  RESOURCE_EXHAUSTED   too much at once: retry after `retry_after_s`
-    ├── Cancelled             499  CANCELLED            the caller went away
-    ├── Internal              500  INTERNAL             a bug of ours
+    ├── FailedPrecondition    409  FAILED_PRECONDITION  the object is not in the state that the call needs
+    │   └── StepOutOfOrder    409  FAILED_PRECONDITION  the `step_id` does not follow the session's last step
+    ├── WorkerLost            409  ABORTED              the worker process of the session ended
+    ├── TooLarge              413  RESOURCE_EXHAUSTED   one request exceeds a limit: retrying cannot help
+    ├── Overloaded            429  RESOURCE_EXHAUSTED   too many requests at once: retry after `retry_after_s`
+    ├── Cancelled             499  CANCELLED            the client disconnected
+    ├── Internal              500  INTERNAL             a bug in freerein
     ├── Unimplemented         501  UNIMPLEMENTED
     ├── Unavailable           503  UNAVAILABLE          not ready, or draining
-    │   └── ModelFault        503  UNAVAILABLE          the model raised or answered nonsense
+    │   └── ModelFault        503  UNAVAILABLE          the model raised, or returned a wrong shape
     └── DeadlineExceeded      504  DEADLINE_EXCEEDED
 
-Plain strings and ints only: `freerein.serving` maps them to HTTP and gRPC, `freerein.clients` maps them back. Every
-`detail` is one sentence that says what was expected and what came; `hint` says how to mend it. Neither ever holds a
-path, a traceback, a repr or an echo of the input.
+`freerein.serving` maps these classes to HTTP and gRPC, `freerein.clients` maps them back. `detail` is one sentence that
+says what was expected and what was received, `hint` says how to fix it. Neither holds a path, a traceback, a repr or a
+copy of the input.
 """
 
 from collections.abc import Iterator
 
 
 class ServiceError(Exception):
-    """An error that its caller can read and act on.
+    """Base of all errors that a caller can read and act on.
 
     Args:
-        detail: One sentence: what was expected, what came.
-        field: Dotted name of the request's field at fault, empty when there is none.
-        hint: How to mend it.
-        retry_after_s: When trying again may help, in seconds; None when it cannot.
+        detail: One sentence: what was expected, what was received.
+        field: Dotted name of the invalid request field, or empty.
+        hint: How to fix it.
+        retry_after_s: Seconds after which a retry may succeed; None when it cannot.
     """
 
     code = "internal"
@@ -52,13 +52,13 @@ class ServiceError(Exception):
 
 
 class MalformedRequest(ServiceError):
-    """The bytes could not be read as a request."""
+    """The bytes cannot be parsed as a request."""
 
     code, http_status, grpc_status = "malformed_request", 400, "INVALID_ARGUMENT"
 
 
 class InvalidInput(ServiceError):
-    """A value of the request is wrong."""
+    """A value of the request is invalid."""
 
     code, http_status, grpc_status = "invalid_input", 422, "INVALID_ARGUMENT"
 
@@ -70,7 +70,7 @@ class OutputNotFinite(InvalidInput):
 
 
 class UnsupportedMedia(ServiceError):
-    """A content type, content encoding or image format that is not served."""
+    """Unsupported content type, content encoding or image format."""
 
     code, http_status, grpc_status = "unsupported_media", 415, "INVALID_ARGUMENT"
 
@@ -82,7 +82,7 @@ class Unauthenticated(ServiceError):
 
 
 class NotFound(ServiceError):
-    """There is no such session, fit, model, task, dataset or route."""
+    """The session, fit, model, task, dataset or route does not exist."""
 
     code, http_status, grpc_status = "not_found", 404, "NOT_FOUND"
 
@@ -94,13 +94,13 @@ class SessionNotFound(NotFound):
 
 
 class AlreadyExists(ServiceError):
-    """The name or idempotency key is taken by something different."""
+    """The name or idempotency key belongs to something else."""
 
     code, http_status, grpc_status = "already_exists", 409, "ALREADY_EXISTS"
 
 
 class FailedPrecondition(ServiceError):
-    """The thing exists, but is not in the state that this call needs."""
+    """The object exists, but is not in the state that the call needs."""
 
     code, http_status, grpc_status = "failed_precondition", 409, "FAILED_PRECONDITION"
 
@@ -112,19 +112,19 @@ class StepOutOfOrder(FailedPrecondition):
 
 
 class WorkerLost(ServiceError):
-    """The process that held the session is gone, and the session with it."""
+    """The worker process of the session ended, and the session with it."""
 
     code, http_status, grpc_status = "worker_lost", 409, "ABORTED"
 
 
 class TooLarge(ServiceError):
-    """One request is over a limit; sending it again cannot help."""
+    """One request exceeds a limit; retrying cannot help."""
 
     code, http_status, grpc_status = "too_large", 413, "RESOURCE_EXHAUSTED"
 
 
 class Overloaded(ServiceError):
-    """A bounded queue or table is full; try again after `retry_after_s`."""
+    """A bounded queue or table is full; retry after `retry_after_s`."""
 
     code, http_status, grpc_status = "overloaded", 429, "RESOURCE_EXHAUSTED"
 
@@ -133,23 +133,23 @@ class Overloaded(ServiceError):
 
 
 class Cancelled(ServiceError):
-    """The caller went away before the work was done."""
+    """The client disconnected before the reply."""
 
     code, http_status, grpc_status = "cancelled", 499, "CANCELLED"
 
 
 class Internal(ServiceError):
-    """A bug of ours; the log holds the traceback under the same request id."""
+    """A bug in freerein; the log holds the traceback under the same request id."""
 
 
 class Unimplemented(ServiceError):
-    """This world or model cannot do that."""
+    """This world or model does not support the call."""
 
     code, http_status, grpc_status = "unimplemented", 501, "UNIMPLEMENTED"
 
 
 class Unavailable(ServiceError):
-    """Not ready yet, or draining; another replica or a later try may answer."""
+    """Not ready, or draining; another replica or a retry may succeed."""
 
     code, http_status, grpc_status = "unavailable", 503, "UNAVAILABLE"
 
@@ -158,13 +158,13 @@ class Unavailable(ServiceError):
 
 
 class ModelFault(Unavailable):
-    """The model raised, or answered with the wrong shape."""
+    """The model raised, or returned a wrong shape."""
 
     code = "model_fault"
 
 
 class DeadlineExceeded(ServiceError):
-    """The answer did not come before the caller's deadline."""
+    """The reply was not ready before the deadline."""
 
     code, http_status, grpc_status = "deadline_exceeded", 504, "DEADLINE_EXCEEDED"
 
@@ -176,5 +176,5 @@ def _subclasses(parent: type[ServiceError]) -> Iterator[type[ServiceError]]:
 
 
 def by_code(code: str) -> type[ServiceError]:
-    """Returns the class whose `code` is given, `Internal` for one that this version does not know."""
+    """Returns the class of an error code, `Internal` for an unknown one."""
     return next((cls for cls in _subclasses(ServiceError) if cls.code == code and cls is not ServiceError), Internal)

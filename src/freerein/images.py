@@ -1,7 +1,7 @@
-"""Encoded images to pixels and back: PNG, JPEG, WebP, raw RGB and raw gray, and nothing else.
+"""Decoding and encoding of images: PNG, JPEG, WebP, raw RGB and raw gray.
 
-Untrusted bytes meet three gates before a decoder runs: the format is one of those allowed, the header's pixel count
-is under the cap, and there is one frame. Error messages are ours, never the decoder's.
+Untrusted bytes are checked before a decoder runs: an allowed format, a pixel count below the limit, a single frame.
+Error messages are written here; the decoder's messages are never passed on.
 """
 
 import io
@@ -21,7 +21,7 @@ MAX_REQUEST_PIXELS = 64_000_000
 
 _RAW_CHANNELS: dict[Encoding, int] = {"raw_rgb8": 3, "raw_gray8": 1}
 _PILLOW_FORMATS: dict[Encoding, str] = {"png": "PNG", "jpeg": "JPEG", "webp": "WEBP"}
-_PNG_BIT_DEPTH = 24  # where a PNG's header says it; Pillow cuts 16-bit colour down without a word
+_PNG_BIT_DEPTH = 24  # offset in a PNG file; checked because Pillow silently reduces 16-bit colour
 _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
     (0, b"\x89PNG\r\n\x1a\n", "png"),
     (0, b"\xff\xd8\xff", "jpeg"),
@@ -30,42 +30,42 @@ _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
 
 
 def sniff(data: bytes, *, field: str = "images") -> Encoding:
-    """Returns the encoding that a file's first bytes announce.
+    """Returns the encoding of a file, from its first bytes.
 
     Raises:
-        UnsupportedMedia: It is no PNG, JPEG or WebP.
+        UnsupportedMedia: The file is not PNG, JPEG or WebP.
     """
     for offset, signature, encoding in _SIGNATURES:
         if data[offset : offset + len(signature)] == signature:
             return encoding
     raise UnsupportedMedia(
-        f"`{field}` must be PNG, JPEG or WebP files; got {len(data)} bytes that begin like none of them.",
+        f"`{field}` must be PNG, JPEG or WebP files; got {len(data)} bytes of another format.",
         field=field,
         hint="Convert the image first, for example to PNG.",
     )
 
 
 def decode(image: Image, *, field: str = "images") -> npt.NDArray[np.uint8]:
-    """Returns an image's pixels.
+    """Returns the pixels of an image.
 
-    Colour files (palette, CMYK, alpha) become RGB, the alpha channel dropped; 8-bit gray stays gray; EXIF orientation
-    is applied to JPEG once.
+    Colour (palette, CMYK, alpha) becomes RGB without alpha, 8-bit gray stays gray, and the EXIF orientation of a JPEG
+    is applied.
 
     Returns:
         uint8 (height, width, channels), channels 1 or 3; read-only for the raw encodings.
 
     Raises:
-        UnsupportedMedia: The data is not in the encoding it claims.
-        InvalidInput: Corrupt, truncated, animated, empty, more than 8 bits deep, of another size than claimed, or of
+        UnsupportedMedia: The data is not in its declared encoding.
+        InvalidInput: Corrupt, truncated, animated, empty, more than 8 bits per channel, not of its declared size, or
             more than `MAX_PIXELS` pixels.
     """
     if image.encoding in _RAW_CHANNELS:
         return _decode_raw(image, field)
     pixels = _decode_file(image, field)
-    claimed = (image.height or pixels.shape[0], image.width or pixels.shape[1])
-    if pixels.shape[:2] != claimed:
+    declared = (image.height or pixels.shape[0], image.width or pixels.shape[1])
+    if pixels.shape[:2] != declared:
         raise InvalidInput(
-            f"`{field}` must have the height and width it names, {claimed[0]} x {claimed[1]}; "
+            f"`{field}` must have its declared height and width, {declared[0]} x {declared[1]}; "
             f"the file has {pixels.shape[0]} x {pixels.shape[1]}.",
             field=field,
             hint="Leave height and width 0 for encoded files.",
@@ -74,11 +74,11 @@ def decode(image: Image, *, field: str = "images") -> npt.NDArray[np.uint8]:
 
 
 def pixel_count(image: Image, *, field: str = "images") -> int:
-    """Returns how many pixels an image will decode to, read from its header alone.
+    """Returns the number of pixels of an image, from its header.
 
     Raises:
-        UnsupportedMedia: The data is not in the encoding it claims.
-        InvalidInput: The header is corrupt, or more than `MAX_PIXELS` pixels.
+        UnsupportedMedia: The data is not in its declared encoding.
+        InvalidInput: The header is corrupt, or declares more than `MAX_PIXELS` pixels.
     """
     if image.encoding in _RAW_CHANNELS:
         _check_pixels(image.height, image.width, field)
@@ -92,11 +92,11 @@ def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera:
 
     Args:
         pixels: uint8 (height, width, channels), channels 1 or 3.
-        encoding: A raw encoding must fit the number of channels.
-        camera: Which camera took it.
+        encoding: The encoding; a raw one must match the number of channels.
+        camera: Name of the camera.
 
     Raises:
-        InvalidInput: The array is no such image.
+        InvalidInput: The array is not such an image, or does not match the encoding.
     """
     if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (1, 3):
         raise InvalidInput(
@@ -125,7 +125,7 @@ def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
         raise InvalidInput(
             f"`{field}` must hold height x width x {channels} = {expected} bytes; got {len(image.data)}.",
             field=field,
-            hint="Send the rows one after another, without padding.",
+            hint="Send the rows without padding.",
         )
     return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, channels)
 
@@ -133,7 +133,7 @@ def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
 def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
     with _open(image, field) as opened:
         upright = PIL.ImageOps.exif_transpose(opened) if image.encoding == "jpeg" else opened
-        if "transparency" in upright.info:  # Pillow warns of converting it in one step
+        if "transparency" in upright.info:  # converted in two steps: Pillow warns about one
             upright = upright.convert("LA" if upright.mode in ("1", "L") else "RGBA")
         pixels = np.asarray(upright.convert("L" if upright.mode in ("1", "L", "LA") else "RGB"))
     return pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
@@ -141,12 +141,12 @@ def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
 
 @contextmanager
 def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
-    """Opens a file lazily behind the gates; whatever a decoder raises becomes one sentence of ours."""
+    """Opens a file lazily after the checks, and replaces whatever the decoder raises."""
     if sniff(image.data, field=field) != image.encoding:
         raise UnsupportedMedia(
-            f"`{field}` must be in the encoding it names, {image.encoding}; its bytes begin like another.",
+            f"`{field}` must be in its declared encoding, {image.encoding}; its first bytes are of another.",
             field=field,
-            hint="Name the encoding that the file really has.",
+            hint="Declare the encoding of the file.",
         )
     try:
         with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
@@ -157,7 +157,7 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
         raise
     except (PIL.Image.DecompressionBombError, PIL.Image.DecompressionBombWarning):
         raise _too_many_pixels(field) from None
-    except Exception:  # decoders of untrusted files raise whatever they like, and their texts may leak memory addresses
+    except Exception:  # decoders raise any type, and their messages may hold memory addresses
         raise _corrupt(field) from None
 
 
@@ -181,7 +181,7 @@ def _check_pixels(height: int, width: int, field: str) -> None:
         raise InvalidInput(
             f"`{field}` must have a height and width of at least 1 pixel; got {height} x {width}.",
             field=field,
-            hint="Raw images name their height and width.",
+            hint="Raw images need height and width.",
         )
     if height * width > MAX_PIXELS:
         raise _too_many_pixels(field)
@@ -189,7 +189,7 @@ def _check_pixels(height: int, width: int, field: str) -> None:
 
 def _too_many_pixels(field: str) -> InvalidInput:
     return InvalidInput(
-        f"`{field}` may have at most {MAX_PIXELS} pixels each; the header announces more.",
+        f"`{field}` may have at most {MAX_PIXELS} pixels each; the header declares more.",
         field=field,
         hint="Scale the image down first.",
     )
@@ -197,7 +197,7 @@ def _too_many_pixels(field: str) -> InvalidInput:
 
 def _corrupt(field: str) -> InvalidInput:
     return InvalidInput(
-        f"`{field}` must be whole image files; one is corrupt or truncated.",
+        f"`{field}` must be complete image files; one is corrupt or truncated.",
         field=field,
         hint="Open and save the image again.",
     )

@@ -1,4 +1,4 @@
-"""How well labels and scores agree with the truth. For evaluation only: nothing here may choose what is trained."""
+"""Evaluation metrics of labels and scores against ground truth. Never used to select models."""
 
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -12,38 +12,38 @@ Labels: TypeAlias = npt.NDArray[np.integer[Any]]
 
 
 def run_starts(labels: Labels) -> npt.NDArray[np.int64]:
-    """Returns the first timestep of each maximal run of equal labels, int64 (S,), for labels (T,)."""
+    """Returns the start of each maximal run of equal labels: int64 (S,), for labels (T,)."""
     changes = np.flatnonzero(labels[1:] != labels[:-1]) + 1
     return np.concatenate([np.zeros(min(len(labels), 1), np.int64), changes.astype(np.int64)])
 
 
 def frame_accuracy(predicted: Labels, truth: Labels) -> float:
-    """Returns the share of timesteps whose label is right, in [0, 1], for labels (T,) each.
+    """Returns the fraction of correctly labelled timesteps, for labels (T,) each.
 
     Raises:
-        InvalidInput: The two have different lengths, or none.
+        InvalidInput: The arrays differ in length, or are empty.
     """
     _check_pair(predicted, truth)
     return float(np.mean(predicted == truth))
 
 
 def random_cls_accuracy(truth: Labels) -> float:
-    """Returns what guessing uniformly among the skills that occur would score: one over their number (Random-Cls).
+    """Returns the frame accuracy of uniform guessing among the skills that occur: 1 / their number (Random-Cls).
 
     Raises:
-        InvalidInput: There are no timesteps.
+        InvalidInput: The array is empty.
     """
     _check_pair(truth, truth)
     return 1.0 / len(np.unique(truth))
 
 
 def edit_score(predicted: Labels, truth: Labels) -> float:
-    """Returns how alike the two orders of segments are, whatever their lengths: 1 is equal, 0 nothing in common.
+    """Returns the edit score of the segment sequences, in [0, 1].
 
-    One minus the Levenshtein distance of the sequences of segment labels over the longer one's length.
+    One minus their Levenshtein distance divided by the length of the longer sequence.
 
     Raises:
-        InvalidInput: The two have different lengths, or none.
+        InvalidInput: The arrays differ in length, or are empty.
     """
     _check_pair(predicted, truth)
     ours, theirs = predicted[run_starts(predicted)], truth[run_starts(truth)]
@@ -51,13 +51,13 @@ def edit_score(predicted: Labels, truth: Labels) -> float:
 
 
 def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
-    """Returns the F1 score over segments, in [0, 1]; a segment is found when its overlap is large enough.
+    """Returns the segmental F1 score, in [0, 1]; F1@50 is `overlap=0.5`.
 
-    A predicted segment is right when it and a true segment of its label, not found before, have an intersection over
-    union of at least `overlap`; each takes the true segment that it overlaps most. F1@50 is `overlap=0.5`.
+    A predicted segment is a true positive when its intersection over union with the true segment of its label that it
+    overlaps most is at least `overlap`, and that segment is not matched yet.
 
     Raises:
-        InvalidInput: The two have different lengths, or none, or `overlap` is not in (0, 1].
+        InvalidInput: The arrays differ in length, or are empty, or `overlap` is not in (0, 1].
     """
     _check_pair(predicted, truth)
     if not 0.0 < overlap <= 1.0:
@@ -78,24 +78,24 @@ def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
 
 
 def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -> float:
-    """Returns how often what is true scores above what is not, ties counting half: the area under the ROC curve.
+    """Returns the area under the ROC curve; ties count half.
 
     Args:
         scores: float (N,).
-        truth: bool (N,), at least one of each.
+        truth: bool (N,), with at least one of each class.
 
     Raises:
-        InvalidInput: The two have different lengths, or all of `truth` is alike.
+        InvalidInput: The arrays differ in length, or `truth` has one class only.
     """
     if scores.ndim != 1 or scores.shape != truth.shape or not 0 < truth.sum() < len(truth):
         raise InvalidInput(
             f"Scores and truth must both be (N,), with true and false ones; got {scores.shape} and {truth.shape}, "
             f"{int(truth.sum())} of them true.",
             field="truth",
-            hint="Judge examples of both kinds together.",
+            hint="Score examples of both classes together.",
         )
     _, places, counts = np.unique(scores, return_inverse=True, return_counts=True)
-    ranks = (counts.cumsum() - (counts - 1) / 2)[places]  # (N,), from 1; those who tie share their mean
+    ranks = (counts.cumsum() - (counts - 1) / 2)[places]  # (N,), from 1; ties share their mean rank
     positives = int(truth.sum())
     above = ranks[truth].sum() - positives * (positives + 1) / 2
     return float(above / (positives * (len(truth) - positives)))

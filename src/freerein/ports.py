@@ -1,4 +1,4 @@
-"""Where services are found: one table of default ports, and the environment that overrides it."""
+"""Default ports of the services, and the environment variables that override their addresses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ class Ports:
     """The default ports of one service.
 
     Attributes:
-        rest: Of its REST door.
-        grpc: Of its gRPC door.
+        rest: Port of the REST API.
+        grpc: Port of the gRPC server.
     """
 
     rest: int
@@ -29,33 +29,27 @@ PORTS = {
 
 
 def address(service: str, environ: Mapping[str, str]) -> str:
-    """Returns the gRPC address, `host:port`, of a service: `FREEREIN_<SERVICE>_ADDRESS`, or loopback and its port.
-
-    Args:
-        service: A key of `PORTS`.
-        environ: The environment, such as `os.environ`.
-
-    Raises:
-        InvalidInput: There is no such service, or the variable does not hold `host:port`.
-    """
+    """Returns the first of a service's gRPC addresses; see `addresses`."""
     return addresses(service, environ)[0]
 
 
 def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
-    """Returns the gRPC addresses of all replicas of a service; the variable may hold several, with commas between.
+    """Returns the gRPC addresses, `host:port`, of all replicas of a service.
+
+    They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the port table.
 
     Args:
         service: A key of `PORTS`.
         environ: The environment, such as `os.environ`.
 
     Raises:
-        InvalidInput: There is no such service, or the variable does not hold `host:port`.
+        InvalidInput: The service does not exist, or the variable does not hold `host:port`.
     """
     if service not in PORTS:
         raise InvalidInput(
             f"The service must be one of {', '.join(PORTS)}; got another name.",
             field="service",
-            hint="Name the service whose address you want.",
+            hint="Use one of these names.",
         )
     variable = f"FREEREIN_{service.upper()}_ADDRESS"
     found = (environ.get(variable) or f"127.0.0.1:{PORTS[service].grpc}").split(",")
@@ -63,7 +57,7 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
         host, _, port = each.rpartition(":")
         if not (host and port.isdecimal()):
             raise InvalidInput(
-                f"{variable} must hold host:port; got no such pair.",
+                f"{variable} must hold host:port; got something else.",
                 field=variable,
                 hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc}, or unset it.",
             )

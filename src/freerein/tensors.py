@@ -1,7 +1,7 @@
-"""Arrays on a wire: one table of datatypes, and sizes checked before anything is allocated.
+"""Encoding of arrays as `{datatype, shape, raw}`, with sizes checked before anything is allocated.
 
-A tensor is `{datatype, shape, raw}`: an Open Inference Protocol name, the length of each axis, and the elements in
-C order, little-endian. Nothing is broadcast and no length is inferred: `raw` holds exactly what `shape` says.
+`datatype` is an Open Inference Protocol name, `raw` the elements in C order, little-endian. Nothing is broadcast and no
+length is inferred.
 """
 
 import math
@@ -30,10 +30,10 @@ MAX_ELEMENTS = 2**31 - 1
 
 
 def datatype(array: npt.NDArray[Any]) -> str:
-    """Returns the wire's name of an array's dtype.
+    """Returns the datatype name of an array's dtype.
 
     Raises:
-        InvalidInput: The dtype has none.
+        InvalidInput: The dtype is not supported.
     """
     try:
         return _NAMES[array.dtype.newbyteorder("<")]
@@ -48,24 +48,24 @@ def encode(array: npt.NDArray[Any]) -> tuple[str, tuple[int, ...], bytes]:
     """Returns the (datatype, shape, raw) of an array of any shape.
 
     Raises:
-        InvalidInput: Its dtype has no name on the wire.
+        InvalidInput: Its dtype is not supported.
     """
     name = datatype(array)
     return name, array.shape, array.astype(DTYPES[name], copy=False).tobytes()
 
 
 def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> npt.NDArray[Any]:
-    """Returns the array that (datatype, shape, raw) describe: a read-only view of `raw`, nothing is copied.
+    """Returns the array of (datatype, shape, raw), a read-only view of `raw`.
 
     Args:
         name: A key of `DTYPES`.
         shape: Length of each axis.
         raw: The elements.
-        field: Dotted name of the request's field, for errors.
+        field: Dotted name of the request field, for errors.
 
     Raises:
-        InvalidInput: The datatype is unknown, the shape has a negative length or too many axes, `raw` has another
-            length than they say, or a BOOL is neither 0 nor 1.
+        InvalidInput: The datatype is unknown, the shape has a negative length, too many axes or elements, `raw` has the
+            wrong length, or a BOOL is neither 0 nor 1.
     """
     dtype = DTYPES.get(name)
     if dtype is None:
@@ -77,21 +77,21 @@ def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> n
     if len(shape) > MAX_AXES or min(shape, default=0) < 0 or math.prod(n or 1 for n in shape) > MAX_ELEMENTS:
         raise InvalidInput(
             f"`{field}` must have a shape of at most {MAX_AXES} lengths, none negative, of at most {MAX_ELEMENTS} "
-            f"elements; got {len(shape)} lengths that break one of these.",
+            f"elements; got {len(shape)} lengths that violate this.",
             field=field,
-            hint="There are no wildcards: write the length of every axis.",
+            hint="Wildcards are not supported: give the length of every axis.",
         )
     expected = math.prod(shape) * dtype.itemsize  # Python integers: no overflow
     if len(raw) != expected:
         raise InvalidInput(
-            f"`{field}` must hold {expected} bytes, as its shape and datatype say; got {len(raw)}.",
+            f"`{field}` must hold {expected} bytes for its shape and datatype; got {len(raw)}.",
             field=field,
             hint="Send the elements in C order, little-endian, without padding.",
         )
     if dtype == np.bool_ and raw and max(raw) > 1:
         raise InvalidInput(
-            f"`{field}` must hold bytes 0 and 1 only, being BOOL; got another value.",
+            f"`{field}` must hold only bytes 0 and 1 for BOOL; got another value.",
             field=field,
-            hint="Send numpy's array.astype(bool).tobytes().",
+            hint="Send array.astype(bool).tobytes().",
         )
     return np.frombuffer(raw, dtype).reshape(shape)

@@ -1,8 +1,7 @@
-"""Frozen dataclasses to protobuf messages, to JSON, and back: one converter, by field name.
+"""Conversion between frozen dataclasses, protobuf messages and JSON, by field name.
 
-A dataclass of `freerein.types.x` and the message of the same name in `freerein.api.x.v1` have the same fields, so
-nothing is written twice. By hand is only what has two natural forms: an array is a `Tensor` where the message says so,
-and a list of numbers where it says `repeated`; an enum is a lower-case string; a `Struct` is a dict.
+A dataclass of `freerein.types.x` and the message of the same name in `freerein.api.x.v1` have the same fields. An
+array is a `Tensor` or a repeated number, an enum a lower-case string, a `Struct` a dict.
 
     dataclass --pack--> message         dataclass --to_json--> JSON values
     message or validated JSON --unpack--> dataclass
@@ -25,6 +24,7 @@ from google.protobuf.message import Message
 from freerein import tensors
 from freerein.api.common.v1 import common_pb2
 from freerein.api.imitation.v1 import imitation_pb2
+from freerein.api.jobs.v1 import jobs_pb2
 from freerein.api.learning.v1 import learning_pb2
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
@@ -34,12 +34,17 @@ from freerein.errors import InvalidInput
 
 T = TypeVar("T")
 
-_MAX_DEPTH = 30  # of a `Struct`: protobuf itself reads 100 messages deep, which is 33 levels
-_EXACT = 2.0**53  # smaller whole doubles are all there is around them
-_ARRAY_DTYPES = {FieldDescriptor.TYPE_FLOAT: np.float32, FieldDescriptor.TYPE_UINT32: np.int64}  # of repeated numbers
+_MAX_DEPTH = 30  # levels of a `Struct`: protobuf parses 100 messages deep, which is 33 levels
+_EXACT = 2.0**53  # integers below it are exact as doubles
+# dtypes of arrays that are repeated numbers in the message
+_ARRAY_DTYPES = {
+    FieldDescriptor.TYPE_FLOAT: np.float32,
+    FieldDescriptor.TYPE_UINT32: np.int64,
+}
 _MESSAGES = {
     "freerein.types.common": common_pb2,
     "freerein.types.imitation": imitation_pb2,
+    "freerein.types.jobs": jobs_pb2,
     "freerein.types.learning": learning_pb2,
     "freerein.types.orchestrator": orchestrator_pb2,
     "freerein.types.reward": reward_pb2,
@@ -65,13 +70,13 @@ def dataclass_of(message: Descriptor) -> type[Any]:
 
 
 def enum_name(enum: EnumDescriptor, number: int) -> str:
-    """Returns an enum value's name on REST and in Python, such as `raw_rgb8`; empty for a number without one."""
+    """Returns an enum value's name on REST and in Python, such as `raw_rgb8`; empty for an unknown number."""
     value = enum.values_by_number.get(number)
     return value.name.removeprefix(_enum_prefix(enum)).lower() if value else ""
 
 
 def enum_names(enum: EnumDescriptor) -> tuple[str, ...]:
-    """Returns the names of an enum's values but the first, which is UNSPECIFIED and always refused."""
+    """Returns the names of an enum's values except UNSPECIFIED, which is always refused."""
     return tuple(enum_name(enum, value.number) for value in enum.values[1:])
 
 
@@ -81,15 +86,15 @@ def pack(value: Any) -> Message:
 
 
 def unpack(source: object, cls: type[T], *, path: str = "") -> T:
-    """Returns a message, or a validated JSON model with the same attributes, as a dataclass.
+    """Converts a message, or a validated JSON model with the same attributes, into a dataclass.
 
     Args:
-        source: What to read.
-        cls: The dataclass wanted.
+        source: The message or model.
+        cls: The dataclass.
         path: Dotted name of `source` in the request, for errors.
 
     Raises:
-        InvalidInput: An array, enum or number is not what it says, or a required one is missing.
+        InvalidInput: An array, enum or number is invalid, or a required field is missing.
     """
     values: dict[str, Any] = {}
     is_set = source.HasField if isinstance(source, Message) else None
@@ -112,7 +117,7 @@ def to_json(value: Any) -> dict[str, Any]:
     }
 
 
-# --- how each field is read and written, decided once for each dataclass
+# --- how each field is converted, computed once per dataclass
 
 _Read = Callable[[Any, str], Any]
 _Write = Callable[[Any], Any]
@@ -123,11 +128,11 @@ class _Field(NamedTuple):
 
     Attributes:
         name: Its name in both.
-        descriptor: The message's.
-        has_presence: Whether a message tells unset from zero.
-        required: Whether the dataclass cannot do without it.
-        read: Makes its value of a message's, with the dotted name for errors; None where they are the same.
-        write: Makes of its value what a message is made of; None where they are the same.
+        descriptor: The message's field.
+        has_presence: Whether the message distinguishes unset from zero.
+        required: Whether the dataclass has no default for it.
+        read: Converts the message's value and a dotted name, for errors, into the dataclass's; None for the identity.
+        write: Converts the dataclass's value into the message's; None for the identity.
     """
 
     name: str
@@ -159,7 +164,7 @@ _layout: Callable[[Any], tuple[_Field, ...]] = cache(_make_layout)  # typed: a c
 
 
 def _map_value(descriptor: FieldDescriptor) -> FieldDescriptor | None:
-    """Returns the field of a map's values, None for a field that is no map."""
+    """Returns the field of a map's values; None when the field is not a map."""
     entry = descriptor.message_type
     return entry.fields_by_name["value"] if entry is not None and entry.GetOptions().map_entry else None
 
@@ -172,7 +177,7 @@ def _enum_prefix(enum: EnumDescriptor) -> str:
 
 
 def _values(value: Any) -> dict[str, Any]:
-    """Returns what to make a message of, all through: protobuf takes dicts for messages, too."""
+    """Returns the constructor arguments of a message; nested messages are dicts."""
     values: dict[str, Any] = {}
     for name, _, _, _, _, write in _layout(type(value)):
         if (item := getattr(value, name)) is not None:
@@ -210,7 +215,7 @@ def _tensor_values(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
 
 
 def _reader(descriptor: FieldDescriptor, *, is_tuple: bool) -> _Read | None:
-    """Returns the reader of a field: the message decides, so that no form of `numpy.typing.NDArray` is looked into."""
+    """Returns the reader of a field. It depends on the message, never on the runtime form of `numpy.typing.NDArray`."""
     if (entry := _map_value(descriptor)) is not None:
         each = _one_reader(entry)
         if each is None:
@@ -256,7 +261,7 @@ def _enum_reader(enum: EnumDescriptor) -> _Read:
             raise InvalidInput(
                 f"`{path}` must be one of {', '.join(names)}; got another value.",
                 field=path,
-                hint="It has no default: name the one you mean.",
+                hint="It has no default: send one of them.",
             )
         return name
 
@@ -279,30 +284,30 @@ def _struct(value: Any, path: str) -> dict[str, Any]:
     if isinstance(value, struct_pb2.Struct):
         try:
             value = json_format.MessageToDict(value)
-        except ValueError:  # its numbers may be NaN and infinite; JSON's may not
+        except ValueError:  # a Struct may hold NaN and infinities, JSON may not
             raise _not_finite(path) from None
-    return {key: _whole(item, path, 1) for key, item in cast(Mapping[str, Any], value).items()}
+    return {key: _with_ints(item, path, 1) for key, item in cast(Mapping[str, Any], value).items()}
 
 
-def _whole(value: Any, path: str, depth: int) -> Any:
-    """Returns numbers as a `Struct`, which knows only doubles, holds them, whole ones as ints, all through."""
+def _with_ints(value: Any, path: str, depth: int) -> Any:
+    """Returns a value of a `Struct` with whole numbers as ints; a `Struct` itself has only doubles."""
     if depth > _MAX_DEPTH:
         raise InvalidInput(
-            f"`{path}` may be nested {_MAX_DEPTH} levels deep; it is deeper.", field=path, hint="Flatten it."
+            f"`{path}` may be nested at most {_MAX_DEPTH} levels deep; it is deeper.", field=path, hint="Flatten it."
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _number(value, path)
     if isinstance(value, list):
-        return [_whole(item, path, depth + 1) for item in value]
+        return [_with_ints(item, path, depth + 1) for item in value]
     if isinstance(value, dict):
-        return {key: _whole(item, path, depth + 1) for key, item in value.items()}
+        return {key: _with_ints(item, path, depth + 1) for key, item in value.items()}
     return value
 
 
 def _number(value: float, path: str) -> float:
     try:
         double = _finite(value, path)
-    except OverflowError:  # an int that no double comes near
+    except OverflowError:  # an int beyond the range of doubles
         raise _not_finite(path) from None
     return int(double) if double.is_integer() and abs(double) < _EXACT else double
 

@@ -1,4 +1,4 @@
-"""What the containers must keep to, read out of the files that make them."""
+"""Rules of the containers, checked on Dockerfile and compose files."""
 
 import re
 import tomllib
@@ -44,7 +44,7 @@ def test_a_container_writes_to_its_volume_and_tmp_and_can_do_nothing_else(name: 
     assert container["tmpfs"][0].split(":")[0] == "/tmp"
 
 
-def test_nobody_is_root() -> None:
+def test_no_container_runs_as_root() -> None:
     final = DOCKERFILE.split("\nFROM ")[-1]
     (user,) = re.findall(r"^USER (\d+):(\d+)$", final, re.MULTILINE)
     assert all(int(number) > 0 for number in user)

@@ -1,6 +1,6 @@
-"""Tables of configuration in `docs/` say what the classes say that read it.
+"""Configuration tables in `docs/` equal the classes that read the configuration.
 
-A table stands below a comment that names its classes. `python tests/architecture/test_docs.py` writes all of them anew.
+A table stands below a comment that names its classes. `python tests/architecture/test_docs.py` rewrites all tables.
 """
 
 import inspect
@@ -39,7 +39,7 @@ _BOUNDS = ("gt", "ge", "le")
 
 
 class Row(NamedTuple):
-    """A key, its default, what it may be, and what it means."""
+    """A row of a table."""
 
     key: str
     default: str
@@ -57,7 +57,7 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
     shown = {name.rpartition(".")[2] for each in TABLES for name in str(each.values[1]).split()}
     choices = {*re.findall(r"^class (\w+(?:Config|Settings))\b", code, re.MULTILINE)}
     assert choices - shown == {
-        "CuriosityConfig",  # which runs choose themselves
+        "ICMConfig",  # which runs choose themselves
         "GroundingConfig",  # which is chosen where models are made that come with freerein
         "ImitationSettings",  # which add nothing but ports
         "SegmentationSettings",
@@ -65,7 +65,7 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
 
 
 def written(classes: str) -> str:
-    """Returns the table of classes, without what an earlier one has said."""
+    """Returns the table of classes; a field of several classes appears once."""
     rows: dict[str, Row] = {}
     for name in classes.split():
         module, _, attribute = name.rpartition(".")
@@ -77,7 +77,7 @@ def written(classes: str) -> str:
 
 
 def dataclass_rows(kind: Any) -> Iterator[Row]:
-    """Yields what a dataclass itself, not its bases, says of its fields."""
+    """Yields the rows of a dataclass without its bases."""
     types, meanings, declared = get_type_hints(kind), meanings_of(kind), {each.name: each for each in fields(kind)}
     for name in inspect.get_annotations(kind):
         value = declared[name].default
@@ -90,7 +90,7 @@ def dataclass_rows(kind: Any) -> Iterator[Row]:
 
 
 def settings_rows(kind: Any) -> Iterator[Row]:
-    """Yields what a class of settings itself, not its bases, says of its fields."""
+    """Yields the rows of a settings class without its bases."""
     meanings = meanings_of(kind)
     for name in inspect.get_annotations(kind):
         field = kind.model_fields[name]
@@ -100,7 +100,7 @@ def settings_rows(kind: Any) -> Iterator[Row]:
 
 
 def may_be(kind: Any, *limits: float) -> str:
-    """Returns what a value of a type, and between limits, may be."""
+    """Returns the allowed values of a type within limits."""
     if get_origin(kind) in (Union, UnionType):
         return " or ".join(may_be(each, *limits) for each in get_args(kind) if each is not NoneType)
     if get_origin(kind) is Literal:
@@ -111,7 +111,7 @@ def may_be(kind: Any, *limits: float) -> str:
 
 
 def meanings_of(kind: type) -> dict[str, str]:
-    """Returns what the docstrings of a class and its bases say of attributes, by name."""
+    """Returns the attribute docs of a class and its bases, by name."""
     found: dict[str, str] = {}
     for each in reversed(kind.__mro__):
         _, _, attributes = (inspect.getdoc(each) or "").partition("Attributes:\n")

@@ -1,8 +1,8 @@
-"""The three ways into a service: its core in process, its REST app, its gRPC server on a real port."""
+"""The three transports of a service: its core in process, its REST app in process, its gRPC server on a port."""
 
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,33 +15,33 @@ from fastapi import FastAPI
 from freerein import errors, wire
 from freerein.clients.grpc_errors import service_error
 from freerein.errors import ServiceError
+from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcServer
-from freerein.serving.schemas import schema_of
+from freerein.serving.rest.app import make_app
+from freerein.serving.rest.schemas import schema_of
 
 
-class Door(Protocol):
-    """One way in: takes a request, returns every response, raises the `ServiceError` of a refusal."""
+class Transport(Protocol):
+    """Sends a request and returns all responses, or raises the `ServiceError` of a refusal."""
 
     async def __call__(self, method: Method, request: object) -> list[Any]: ...
 
 
 @dataclass(frozen=True)
-class Doors:
+class Transports:
     methods: tuple[Method, ...]
-    core: Door
-    rest: Door
-    grpc: Door
+    core: Transport
+    rest: Transport
+    grpc: Transport
     app: FastAPI
     channel: grpc.aio.Channel
 
     @property
-    def all(self) -> tuple[Door, ...]:
+    def all(self) -> tuple[Transport, ...]:
         return self.core, self.rest, self.grpc
 
     def method(self, name: str) -> Method:
@@ -49,34 +49,35 @@ class Doors:
 
 
 Build = Callable[[Path, Health], Service]
-OpenDoors = Callable[[Build], Awaitable[Doors]]
+Connect = Callable[[Build, Path], AbstractAsyncContextManager[Transports]]
 
 
-@pytest.fixture
-async def open_doors(tmp_path: Path) -> AsyncIterator[OpenDoors]:
-    """A function that builds and starts a service and opens its doors; all is closed with the test."""
+@pytest.fixture(scope="session")
+def connect() -> Connect:
+    """A context manager that builds and starts a service in a data directory, and opens its transports."""
+    return _connect
+
+
+@asynccontextmanager
+async def _connect(build: Build, data_dir: Path) -> AsyncIterator[Transports]:
     async with AsyncExitStack() as stack:
-
-        async def open_all(build: Build) -> Doors:
-            health, metrics, limits = Health(), Metrics(), Limits()
-            service = build(tmp_path, health)
-            await service.start()
-            stack.push_async_callback(service.close)
-            stack.callback(health.drain)
-            app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits)
-            transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-            client = await stack.enter_async_context(httpx.AsyncClient(transport=transport, base_url="http://service"))
-            door = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits)
-            port = door.server.add_insecure_port("127.0.0.1:0")
-            await door.server.start()
-            stack.push_async_callback(door.server.stop, None)
-            channel = await stack.enter_async_context(grpc.aio.insecure_channel(f"127.0.0.1:{port}"))
-            return Doors(service.methods, _through_core, _Rest(client), _Grpc(channel), app, channel)
-
-        yield open_all
+        health, metrics, limits = Health(), Metrics(), Limits()
+        service = build(data_dir, health)
+        await service.start()
+        stack.push_async_callback(service.close)
+        stack.callback(health.drain)
+        app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits)
+        asgi = httpx.ASGITransport(app, raise_app_exceptions=False)
+        client = await stack.enter_async_context(httpx.AsyncClient(transport=asgi, base_url="http://service"))
+        grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits)
+        port = grpc_server.server.add_insecure_port("127.0.0.1:0")
+        await grpc_server.server.start()
+        stack.push_async_callback(grpc_server.server.stop, None)
+        channel = await stack.enter_async_context(grpc.aio.insecure_channel(f"127.0.0.1:{port}"))
+        yield Transports(service.methods, _call_core, _Rest(client), _Grpc(channel), app, channel)
 
 
-async def _through_core(method: Method, request: object) -> list[Any]:
+async def _call_core(method: Method, request: object) -> list[Any]:
     if method.descriptor.server_streaming:
         return [response async for response in method.call(request)]
     return [await method.call(request)]

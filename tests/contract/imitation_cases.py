@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,34 +14,38 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types import imitation
 from freerein.types.common import ActionSpec, Goal, Image, ModelRef, Observation
-
-
-@dataclass(frozen=True)
-class Step:
-    actions: npt.NDArray[Any]
-    reached: npt.NDArray[np.float32]
-    memory: npt.NDArray[np.float32]
+from freerein_imitation.model.policy import PolicyOutput, PolicySpec
 
 
 class Waving:
     """A policy that waves until it sees its goal. It fails where told to."""
 
-    kind, camera, height, width, channels = "goal_conditioned", "front", 2, 3, 3
-    action, action_size, action_choices = ActionSpec(2, 0, ("x", "y"), "m", (0.5, 0.5)), 2, 0
-    horizon, control_dt_s, memory_size = 2, 0.1, 1
-    skills: tuple[str, ...] = ()
-    reached_threshold, max_steps_per_goal = 0.5, 10
+    spec = PolicySpec(
+        action=ActionSpec(2, 0, ("x", "y"), "m", (0.5, 0.5)),
+        control_dt_s=0.1,
+        reached_threshold=0.5,
+        max_steps_per_goal=10,
+        goal_form="images",
+        camera="front",
+        height=2,
+        width=3,
+        channels=3,
+        horizon=2,
+        recurrent_size=1,
+    )
 
     def encode_goals(self, goals: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         return goals[:, 0, 0, :1].astype(np.float32)
 
-    def step(self, frames: npt.NDArray[np.uint8], goals: Any, previous: Any, memory: Any) -> Step:
+    def step(self, frames: npt.NDArray[np.uint8], goals: Any, previous: Any, recurrent: Any) -> PolicyOutput:
         seen = frames[:, 0, 0, :1].astype(np.float32)
         if 1 in seen:
             raise ZeroDivisionError
-        after = memory + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
+        after = recurrent + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
         actions = after[:, :, None] * np.ones((1, 2, 2), np.float32)
-        return Step(actions.astype(np.float32), (seen == goals)[:, 0].astype(np.float32), after.astype(np.float32))
+        return PolicyOutput(
+            actions.astype(np.float32), (seen == goals)[:, 0].astype(np.float32), after.astype(np.float32)
+        )
 
 
 def build(data_dir: Path, health: Health, publish_model: Callable[[Path], object]) -> Service:

@@ -21,7 +21,12 @@ from freerein.types.reward import DescribeRequest, EmbedGoalRequest, GroundReque
 LESS, MORE = "less", "more"  # texts that fit a frame less and more, the brighter it is
 
 
-class Bright:
+class _MeanPixel:
+    def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        return np.full((2, 2, 3), image.mean(), np.uint8)
+
+
+class Bright(_MeanPixel):
     """A reward model of one camera: a text that begins with `more` fits bright frames. It fails where told to."""
 
     cameras = ("top",)
@@ -40,7 +45,7 @@ class Bright:
         return sum(word not in (LESS, MORE) for word in text.split())
 
 
-class Corner:
+class Corner(_MeanPixel):
     """A grounding model: the n-th phrase is n eighths from the upper left corner; a phrase `no` is not there."""
 
     def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Any:
@@ -51,10 +56,6 @@ class Corner:
         heatmaps = np.full((*shape, 4, 4), np.nan if "nan" in phrases else 0.5, np.float32)
         presence = np.broadcast_to([float(phrase != "no") for phrase in phrases], shape)
         return SimpleNamespace(heatmaps=heatmaps, x=places, y=places, presence=presence)
-
-
-def preprocess(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    return np.full((2, 2, 3), image.mean(), np.uint8)
 
 
 def build(data_dir: Path, health: Health, publish: Callable[..., Any]) -> Service:
@@ -69,7 +70,7 @@ def build(data_dir: Path, health: Health, publish: Callable[..., Any]) -> Servic
 
 
 def load(folder: Path, _device: str) -> Any:
-    return (Corner() if folder.parent.name == "grounding" else Bright()), preprocess
+    return Corner() if folder.parent.name == "grounding" else Bright()
 
 
 def png(height: int, width: int, camera: str = "") -> Image:

@@ -1,51 +1,51 @@
 """The orchestrator in the contract: the real core, with one run that was cancelled and left a file behind."""
 
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.atomic_files import write_atomic
+from freerein.jobs.attempt import AttemptResult, AttemptStopped, StopRequest
+from freerein.jobs.metrics import MetricsWriter
+from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
 from freerein.types import orchestrator
 from freerein.types.orchestrator import CancelRunRequest, StartRunRequest
 from freerein_orchestrator.__main__ import resolve
-from freerein_orchestrator.durable import DurableRuns
-from freerein_orchestrator.outcomes import Attempt, Interrupted, Reason
-from freerein_orchestrator.runs.core import Runs
-from freerein_orchestrator.runs.records import RunRecords
+from freerein_orchestrator.runs.dbos_queue import DbosQueue
+from freerein_orchestrator.runs.service import RunService
 
 CONFIG = {"task": "grid", "dataset": "demos", "behaviour": "random", "count": 3}
 RUN = "33aff6d631d05c00849156bc87785527"
 
 
 def build(data_dir: Path, health: Health) -> Service:
-    records = RunRecords(data_dir / "runs")
-    durable = DurableRuns(
-        data_dir / "runs",
-        executor_id="worker",
-        attempt=wait,
-        note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
-    )
-    runs = Runs(records, durable, resolve=lambda kind, config: resolve(kind, config, data_dir), health=health)
+    store = JobStore(data_dir / "runs", noun="run")
+    queue = DbosQueue(data_dir / "runs", store=store, executor_id="worker", attempt=wait)
+    runs = RunService(store, queue, resolve=lambda kind, config: resolve(kind, config, data_dir), health=health)
 
     async def start() -> None:
         await runs.start()
         run = (await runs.start_run(StartRunRequest("collect", CONFIG, "key"))).run
         assert run.id == RUN, run.id
         await runs.cancel_run(CancelRunRequest(run.id))
-        write_atomic(records.folder(run.id) / "artifacts" / "policy.json", b"{}\n")
+        write_atomic(store.folder(run.id) / "artifacts" / "policy.json", b"{}\n")
+        writer = MetricsWriter(store.folder(run.id) / "metrics.jsonl", last_step=0)
+        for step in (1, 2, 3):
+            writer.append(step, {"loss": 1 / step, "broken": math.nan})
 
     contract = orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"]
     return Service("orchestrator", methods_of(contract, runs), start, runs.close, runs.not_ready)
 
 
-def wait(_run_id: str, stop: Callable[[], Reason]) -> Attempt:
+def wait(_run_id: str, stop: Callable[[], StopRequest]) -> AttemptResult:
     while not stop():
         time.sleep(0.01)
-    raise Interrupted
+    raise AttemptStopped
 
 
 CASES = (
@@ -59,6 +59,14 @@ CASES = (
     ("GetRun", orchestrator.GetRunRequest("1" * 32), "not_found"),
     ("GetRun", orchestrator.GetRunRequest("../x"), "invalid_input"),
     ("ListRuns", orchestrator.ListRunsRequest()),
+    ("ListRuns", orchestrator.ListRunsRequest(1, RUN)),
+    ("ListRuns", orchestrator.ListRunsRequest(1001), "invalid_input"),
+    ("ListRuns", orchestrator.ListRunsRequest(0, "1" * 32), "invalid_input"),
+    ("GetMetrics", orchestrator.GetMetricsRequest(RUN)),
+    ("GetMetrics", orchestrator.GetMetricsRequest(RUN, 2, 1)),
+    ("GetMetrics", orchestrator.GetMetricsRequest("1" * 32), "not_found"),
+    ("GetMetrics", orchestrator.GetMetricsRequest("../x"), "invalid_input"),
+    ("GetMetrics", orchestrator.GetMetricsRequest(RUN, 0, 10_001), "invalid_input"),
     ("WatchRun", orchestrator.WatchRunRequest(RUN)),
     ("WatchRun", orchestrator.WatchRunRequest(RUN, 1)),
     ("WatchRun", orchestrator.WatchRunRequest("1" * 32), "not_found"),

@@ -1,4 +1,4 @@
-"""One contract, every service, every door: the same request has the same answer, or the same error.
+"""One contract, every service, every transport: the same request has the same answer, or the same error.
 
 A service joins by a row in `SERVICES`: how to build it, and requests with what they must come to.
 """
@@ -9,9 +9,11 @@ import io
 import json
 import math
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import grpc
@@ -19,15 +21,16 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 import pytest
+import pytest_asyncio
 import schemathesis
 from google.protobuf.descriptor import Descriptor
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
 from freerein import errors, wire
 from freerein.api.learning.v1 import learning_pb2
+from freerein.atomic_files import write_atomic
 from freerein.errors import NotFound, ServiceError
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
@@ -37,12 +40,13 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
 from freerein.types.common import Image, ModelRef
-from freerein.types.learning import Fit, StartFitRequest
+from freerein.types.learning import StartFitRequest
 
 Build = Callable[[Path, Health], Service]
-OpenDoors = Callable[[Build], Awaitable[Any]]
+Connect = Callable[[Build, Path], AbstractAsyncContextManager[Any]]
+pytestmark = pytest.mark.asyncio(loop_scope="module")
 ANSWER = ""
-FIT = "0" * 32
+FIT = "33aff6d631d05c00849156bc87785527"
 VERSION = "524d3f8b85d2"  # of the one model that every row publishes
 
 
@@ -90,7 +94,6 @@ def publish_model(root: Path, name: str = "") -> ModelStore:
 def build_learning(data_dir: Path, health: Health) -> Service:
     """Returns fits that are never started, so that they stand still, and models that are their folders' names."""
     store = publish_model(data_dir / "models")
-    records = FitRecords(data_dir / "fits")
 
     def resolve(dataset: str, config: Any) -> dict[str, Any]:
         if dataset != "demos":
@@ -98,13 +101,13 @@ def build_learning(data_dir: Path, health: Health) -> Service:
         return {"steps": 5, **config}
 
     models = ModelCache(store, lambda folder: folder.name, fit_command="freerein fit toy")
-    fits = Fits(records, module="none", store=store, models=models, resolve=resolve, health=health)
+    fits = FitService(data_dir / "fits", module="none", store=store, models=models, resolve=resolve, health=health)
     services = learning_pb2.DESCRIPTOR.services_by_name
 
     async def start() -> None:
         await models.start()
-        fit = Fit(FIT, "queued", "demos", "default", {"steps": 5, "rate": 0.5}, metrics={"loss": 0.5})
-        await records.add(fit, StartFitRequest("demos"))
+        assert (await fits.start_fit(StartFitRequest("demos", "", {"rate": 0.5}, "key"))).fit.id == FIT
+        write_atomic(data_dir / "fits" / FIT / "metrics.jsonl", b'{"step": 1, "loss": 0.5}\n{"step": 2, "loss": NaN}\n')
 
     async def close() -> None: ...
 
@@ -113,7 +116,8 @@ def build_learning(data_dir: Path, health: Health) -> Service:
 
 
 LEARNING_CASES = (
-    Case("StartFit", learning.StartFitRequest("demos", "mine", {"a": [1, 0.5, None, {"b": "c"}]}, "key")),
+    Case("StartFit", learning.StartFitRequest("demos", "mine", {"a": [1, 0.5, None, {"b": "c"}]}, "another")),
+    Case("StartFit", learning.StartFitRequest("demos", "mine", {"rate": 0.5}, "key"), "already_exists"),
     Case("StartFit", learning.StartFitRequest("none"), "not_found"),
     Case("StartFit", learning.StartFitRequest(""), "invalid_input"),
     Case("StartFit", learning.StartFitRequest("../demos"), "invalid_input"),
@@ -122,6 +126,13 @@ LEARNING_CASES = (
     Case("GetFit", learning.GetFitRequest("1" * 32), "not_found"),
     Case("GetFit", learning.GetFitRequest("../x"), "invalid_input"),
     Case("ListFits", learning.ListFitsRequest()),
+    Case("ListFits", learning.ListFitsRequest(1, FIT)),
+    Case("ListFits", learning.ListFitsRequest(1001), "invalid_input"),
+    Case("ListFits", learning.ListFitsRequest(0, "1" * 32), "invalid_input"),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT)),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT, 2, 1)),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest("1" * 32), "not_found"),
+    Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT, 0, 10_001), "invalid_input"),
     Case("CancelFit", learning.CancelFitRequest(FIT)),
     Case("CancelFit", learning.CancelFitRequest("1" * 32), "not_found"),
     Case("WatchFit", learning.WatchFitRequest("1" * 32), "not_found"),
@@ -229,26 +240,38 @@ SERVICES = {
 # --- what holds for all
 
 
-@pytest.fixture(params=SERVICES)
-def row(request: pytest.FixtureRequest) -> Row:
-    return SERVICES[request.param]
+@pytest_asyncio.fixture(loop_scope="module", scope="module", params=SERVICES)
+async def transports(
+    request: pytest.FixtureRequest, connect: Connect, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[Any]:
+    """Each service, shared by the tests of this module."""
+    async with connect(SERVICES[request.param].build, tmp_path_factory.mktemp(request.param)) as opened:
+        yield opened
 
 
-async def outcome(door: Any, method: Method, request: object) -> object:
+@pytest_asyncio.fixture(loop_scope="module")
+async def learning_service(connect: Connect, tmp_path: Path) -> AsyncIterator[Any]:
+    """The services of every learned service, with one queued fit."""
+    async with connect(build_learning, tmp_path) as opened:
+        yield opened
+
+
+async def outcome(transport: Any, method: Method, request: object) -> object:
     """Returns what a request came to, without what differs from call to call: how long it took."""
     try:
-        responses = await door(method, request)
+        responses = await transport(method, request)
     except ServiceError as error:
         return error.code, error.field, error.detail, error.hint
     return [{k: v for k, v in wire.to_json(response).items() if k != "timing"} for response in responses]
 
 
 @pytest.mark.parametrize(
-    ("name", "case"), [pytest.param(n, case, id=f"{n}-{case}") for n, row in SERVICES.items() for case in row.cases]
+    ("transports", "case"),
+    [pytest.param(name, case, id=f"{name}-{case}") for name, row in SERVICES.items() for case in row.cases],
+    indirect=["transports"],
 )
-async def test_a_request_comes_to_the_same_through_every_door(open_doors: OpenDoors, name: str, case: Case) -> None:
-    doors = await open_doors(SERVICES[name].build)
-    outcomes = [await outcome(door, doors.method(case.method), case.request) for door in doors.all]
+async def test_a_request_has_the_same_outcome_over_every_transport(transports: Any, case: Case) -> None:
+    outcomes = [await outcome(transport, transports.method(case.method), case.request) for transport in transports.all]
     assert outcomes[0] == outcomes[1] == outcomes[2]
     assert isinstance(outcomes[0], list) == (case.code == ANSWER)
     if case.code != ANSWER:
@@ -257,46 +280,45 @@ async def test_a_request_comes_to_the_same_through_every_door(open_doors: OpenDo
         assert case.code not in ("invalid_input", "not_found") or outcomes[0][1], "an error names the field at fault"
 
 
-async def test_events_come_alike_through_every_door_and_can_be_resumed(open_doors: OpenDoors) -> None:
-    doors = await open_doors(build_learning)
-    await doors.core(doors.method("CancelFit"), learning.CancelFitRequest(FIT))
+async def test_events_are_equal_over_every_transport_and_can_be_resumed(learning_service: Any) -> None:
+    transports = learning_service
+    await transports.core(transports.method("CancelFit"), learning.CancelFitRequest(FIT))
     for first in (0, 1):
         request = learning.WatchFitRequest(FIT, first)
-        outcomes = [await outcome(door, doors.method("WatchFit"), request) for door in doors.all]
+        outcomes = [await outcome(transport, transports.method("WatchFit"), request) for transport in transports.all]
         assert outcomes[0] == outcomes[1] == outcomes[2]
         assert [event["sequence"] for event in outcomes[0]] == [0, 1][first:]
 
 
-async def test_every_rpc_is_reachable_through_both_doors(row: Row, open_doors: OpenDoors) -> None:
-    doors = await open_doors(row.build)
-    paths = doors.app.openapi()["paths"]
-    for method in doors.methods:
+async def test_every_rpc_is_reachable_over_rest_and_grpc(transports: Any) -> None:
+    paths = transports.app.openapi()["paths"]
+    for method in transports.methods:
         if method.rest_form != "none":
             assert list(paths[method.path]) == ["get" if method.reads else "post"]
         path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
-        call = doors.channel.stream_stream(path)(iter([b"\xff"]))
+        call = transports.channel.stream_stream(path)(iter([b"\xff"]))
         with pytest.raises(grpc.aio.AioRpcError) as error:
             await call.read()
         assert error.value.code() is grpc.StatusCode.INVALID_ARGUMENT
         assert "could not be read" in error.value.details()
 
 
-async def test_what_the_grpc_door_says_of_itself_is_what_it_serves(row: Row, open_doors: OpenDoors) -> None:
-    doors = await open_doors(row.build)
-    stub = reflection_pb2_grpc.ServerReflectionStub(doors.channel)
+async def test_reflection_lists_what_the_grpc_server_serves(transports: Any) -> None:
+    stub = reflection_pb2_grpc.ServerReflectionStub(transports.channel)
     request = reflection_pb2.ServerReflectionRequest(list_services="")
     reply = await stub.ServerReflectionInfo(iter([request])).read()
     names = {found.name for found in reply.list_services_response.service}
-    assert names >= {method.descriptor.containing_service.full_name for method in doors.methods}
+    assert names >= {method.descriptor.containing_service.full_name for method in transports.methods}
     assert "grpc.health.v1.Health" in names
 
 
-async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(row: Row, open_doors: OpenDoors) -> None:
-    doors = await open_doors(row.build)
-    document = doors.app.openapi()
+async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
+    transports: Any,
+) -> None:
+    document = transports.app.openapi()
     schemathesis.openapi.from_dict(document).validate()
     schemas = document["components"]["schemas"]
-    served = [method for method in doors.methods if method.rest_form != "none"]
+    served = [method for method in transports.methods if method.rest_form != "none"]
     assert set(document["paths"]) == {method.path for method in served}
     for method in served:
         operation = document["paths"][method.path]["get" if method.reads else "post"]
@@ -323,21 +345,21 @@ def _leaves(message: Descriptor, prefix: str = "") -> Iterator[str]:
             yield from _leaves(field.message_type, f"{prefix}{field.name}.")
 
 
-async def test_both_doors_keep_a_deadline(open_doors: OpenDoors) -> None:
-    doors = await open_doors(build_learning)
+async def test_rest_and_grpc_keep_a_deadline(learning_service: Any) -> None:
+    transports = learning_service
     path = "/freerein.api.learning.v1.FitService/WatchFit"
     request = wire.pack(learning.WatchFitRequest(FIT, 1)).SerializeToString()
     begun = time.monotonic()
     with pytest.raises(grpc.aio.AioRpcError) as error:
-        await doors.channel.unary_stream(path)(request, timeout=0.1).read()
+        await transports.channel.unary_stream(path)(request, timeout=0.1).read()
     assert error.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
     assert time.monotonic() - begun < 2.0
     with pytest.raises(TimeoutError):
-        await asyncio.wait_for(doors.rest(doors.method("WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
+        await asyncio.wait_for(transports.rest(transports.method("WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
 
 
-async def test_a_watcher_that_goes_away_before_an_event_comes_is_let_go(open_doors: OpenDoors) -> None:
-    doors = await open_doors(build_learning)
+async def test_a_watcher_that_disconnects_before_an_event_is_released(learning_service: Any) -> None:
+    transports = learning_service
     arriving = [{"type": "http.request", "body": b"", "more_body": False}, {"type": "http.disconnect"}]
     sent: list[Any] = []
 
@@ -349,55 +371,54 @@ async def test_a_watcher_that_goes_away_before_an_event_comes_is_let_go(open_doo
 
     query = f"id={FIT}&from_sequence=1".encode()
     scope = {"type": "http", "method": "GET", "path": "/v1/watch-fit", "query_string": query, "headers": []}
-    await doors.app(scope, receive, send)
+    await transports.app(scope, receive, send)
     assert sent[0]["status"] == 499
 
 
 ERRORS = [cls for cls in vars(errors).values() if isinstance(cls, type) and issubclass(cls, ServiceError)]
 
 
-@pytest.mark.parametrize("cls", [cls for cls in ERRORS if cls is not ServiceError], ids=lambda cls: cls.code)
-async def test_every_error_crosses_every_door_as_the_class_that_it_is(
-    open_doors: OpenDoors, cls: type[ServiceError]
-) -> None:
-    raised = cls("Expected this; got that.", field="name", hint="Send this.")
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def raising(connect: Connect, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[list[Any], Any]]:
+    """A list with the exception that a service raises, and the service's transports."""
+    raised: list[Exception] = []
 
-    class Refusing:
-        async def list_models(self, _request: object) -> None:
-            raise raised
-
-        async def activate_model(self, _request: object) -> None:
-            raise raised
+    async def refuse(_request: object) -> None:
+        raise raised[0]
 
     async def nothing() -> None: ...
 
-    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], Refusing())
-    doors = await open_doors(lambda _data_dir, _health: Service("refusing", methods, nothing, nothing, lambda: ""))
-    for door in doors.all:
+    core = SimpleNamespace(list_models=refuse, activate_model=refuse)
+    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], core)
+    service = Service("raising", methods, nothing, nothing, lambda: "")
+    async with connect(lambda _data_dir, _health: service, tmp_path_factory.mktemp("raising")) as opened:
+        yield raised, opened
+
+
+@pytest.mark.parametrize("cls", [cls for cls in ERRORS if cls is not ServiceError], ids=lambda cls: cls.code)
+async def test_every_error_keeps_its_class_over_every_transport(
+    raising: tuple[list[Any], Any], cls: type[ServiceError]
+) -> None:
+    raised, transports = raising
+    raised[:] = [cls("Expected this; got that.", field="name", hint="Send this.")]
+    for transport in transports.all:
         with pytest.raises(ServiceError) as caught:
-            await door(doors.method("ListModels"), learning.ListModelsRequest())
+            await transport(transports.method("ListModels"), learning.ListModelsRequest())
         assert type(caught.value) is cls
-        assert (caught.value.detail, caught.value.field, caught.value.hint) == (raised.detail, "name", "Send this.")
+        assert (caught.value.detail, caught.value.field) == ("Expected this; got that.", "name")
+        assert caught.value.hint == "Send this."
     with pytest.raises(grpc.aio.AioRpcError) as status:
-        await doors.channel.unary_unary("/freerein.api.learning.v1.ModelService/ListModels")(b"")
+        await transports.channel.unary_unary("/freerein.api.learning.v1.ModelService/ListModels")(b"")
     assert status.value.code().name == cls.grpc_status
 
 
-async def test_a_bug_is_internal_through_both_doors_and_says_nothing_of_itself(
-    open_doors: OpenDoors, caplog: pytest.LogCaptureFixture
+async def test_a_bug_is_an_internal_error_without_details_over_rest_and_grpc(
+    raising: tuple[list[Any], Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    class Broken:
-        async def list_models(self, _request: object) -> None:
-            raise KeyError("secret")
-
-        async def activate_model(self, _request: object) -> None: ...
-
-    async def nothing() -> None: ...
-
-    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], Broken())
-    doors = await open_doors(lambda _data_dir, _health: Service("broken", methods, nothing, nothing, lambda: ""))
-    for door in (doors.rest, doors.grpc):
+    raised, transports = raising
+    raised[:] = [KeyError("secret")]
+    for transport in (transports.rest, transports.grpc):
         with pytest.raises(errors.Internal) as caught:
-            await door(doors.method("ListModels"), learning.ListModelsRequest())
+            await transport(transports.method("ListModels"), learning.ListModelsRequest())
         assert "secret" not in caught.value.detail + caught.value.hint
     assert [record.message for record in caplog.records if record.exc_info] == ["bug", "bug"]

@@ -18,7 +18,8 @@ from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image
 from freerein.types.imitation import ControlResponse
-from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedSpec, Handshake
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.model.policy import ControlSpec
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
@@ -39,11 +40,11 @@ def example() -> Any:
 def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
     """Puts an untrained policy in the store: it moves somehow, and is soon or never content."""
     torch.manual_seed(0)
-    spec = GoalConditionedSpec(camera="front", action_size=3, features=8, hidden=8, embedding=4)
-    handshake = Handshake(ACTION, 0.04, reached_threshold, 100_000)
+    spec = GoalConditionedSpec(camera="front", action_size=3, features=8, hidden_size=8, embedding_size=4)
+    control = ControlSpec(ACTION, 0.04, reached_threshold, 100_000)
     network = GoalConditionedNetwork(spec)
-    network.calibrate(torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8))
-    save_model(network, data_dir / "new", card={"kind": "goal_conditioned", **handshake.to_card()})
+    network.fit_normalisation(torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8))
+    save_model(network, data_dir / "new", card={"kind": "goal_conditioned", **control.to_card()})
     store = ModelStore(data_dir / "models" / "imitation")
     store.activate(store.publish("", data_dir / "new"))
 
@@ -103,7 +104,7 @@ async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes
     service = await start()
     async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
         recorder = Recorder(example, await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
-        driving = asyncio.create_task(recorder.controller.drive())
+        driving = asyncio.create_task(recorder.controller.run())
         await until(lambda: len(recorder.chunks) >= 20)
         service.process.kill()
         steps = len(recorder.executed)
@@ -120,7 +121,7 @@ async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tm
     service = await start()
     async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
         controller = example.Controller(await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
-        await asyncio.wait_for(controller.drive(), 10)
+        await asyncio.wait_for(controller.run(), 10)
     assert controller.last.goal_reached
 
 
@@ -135,7 +136,7 @@ async def test_what_another_try_would_not_mend_ends_the_drive(
         for token, goal, expected in (("secret", small, InvalidInput), ("guess", GOAL, Unauthenticated)):
             async with ImitationClient(Channel(service.address, token=token)) as client:
                 with pytest.raises(expected):
-                    await asyncio.wait_for(example.Controller(robot, client, goal).drive(), 10)
+                    await asyncio.wait_for(example.Controller(robot, client, goal).run(), 10)
 
 
 def check_record(recorder: Recorder) -> None:

@@ -35,8 +35,8 @@ class Faulty:
     """The faulty service as a process, and how to speak to it.
 
     Attributes:
-        service: The process and its doors.
-        http: An HTTP client of its REST door.
+        service: The process.
+        http: HTTP client of its REST API.
         token: The token that it asks for.
     """
 

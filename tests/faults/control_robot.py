@@ -12,9 +12,9 @@ import numpy as np
 
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ControlRequest, ControlResponse, Hello, Observed
-from freerein_imitation.acting import Answer, BatchActor
-from freerein_imitation.core import Pursuit, pursue
-from freerein_imitation.memory import Memory
+from freerein_imitation.core import PolicyRunner
+from freerein_imitation.core.act import ActContext
+from freerein_imitation.core.inference import InferenceResult
 
 FAULTS = ("right", "raises", "nan", "shape", "infinite")
 ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
@@ -96,27 +96,26 @@ class Stream:
 class Oracle:
     """What one robot must hear, were it alone: each answer from the whole history, in batches of one."""
 
-    def __init__(self, policy: Any, pursuit: Pursuit) -> None:
-        self._policy = policy
-        self._actor = BatchActor()
-        self._pursuit = pursuit
-        self._memory = Memory(np.zeros(policy.memory_size, np.float32))
+    def __init__(self, context: ActContext) -> None:
+        self._runner = PolicyRunner()
+        self._context = context
+        self._state = context.decode_state(b"")
         self._begun = False
 
     @classmethod
     async def of(cls, policy: Any, *brightness: int) -> "Oracle":
-        return cls(policy, await pursue(ModelRef("oracle", "0" * 12), policy, goal(*brightness), max_steps=0))
+        return cls(await ActContext.create(ModelRef("oracle", "0" * 12), policy, goal(*brightness), max_steps=0))
 
-    async def answer(self, request: ControlRequest) -> Answer:
+    async def answer(self, request: ControlRequest) -> InferenceResult:
         observed = request.observed
         assert observed is not None
-        item = await self._pursuit.item(
-            observed.observation, observed.executed_actions, self._memory, elapsed=int(self._begun)
+        item = await self._context.parse(
+            observed.observation, observed.executed_actions, self._state, elapsed=int(self._begun)
         )
-        (answer,) = self._actor.act_batch([item])
-        assert isinstance(answer, Answer)
-        self._memory, self._begun = answer.memory, True
-        return answer
+        (result,) = self._runner.run_batch([item])
+        assert isinstance(result, InferenceResult)
+        self._state, self._begun = result.state, True
+        return result
 
     async def check(self, request: ControlRequest, reply: ControlResponse) -> None:
         """Fails unless a chunk is what this robot must hear."""
@@ -125,5 +124,5 @@ class Oracle:
         assert request.observed is not None
         assert reply.seq == request.observed.seq
         np.testing.assert_allclose(reply.chunk.actions, expected.actions, rtol=0, atol=1e-5)
-        assert reply.chunk.goal_index == expected.memory.goal_index
+        assert reply.chunk.goal_index == expected.state.goal_index
         assert reply.chunk.goal_reached == expected.reached

@@ -8,7 +8,6 @@ and its weights are drawn from the seed in its file, so that no two versions hav
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef
 from freerein_imitation.__main__ import NAME, build
+from freerein_imitation.model.policy import PolicyOutput, PolicySpec
 from freerein_imitation.settings import ImitationSettings
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
@@ -28,47 +28,47 @@ SEEDS = (7, 8)  # of the versions that are published; the first is active
 Floats = npt.NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Step:
-    actions: Floats
-    reached: Floats
-    memory: Floats
-
-
 class FaultyPolicy:
     """Answers what its whole history says, unless told otherwise."""
 
-    kind = "goal_conditioned"
-    camera, height, width, channels = "front", 4, 4, 3
-    action = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
-    action_size, action_choices, horizon, control_dt_s = 2, 0, 3, 0.02
-    skills: tuple[str, ...] = ()
-    memory_size, reached_threshold, max_steps_per_goal = 5, 0.5, 1000
+    spec = PolicySpec(
+        action=ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01)),
+        control_dt_s=0.02,
+        reached_threshold=0.5,
+        max_steps_per_goal=1000,
+        goal_form="images",
+        camera="front",
+        height=4,
+        width=4,
+        channels=3,
+        horizon=3,
+        recurrent_size=5,
+    )
 
     def __init__(self, seed: int, *, sleep: Callable[[float], None] = lambda _seconds: None) -> None:
         self._sleep = sleep
         rng = np.random.default_rng(seed)
-        pixels, size = self.height * self.width * self.channels, self.memory_size
+        pixels, size = self.spec.height * self.spec.width * self.spec.channels, self.spec.recurrent_size
         self._seen = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
         self._wanted = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
-        self._done = rng.normal(0, 1, (self.action_size, size)).astype(np.float32)
-        self._act = rng.normal(0, 1, (size, self.horizon * self.action_size)).astype(np.float32)
+        self._done = rng.normal(0, 1, (self.spec.action.size, size)).astype(np.float32)
+        self._act = rng.normal(0, 1, (size, self.spec.horizon * self.spec.action.size)).astype(np.float32)
 
     def encode_goals(self, goals: npt.NDArray[np.uint8]) -> Floats:
         return (goals.reshape(len(goals), -1) / 255.0).astype(np.float32)
 
-    def step(self, frames: npt.NDArray[np.uint8], goals: Floats, previous: Floats, memory: Floats) -> Step:
+    def step(self, frames: npt.NDArray[np.uint8], goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
         faults = frames[:, 0, 0, 0]
         self._sleep(frames[:, 0, 0, 1].max() / 100)
         if RAISES in faults:
             raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
         seen = (frames.reshape(len(frames), -1) / 255.0).astype(np.float32)
-        hidden = np.tanh(0.5 * memory + seen @ self._seen + goals @ self._wanted + previous @ self._done)
-        actions = np.tanh(hidden @ self._act).reshape(len(frames), self.horizon, self.action_size)
+        hidden = np.tanh(0.5 * recurrent + seen @ self._seen + goals @ self._wanted + previous @ self._done)
+        actions = np.tanh(hidden @ self._act).reshape(len(frames), self.spec.horizon, self.spec.action.size)
         actions[faults == NOT_A_NUMBER] = np.nan
         hidden[faults == INFINITE, -1] = np.inf
         reached = (np.round(255 * goals[:, 2]) == frames[:, 0, 0, 2]).astype(np.float32)
-        return Step(actions[:, : 2 if WRONG_SHAPE in faults else None], reached, hidden)
+        return PolicyOutput(actions[:, : 2 if WRONG_SHAPE in faults else None], reached, hidden)
 
 
 def load(folder: Path, _device: str) -> FaultyPolicy:

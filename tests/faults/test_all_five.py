@@ -1,4 +1,7 @@
-"""All five services as `freerein up` runs them, told to stop under load, and killed: nothing accepted is lost."""
+"""All five services as `freerein up` runs them, stopped under load and killed: no accepted call is lost.
+
+FREEREIN_FUZZ=1 stops and kills every service.
+"""
 
 import asyncio
 import os
@@ -17,9 +20,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
-from freerein.cli.child import RestartPolicy, Status
-from freerein.cli.services import free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import RestartPolicy, ServiceStatus, Stack, free_ports
 from freerein.clients import (
     Channel,
     ImitationClient,
@@ -28,7 +29,7 @@ from freerein.clients import (
     SegmentationClient,
     SimClient,
 )
-from freerein.clients.client import Client
+from freerein.clients.channel import Client
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetRunRequest, StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest
@@ -36,7 +37,7 @@ from freerein.types.segmentation import SegmentRequest
 from freerein.types.sim import DemonstrateRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
-HERE = Path(__file__).parent
+HERE, FUZZ = Path(__file__).parent, os.environ.get("FREEREIN_FUZZ") == "1"
 MODULES = {
     "sim": "freerein_sim",
     "segmentation": "faulty_service",
@@ -45,15 +46,15 @@ MODULES = {
     "orchestrator": "freerein_orchestrator",
 }
 RECOVERY_S = 10.0
-IN_FLIGHT = re.compile(r'^freerein_calls_in_flight\{door="grpc"\} (\S+)$', re.MULTILINE)
+IN_FLIGHT = re.compile(r'^freerein_calls_in_flight\{protocol="grpc"\} (\S+)$', re.MULTILINE)
 _PATIENT = RestartPolicy(longest_delay_s=0.5, crashes=1000)  # every kill is the first
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
 async def stack(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Stack]:
-    """The five, around toy models that are there at once and answer as slowly as they are asked to."""
+    """The five services, with toy models that load at once and answer as slowly as asked."""
     mine = {
-        "PYTHONPATH": str(HERE),
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
         "FREEREIN_SHIPPED_DIR": "none",
         "FREEREIN_SIM_WORKERS": "1",
         "OMP_NUM_THREADS": "1",
@@ -69,7 +70,7 @@ async def stack(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Stack
     assert not [bug for bug in ('"event": "bug"', "Traceback", "never retrieved") if bug in logs]
 
 
-# --- one question to each, which takes a while and has one answer
+# --- one slow, deterministic call for each service
 
 
 async def trajectories(sim: Any) -> Any:
@@ -106,18 +107,18 @@ async def run_id(orchestrator: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A service and the question to it."""
+class Probe:
+    """A service and a call to it."""
 
-    status: Callable[[], Status]
+    status: Callable[[], ServiceStatus]
     client: Client
-    question: Callable[[Any], Awaitable[Any]]
+    call: Callable[[Any], Awaitable[Any]]
 
     async def ask(self) -> Any:
-        return await self.question(self.client)
+        return await self.call(self.client)
 
-    async def insist(self) -> Any:
-        """Asks again until there is an answer, as clients do for what may be asked for twice."""
+    async def ask_with_retries(self) -> Any:
+        """Retries until there is a reply, as clients do for idempotent calls."""
         while True:
             try:
                 return await self.ask()
@@ -126,7 +127,7 @@ class Asked:
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def asked(stack: Stack, robots: Any) -> AsyncIterator[dict[str, Asked]]:
+async def probes(stack: Stack, robots: Any) -> AsyncIterator[dict[str, Probe]]:
     known: dict[str, tuple[Any, Callable[[Any], Awaitable[Any]]]] = {
         "sim": (SimClient, trajectories),
         "segmentation": (SegmentationClient, labels),
@@ -136,14 +137,14 @@ async def asked(stack: Stack, robots: Any) -> AsyncIterator[dict[str, Asked]]:
     }
     async with AsyncExitStack() as clients:
         opened = {}
-        for index, (name, (client, question)) in enumerate(known.items()):
+        for index, (name, (client, call)) in enumerate(known.items()):
             connected = await clients.enter_async_context(client(Channel(stack.addresses[name])))
-            opened[name] = Asked(lambda index=index: stack.statuses[index], connected, question)  # type: ignore[misc]
+            opened[name] = Probe(lambda index=index: stack.statuses[index], connected, call)  # type: ignore[misc]
         yield opened
 
 
 async def until(stack: Stack, holds: Callable[[], bool], within_s: float) -> float:
-    """Returns how long it took until something held."""
+    """Waits until a condition holds; returns the seconds it took."""
     begun = time.monotonic()
     async with asyncio.timeout(within_s), aclosing(stack.watch()) as changes:
         async for _ in changes:
@@ -156,15 +157,15 @@ async def until(stack: Stack, holds: Callable[[], bool], within_s: float) -> flo
 
 
 @pytest.mark.fault("C18")
-@pytest.mark.parametrize("name", list(MODULES)[:4])
-async def test_told_to_stop_it_answers_what_it_has_accepted_and_nothing_else(
-    stack: Stack, asked: dict[str, Asked], repeats: int, name: str
+@pytest.mark.parametrize("name", list(MODULES)[:4] if FUZZ else ["sim", "reward"])  # others: lifecycle tests
+async def test_on_sigterm_a_service_answers_accepted_calls_and_refuses_new_ones(
+    stack: Stack, probes: dict[str, Probe], repeats: int, name: str
 ) -> None:
-    one = asked[name]
+    one = probes[name]
     expected = await one.ask()
 
     async def stopped() -> float:
-        """Returns how long it took to end, in seconds."""
+        """Returns the seconds until the service ended."""
         accepted = [asyncio.create_task(one.ask()) for _ in range(4)]
         await in_flight(stack.urls[name], 4)
         begun = time.monotonic()
@@ -182,14 +183,14 @@ async def test_told_to_stop_it_answers_what_it_has_accepted_and_nothing_else(
         await within(RECOVERY_S, stopped)
 
 
-async def ended(stack: Stack, one: Asked) -> None:
-    """Returns when a service that was told to stop has ended as it should."""
+async def ended(stack: Stack, one: Probe) -> None:
+    """Waits until a service that was told to stop has exited with code 0."""
     await until(stack, lambda: one.status().state == "restarting", 120)
     assert one.status().reason == "It ended with exit code 0."
 
 
 async def within(seconds: float, measure: Callable[[], Awaitable[float]]) -> None:
-    """Fails unless something takes less than so many seconds, one time of three: a busy machine only adds to it."""
+    """Fails unless a measurement is below a number of seconds once in three tries: a busy machine only adds to it."""
     taken = [await measure()]
     while taken[-1] >= seconds and len(taken) < 3:
         taken.append(await measure())
@@ -197,14 +198,14 @@ async def within(seconds: float, measure: Callable[[], Awaitable[float]]) -> Non
 
 
 async def in_flight(url: str, calls: int) -> None:
-    """Returns when a service works on so many calls."""
+    """Waits until a service has this many calls in flight."""
     async with httpx.AsyncClient(base_url=url, trust_env=False) as client, asyncio.timeout(20):
         while (found := IN_FLIGHT.search((await client.get("/metrics")).text)) is None or float(found[1]) < calls:
             pass
 
 
 async def refused(stack: Stack, name: str) -> None:
-    """Returns when a service says that it is not ready, or nothing, over both doors."""
+    """Waits until a service refuses calls over REST and gRPC."""
     async with httpx.AsyncClient(base_url=stack.urls[name], trust_env=False) as client:
         answers = True
         while answers:
@@ -219,10 +220,10 @@ async def refused(stack: Stack, name: str) -> None:
 
 
 @pytest.mark.fault("C18")
-async def test_told_to_stop_the_orchestrator_ends_what_is_watched_and_its_run_goes_on_with_the_next_start(
-    stack: Stack, asked: dict[str, Asked]
+async def test_on_sigterm_the_orchestrator_ends_streams_and_its_run_resumes_at_the_next_start(
+    stack: Stack, probes: dict[str, Probe]
 ) -> None:
-    one = asked["orchestrator"]
+    one = probes["orchestrator"]
     client: Any = one.client
     config = {"task": "blocks", "dataset": "long", "behaviour": "random", "count": 20, "height": 16, "width": 16}
     run = (await client.start_run(StartRunRequest("collect", config, "long"))).run
@@ -259,24 +260,24 @@ async def test_told_to_stop_the_orchestrator_ends_what_is_watched_and_its_run_go
 
 
 @pytest.mark.fault("C19")
-@pytest.mark.parametrize("name", MODULES)
-async def test_killed_it_is_back_within_ten_seconds_and_who_asks_again_never_notices(
-    stack: Stack, asked: dict[str, Asked], repeats: int, name: str
+@pytest.mark.parametrize("name", MODULES if FUZZ else ["reward", "orchestrator"])  # others: lifecycle tests
+async def test_a_killed_service_is_back_within_ten_seconds_and_retries_succeed(
+    stack: Stack, probes: dict[str, Probe], repeats: int, name: str
 ) -> None:
-    one = asked[name]
-    others = [other for other in asked if other != name]
-    expected = {each: await asked[each].ask() for each in asked}
+    one = probes[name]
+    others = [other for other in probes if other != name]
+    expected = {each: await probes[each].ask() for each in probes}
 
     async def killed() -> float:
-        """Returns how long the service was away, in seconds."""
-        pids = {each: asked[each].status().pid for each in asked}
-        asking = asyncio.create_task(one.insist())
+        """Returns the seconds that the service was unavailable."""
+        pids = {each: probes[each].status().pid for each in probes}
+        asking = asyncio.create_task(one.ask_with_retries())
         os.kill(pids[name], signal.SIGKILL)
-        assert [await asked[each].ask() for each in others] == [expected[each] for each in others]
+        assert [await probes[each].ask() for each in others] == [expected[each] for each in others]
         seconds = await until(stack, lambda: one.status().pid not in (0, pids[name]), 120)
         seconds += await until(stack, lambda: one.status().state == "ready", 120)
         assert await asking == expected[name]
-        assert [asked[each].status().pid for each in others] == [pids[each] for each in others]
+        assert [probes[each].status().pid for each in others] == [pids[each] for each in others]
         return seconds
 
     for _ in range(repeats):
@@ -285,15 +286,15 @@ async def test_killed_it_is_back_within_ten_seconds_and_who_asks_again_never_not
 
 @pytest.mark.fault("C19")
 @pytest.mark.fault("O15")
-async def test_a_run_that_was_acknowledged_is_made_though_all_five_are_killed_at_once(
-    stack: Stack, asked: dict[str, Asked]
+async def test_an_acknowledged_run_succeeds_though_all_five_services_are_killed_at_once(
+    stack: Stack, probes: dict[str, Probe]
 ) -> None:
-    client: Any = asked["orchestrator"].client
+    client: Any = probes["orchestrator"].client
     config = {"task": "grid", "dataset": "acknowledged", "behaviour": "random", "count": 3}
     run = (await client.start_run(StartRunRequest("collect", config, "acknowledged"))).run
-    for one in asked.values():
+    for one in probes.values():
         os.kill(one.status().pid, signal.SIGKILL)
-    await until(stack, lambda: all(each.status().state == "restarting" for each in asked.values()), 5)
+    await until(stack, lambda: all(each.status().state == "restarting" for each in probes.values()), 5)
     await stack.ready(timeout_s=120)
     while run.state in ("queued", "running"):
         await asyncio.sleep(0.1)

@@ -174,4 +174,4 @@ async def test_robots_that_vanish_free_their_streams(start: Any, tmp_path: Path,
         streams = [robots.Stream(client.control) for _ in range(64)]
         await asyncio.gather(*(stream.ask(robots.hello()) for stream in streams))
         await client.close()
-        await until(lambda: faulty.metric('freerein_calls_in_flight{door="grpc"}') == 0)
+        await until(lambda: faulty.metric('freerein_calls_in_flight{protocol="grpc"}') == 0)

@@ -197,7 +197,7 @@ async def test_one_who_leaves_while_in_a_batch_disturbs_nobody_and_is_let_go(
         for stream, oracle, request in zip(streams, oracles, requests, strict=True):
             await oracle.check(request, await stream.hear())
     assert [await stream.rest() for stream in streams] == [[]] * 6
-    assert faulty.metric('freerein_calls_in_flight{door="grpc"}') == 0
+    assert faulty.metric('freerein_calls_in_flight{protocol="grpc"}') == 0
     assert faulty.metric("freerein_queued_items") == 0
 
 

@@ -1,6 +1,6 @@
-"""Who is killed, and when: the policy that a run ends with is bit for bit that of a run that nobody disturbed.
+"""Any process killed at any moment: the final policy has the same bits as that of an undisturbed run.
 
-FREEREIN_FUZZ=1 pytest tests/faults/test_kill_matrix.py -v --durations=0    every victim at every moment
+FREEREIN_FUZZ=1 pytest tests/faults/test_kill_matrix.py -v --durations=0    every process at every moment
 """
 
 import asyncio
@@ -19,9 +19,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from freerein.cli.child import RestartPolicy
-from freerein.cli.services import free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.services import RestartPolicy, Stack, free_ports
 from freerein.clients import Channel, OrchestratorClient
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
@@ -43,7 +41,7 @@ TINY = {
     "features": 8,
     "hidden": 8,
 }
-ROLLOUTS, PATIENCE_S = 8, 200.0
+ROLLOUTS, TIMEOUT_S = 8, 200.0
 POLICY = "policy.safetensors"
 PPO = list(itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing")))
 DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "all"), ("collecting", "fitting")))
@@ -53,14 +51,14 @@ if not FUZZ:
 
 @dataclass(frozen=True)
 class Running:
-    """Services that train, and who may be killed among them."""
+    """The services, and their processes by name."""
 
     stack: Stack
     client: OrchestratorClient
     data_dir: Path
 
     async def start(self, kind: RunKind, config: dict[str, Any], key: str) -> str:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(TIMEOUT_S):
             while True:
                 try:
                     return (await self.client.start_run(StartRunRequest(kind, config, key))).run.id
@@ -68,9 +66,9 @@ class Running:
                     await asyncio.sleep(0.1)
 
     async def end(self, run_id: str) -> Run:
-        """Returns a run as it ended."""
+        """Waits for the end of a run and returns it."""
         seen: list[Run] = []
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(TIMEOUT_S):
             while not seen or seen[-1].state in ("queued", "running"):
                 try:
                     async with aclosing(self.client.watch_run(WatchRunRequest(run_id, len(seen)))) as watching:
@@ -80,14 +78,14 @@ class Running:
         return seen[-1]
 
     async def reached(self, run_id: str, step: int) -> None:
-        """Returns when a run has reached a step."""
-        async with asyncio.timeout(PATIENCE_S), aclosing(self.client.watch_run(WatchRunRequest(run_id))) as watching:
+        """Waits until a run has reached a step."""
+        async with asyncio.timeout(TIMEOUT_S), aclosing(self.client.watch_run(WatchRunRequest(run_id))) as watching:
             async for event in watching:
                 if event.run.step >= step:
                     return
 
     async def policy(self, run_id: str) -> str:
-        """Returns the sha256 of the policy that a run has left behind."""
+        """Returns the sha256 of a run's policy artifact."""
         parts = [part.data async for part in self.client.get_artifact(GetArtifactRequest(run_id, POLICY))]
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -95,7 +93,7 @@ class Running:
         pids = {status.service: status.pid for status in self.stack.statuses}
         if victim == "child":
             children = psutil.Process(pids["orchestrator"]).children()
-            return [child.pid for child in children if "freerein_orchestrator.child" in child.cmdline()]
+            return [child.pid for child in children if "freerein_orchestrator.runs.child" in child.cmdline()]
         return list(pids.values()) if victim == "all" else [pids[victim]]
 
     def kill(self, victim: str) -> None:
@@ -106,12 +104,12 @@ class Running:
 
 
 async def until(folder: Path, pattern: str, count: int) -> None:
-    """Returns when there are so many files of a pattern below a folder."""
+    """Waits until a folder has this many files of a pattern."""
     begun = time.monotonic()
 
     def wait() -> None:
         while len(list(folder.glob(pattern))) < count:
-            assert time.monotonic() - begun < PATIENCE_S
+            assert time.monotonic() - begun < TIMEOUT_S
             time.sleep(0.001)
 
     await asyncio.to_thread(wait)
@@ -121,7 +119,11 @@ async def until(folder: Path, pattern: str, count: int) -> None:
 async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Running]:
     modules = {**MODULES, "imitation": "freerein_imitation"} if FUZZ else MODULES
     data_dir, ports = tmp_path_factory.mktemp("matrix"), free_ports(modules)
-    mine = {"PYTHONPATH": str(HERE), "FREEREIN_SHIPPED_DIR": "none", "FREEREIN_SIM_WORKERS": "1"}
+    mine = {
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
+        "FREEREIN_SHIPPED_DIR": "none",
+        "FREEREIN_SIM_WORKERS": "1",
+    }
     (data_dir / "lies").write_text("slow 1000000")  # so that there is time to kill somebody
     environ = {**os.environ, **mine, "OMP_NUM_THREADS": "1"}
     policy = RestartPolicy(crashes=1000)
@@ -134,7 +136,7 @@ async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Run
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
 async def undisturbed(running: Running) -> str:
-    """A run of PPO that nobody disturbed."""
+    """Id of an undisturbed PPO run."""
     run_id = await running.start("ppo", TINY, "undisturbed")
     ended = await running.end(run_id)
     assert (ended.state, ended.step) == ("succeeded", TINY["iterations"]), ended.error
@@ -144,7 +146,7 @@ async def undisturbed(running: Running) -> str:
 @pytest.mark.fault("O1")
 @pytest.mark.fault("O2")
 @pytest.mark.parametrize(("victim", "moment"), PPO)
-async def test_whoever_is_killed_whenever_the_policy_is_the_same(
+async def test_a_killed_ppo_run_ends_with_the_same_policy(
     running: Running, undisturbed: str, victim: str, moment: str
 ) -> None:
     run_id = await running.start("ppo", TINY, f"ppo-{victim}-{moment}")
@@ -158,7 +160,7 @@ async def test_whoever_is_killed_whenever_the_policy_is_the_same(
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
 async def student(running: Running, undisturbed: str) -> str:
-    """The version of a model that was distilled while nobody disturbed it."""
+    """Model version of an undisturbed distillation."""
     ended = await running.end(await running.start("distill", distilled(undisturbed, "undisturbed"), "distilled"))
     assert ended.model is not None, ended.error
     return ended.model.version
@@ -169,8 +171,8 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
         "steps": 1_000,
         "batch_size": 4,
         "features": 8,
-        "words": 4,
-        "hidden": 8,
+        "text_features": 4,
+        "hidden_size": 8,
         "log_every": 5,
         "checkpoint_every": 50,
     }
@@ -187,7 +189,7 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
 @pytest.mark.fault("O1")
 @pytest.mark.fault("O2")
 @pytest.mark.parametrize(("victim", "moment"), DISTILL)
-async def test_whoever_is_killed_whenever_the_student_is_the_same(
+async def test_a_killed_distillation_ends_with_the_same_student(
     running: Running, undisturbed: str, student: str, victim: str, moment: str
 ) -> None:
     run_id = await running.start("distill", distilled(undisturbed, f"{victim}-{moment}"), f"distill-{victim}-{moment}")

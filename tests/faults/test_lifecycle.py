@@ -72,7 +72,7 @@ def children(faulty: Any) -> list[psutil.Process]:
 
 @pytest.mark.fault("C18")
 @pytest.mark.timeout(600)
-async def test_told_to_stop_it_answers_what_it_took_and_takes_nothing_new(
+async def test_on_sigterm_it_answers_accepted_calls_and_refuses_new_ones(
     start_faulty: Callable[..., Any], tmp_path: Path, repeats: int
 ) -> None:
     record_demonstrations(tmp_path)
@@ -120,12 +120,12 @@ async def stop_under_load(faulty: Any) -> None:
     assert not child.is_running()
 
 
-REST = 'freerein_calls_in_flight{door="rest"}'  # of which one is the reading of the metrics
-GRPC = 'freerein_calls_in_flight{door="grpc"}'
+REST = 'freerein_calls_in_flight{protocol="rest"}'  # of which one is the reading of the metrics
+GRPC = 'freerein_calls_in_flight{protocol="grpc"}'
 
 
 def refuses(faulty: Any) -> bool:
-    """Tells whether a new caller is refused: the door is closed, or answers that it is not ready."""
+    """Returns whether a new caller is refused: no connection, or not ready."""
     try:
         return httpx.get(faulty.service.url + "/readyz", trust_env=False, timeout=5).status_code == 503
     except httpx.TransportError:
@@ -133,7 +133,7 @@ def refuses(faulty: Any) -> bool:
 
 
 @pytest.mark.fault("C18")
-def test_told_to_stop_while_idle_or_starting_it_stops(start_service: Callable[..., Any]) -> None:
+def test_on_sigterm_while_starting_it_stops(start_service: Callable[..., Any]) -> None:
     assert start_service("freerein_sim").stop() == 0  # its workers are still starting
 
 
@@ -141,7 +141,7 @@ def test_told_to_stop_while_idle_or_starting_it_stops(start_service: Callable[..
 
 
 @pytest.mark.fault("C19")
-def test_killed_it_comes_back_with_its_models_and_goes_on_with_its_fit(
+def test_after_sigkill_it_has_its_models_and_resumes_its_fit(
     start_faulty: Callable[..., Any], tmp_path: Path, least_of_three: Callable[..., float]
 ) -> None:
     record_demonstrations(tmp_path)

@@ -1,4 +1,4 @@
-"""A trajectory of 10 000 frames through both doors of the real service, with a model of the real size."""
+"""A trajectory of 10 000 frames over REST and gRPC to the real service, with a model of the real size."""
 
 import asyncio
 import base64
@@ -37,7 +37,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     return start_module_service("freerein_segmentation", data_dir)
 
 
-def test_ten_thousand_frames_are_labelled_alike_by_both_doors_in_bounded_memory(service: Any) -> None:
+def test_ten_thousand_frames_have_equal_labels_over_rest_and_grpc_in_bounded_memory(service: Any) -> None:
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 256, (T, 33, 30, 3), np.uint8)
     actions = rng.integers(0, 5, (T, 1))

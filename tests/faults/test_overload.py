@@ -147,11 +147,11 @@ def wait_until(condition: Callable[[], bool], within_s: float) -> float:
     return time.monotonic() - begun
 
 
-def wait_for_the_model_to_begin(faulty: Any, door: str, in_flight: int) -> None:
+def wait_for_the_model_to_begin(faulty: Any, protocol: str, in_flight: int) -> None:
     """Returns when so many calls are in flight and none of them waits: the first then has the model."""
     in_a_row = 0
     while in_a_row < 5:
-        begun = faulty.metric(f'freerein_calls_in_flight{{door="{door}"}}') == in_flight
+        begun = faulty.metric(f'freerein_calls_in_flight{{protocol="{protocol}"}}') == in_flight
         in_a_row = in_a_row + 1 if begun and faulty.metric("freerein_queued_items") == 0 else 0
 
 
@@ -177,8 +177,8 @@ def test_callers_that_go_away_free_their_places_and_never_reach_the_model(faulty
     assert least_of_three(seconds_until_free, below=0.1) < 0.1
 
 
-CANCELLED = 'freerein_cancelled_total{door="rest"}'
-IN_FLIGHT = 'freerein_calls_in_flight{door="rest"}'  # of which one is the reading of the metrics
+CANCELLED = 'freerein_cancelled_total{protocol="rest"}'
+IN_FLIGHT = 'freerein_calls_in_flight{protocol="rest"}'  # of which one is the reading of the metrics
 
 
 @pytest.mark.fault("C12")
@@ -216,5 +216,5 @@ async def test_grpc_calls_that_are_cancelled_never_reach_the_model(faulty: Any) 
         await asyncio.to_thread(wait_until, lambda: faulty.metric("freerein_queued_items") == 0, 1.0)
         await holder
     assert faulty.metric("freerein_batch_size_sum") == batches + 1
-    assert faulty.metric('freerein_calls_in_flight{door="grpc"}') == 0
-    assert faulty.metric('freerein_cancelled_total{door="grpc"}') >= QUEUE
+    assert faulty.metric('freerein_calls_in_flight{protocol="grpc"}') == 0
+    assert faulty.metric('freerein_cancelled_total{protocol="grpc"}') >= QUEUE

@@ -31,7 +31,7 @@ def opened(service: Any) -> Iterator[httpx.Client]:
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: StartService) -> Iterator[httpx.Client]:
-    """The REST door of the service with the models that come with it; no image may make it log a fault."""
+    """An HTTP client of the service with the shipped models; no image may make it log a fault."""
     service = start_module_service("freerein_reward")
     with opened(service) as client:
         yield client

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from freerein_reward.model.tokenizer import MAX_TOKENS, Tokenizer
-from freerein_reward.relations import rivals
+from freerein_reward.relations import rival_captions
 
 pytestmark = pytest.mark.e2e
 MOST = 2_000
@@ -22,7 +22,7 @@ LONGEST_TOKENISING_S = 0.02
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: Callable[..., Any]) -> Iterator[httpx.Client]:
-    """The REST door of the service with the models that come with it; no text may make it log a fault."""
+    """An HTTP client of the service with the shipped models; no text may make it log a fault."""
     service = start_module_service("freerein_reward")
     with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
         wait_until_ready(client)
@@ -130,7 +130,7 @@ def test_no_text_takes_long_to_tokenise_or_to_find_rivals_for(name: str, least_o
     def seconds() -> float:
         begun = time.perf_counter()
         tokenizer([HOSTILE[name]])
-        rivals(HOSTILE[name])
+        rival_captions(HOSTILE[name])
         return time.perf_counter() - begun
 
     assert least_of_three(seconds, below=LONGEST_TOKENISING_S) < LONGEST_TOKENISING_S

@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import pytest
 
-from freerein.serving.fits import HOPELESS
+from freerein.jobs.child import PERMANENT_FAILURE
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240)]
@@ -57,7 +57,7 @@ class Run:
         (self.folder / "config.json").write_text(json.dumps(asked))
 
     def start(self) -> psutil.Popen:
-        module = [sys.executable, "-m", "freerein_orchestrator.child"]
+        module = [sys.executable, "-m", "freerein_orchestrator.runs.child"]
         with (self.folder / "log.txt").open("ab") as log:
             return psutil.Popen(
                 [*module, str(self.folder), str(self.folder.parents[1]), "cpu"],
@@ -212,7 +212,7 @@ def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, 
         kept = run.checkpoints[0] / "state.safetensors"
         before = kept.read_bytes()
         process.rlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))  # no checkpoint is so small
-        assert process.wait(PATIENCE_S) == HOPELESS
+        assert process.wait(PATIENCE_S) == PERMANENT_FAILURE
     assert "3 in a row could not be" in run.reason
     assert kept.read_bytes() == before
 
@@ -221,7 +221,7 @@ def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, 
 def test_a_run_is_not_gone_on_with_as_another_and_says_what_differs(begun: Run) -> None:
     begun.configure(threads=2, lr=0.5)
     pretend_another_torch(begun.checkpoints)
-    assert begun.finish() == HOPELESS
+    assert begun.finish() == PERMANENT_FAILURE
     assert [name in begun.reason for name in ("threads", "lr", "torch")] == [True, True, True]
 
 
@@ -257,7 +257,7 @@ def test_nonsense_is_rolled_back(run: Run, whole: Run, lies: Callable[[str], Non
 @pytest.mark.fault("O8")
 def test_nonsense_without_end_stops_the_run_with_a_diagnosis(begun: Run, lies: Callable[[str], None]) -> None:
     lies("short 1000000")
-    assert begun.finish() == HOPELESS
+    assert begun.finish() == PERMANENT_FAILURE
     assert "Iteration 3 was worthless 3 times in a row" in begun.reason
 
 
@@ -290,6 +290,6 @@ def test_a_policy_that_is_a_program_or_of_other_weights_is_refused(run: Run, who
     run.configure(start_from="0" * 32)
     policy = planted / "artifacts" / "policy.safetensors"
     policy.write_bytes(b"cposix\nsystem\n(S'touch %s'\ntR." % str(ran).encode())
-    assert run.finish() == HOPELESS
+    assert run.finish() == PERMANENT_FAILURE
     assert not ran.exists()
     assert "Traceback" not in run.log

@@ -1,4 +1,4 @@
-"""The fault rows of the simulation, over the gRPC door of a real service process."""
+"""Faults of the sim service, over gRPC to a real process."""
 
 import os
 import signal
@@ -20,7 +20,7 @@ from freerein.types.sim import (
     SnapshotRequest,
     StepRequest,
 )
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
 pytestmark = pytest.mark.e2e
@@ -115,7 +115,7 @@ def test_the_same_seed_and_actions_give_the_same_bits_as_in_process(sim: Any, na
     task = next(task for task in tasks().values() if task.name == name)
     camera, action = task.spec.cameras[0].name, task.spec.action
     created = sim.create_session(CreateSessionRequest(name, num_envs=2, seed=9, privileged=True))
-    local = Envs(task, num_envs=2, seed=9, privileged=True)
+    local = VectorEnv(task, num_envs=2, seed=9, privileged=True)
     sim.reset(ResetRequest(created.session))
     local.reset()
     rng = np.random.default_rng(0)

@@ -1,9 +1,9 @@
-"""No door opens without the token but those of the health checks, and none of the others was forgotten."""
+"""Every REST route and every RPC of every service needs the token, except health checks."""
 
 import asyncio
 import itertools
-import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from typing import Any
 
 import grpc
@@ -18,11 +18,12 @@ from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
+from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
+from freerein.serving.rest.app import make_app
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("C13")]
 TOKEN = "correct-horse-battery"
@@ -36,36 +37,55 @@ SERVICES = {
     "sim": (sim_pb2.DESCRIPTOR.services_by_name["SimService"],),
     "orchestrator": (orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"],),
 }
-MODULES = {
-    "segmentation": "faulty_service.py",
-    "imitation": "faulty_policy.py",
-    "reward": "faulty_reward.py",
-    "sim": "freerein_sim",
-    "orchestrator": "freerein_orchestrator",
-}
 REFLECTION = "grpc.reflection.v1{}.ServerReflection"
 WRONG = [None, "Bearer", "Bearer wrong", f"Bearer {TOKEN}x", f"Bearer {TOKEN[:-1]}", f"Basic {TOKEN}", TOKEN]
 
 
 class EveryMethod:
-    """A core that has whatever method it is asked for."""
+    """A core that has every method."""
 
     def __getattr__(self, name: str) -> object:
         return name
 
 
-def routes(name: str) -> list[tuple[str, str]]:
-    """Returns every (method, path) that a service's REST app knows, and some that it does not."""
-    methods = [method for service in SERVICES[name] for method in methods_of(service, EveryMethod())]
-    app = make_app("x", methods, health=Health(), metrics=Metrics(), limits=Limits())
-    known = [(verb, route.path) for route in app.routes for verb in route.methods]  # type: ignore[attr-defined]
-    return sorted({*known, ("GET", "/"), ("POST", "/v1/unknown"), ("GET", "/healthz/"), ("GET", "/healthz/x")})
+@dataclass(frozen=True)
+class Served:
+    """A service's REST app in process and its gRPC server on a port, both with the token.
+
+    Attributes:
+        routes: Every (method, path) of the REST app, and some that it does not have.
+        rpcs: Every RPC.
+        services: Full names of the gRPC services.
+    """
+
+    rest: httpx.AsyncClient
+    channel: grpc.aio.Channel
+    routes: list[tuple[str, str]]
+    rpcs: list[str]
+    services: set[str]
 
 
-@pytest.fixture(scope="module", params=SERVICES)
-def named(request: pytest.FixtureRequest, start_faulty: Callable[..., Any]) -> tuple[str, Any]:
-    """Each service, as a process that asks for the token."""
-    return request.param, start_faulty(script=MODULES[request.param], FREEREIN_TOKEN=TOKEN)
+@pytest.fixture(params=SERVICES)
+async def served(request: pytest.FixtureRequest) -> AsyncIterator[Served]:
+    """Each service without its core: no call without the token reaches one."""
+    services = SERVICES[request.param]
+    methods = [method for service in services for method in methods_of(service, EveryMethod())]
+    health, metrics, limits = Health(), Metrics(), Limits()
+    app = make_app("x", methods, health=health, metrics=metrics, limits=limits, token=TOKEN)
+    grpc_server = GrpcServer(methods, health=health, metrics=metrics, limits=limits, token=TOKEN)
+    port = grpc_server.server.add_insecure_port("127.0.0.1:0")
+    await grpc_server.server.start()
+    known = {(verb, route.path) for route in app.routes for verb in route.methods}  # type: ignore[attr-defined]
+    unknown = {("GET", "/"), ("POST", "/v1/unknown"), ("GET", "/healthz/"), ("GET", "/healthz/x")}
+    rpcs = [f"/{service.full_name}/{method.name}" for service in services for method in service.methods]
+    rpcs += [f"/{REFLECTION.format(version)}/ServerReflectionInfo" for version in ("alpha", "")]
+    transport = httpx.ASGITransport(app)
+    async with (
+        httpx.AsyncClient(transport=transport, base_url="http://x", params={"token": TOKEN}) as rest,
+        grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel,
+    ):
+        yield Served(rest, channel, sorted(known | unknown), rpcs, {service.full_name for service in services})
+    await grpc_server.server.stop(None)
 
 
 @pytest.fixture(scope="module")
@@ -73,58 +93,38 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
     return start_faulty(FREEREIN_TOKEN=TOKEN)
 
 
-def test_the_routes_are_those_that_are_meant() -> None:
-    paths = {path for name in SERVICES for _, path in routes(name)}
-    assert paths >= OPEN | {"/metrics", "/openapi.json", "/docs", "/v1/segment", "/v1/watch-fit", "/v1/activate-model"}
-    assert paths >= {"/v1/step", "/v1/act", "/v1/reward", "/v1/start-run", "/v1/watch-run", "/v1/get-artifact"}
+async def test_every_route_but_health_is_refused_without_the_token(served: Served, refusal: Any) -> None:
+    paths = {path for _, path in served.routes}
+    assert paths >= OPEN | {"/metrics", "/openapi.json", "/docs"}
+    assert any(path.startswith("/v1/") and path != "/v1/unknown" for path in paths)
+    for (verb, path), authorization in itertools.product(served.routes, WRONG):
+        headers = {"authorization": authorization} if authorization is not None else {}
+        reply = await served.rest.request(verb, path, headers=headers)
+        if path in OPEN:
+            assert reply.status_code == 200, path
+        elif verb == "HEAD":
+            assert reply.status_code == 401, path
+        else:
+            assert refusal(reply, 401), path
+            assert reply.headers["www-authenticate"] == "Bearer"
 
 
-def test_every_route_without_the_token_is_closed_unless_it_tells_health(named: tuple[str, Any], refusal: Any) -> None:
-    name, faulty = named
-    until_ready(faulty)
-    with httpx.Client(base_url=faulty.service.url, params={"token": TOKEN}, timeout=30, trust_env=False) as client:
-        for (verb, path), authorization in itertools.product(routes(name), WRONG):
-            headers = {"authorization": authorization} if authorization is not None else {}
-            reply = client.request(verb, path, headers=headers)
-            if path in OPEN:
-                assert reply.status_code == 200, path
-            elif verb == "HEAD":
-                assert reply.status_code == 401, path
-            else:
-                assert refusal(reply, 401), path
-                assert reply.headers["www-authenticate"] == "Bearer"
+async def test_every_rpc_is_refused_without_the_token(served: Served) -> None:
+    for rpc, authorization in itertools.product(served.rpcs, WRONG):
+        metadata = (("authorization", authorization),) if authorization is not None else ()
+        call = served.channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=10)
+        with pytest.raises(grpc.aio.AioRpcError) as error:
+            await call.read()
+        assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED, rpc
 
 
-def until_ready(faulty: Any) -> None:
-    while faulty.http.get("/readyz").status_code != 200:
-        time.sleep(0.02)
-
-
-async def test_every_rpc_without_the_token_is_closed(named: tuple[str, Any]) -> None:
-    name, faulty = named
-    rpcs = [f"/{service.full_name}/{method.name}" for service in SERVICES[name] for method in service.methods]
-    rpcs += [f"/{REFLECTION.format(version)}/ServerReflectionInfo" for version in ("alpha", "")]
-    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
-        for rpc, authorization in itertools.product(rpcs, WRONG):
-            metadata = (("authorization", authorization),) if authorization is not None else ()
-            call = channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=10)
-            with pytest.raises(grpc.aio.AioRpcError) as error:
-                await call.read()
-            assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED, rpc
-
-
-async def test_there_is_no_rpc_beyond_those_tested(named: tuple[str, Any]) -> None:
-    name, faulty = named
+async def test_reflection_lists_no_other_service(served: Served) -> None:
     metadata = (("authorization", f"Bearer {TOKEN}"),)
-    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
-        stub = reflection_pb2_grpc.ServerReflectionStub(channel)
-        request = reflection_pb2.ServerReflectionRequest(list_services="")
-        reply = await stub.ServerReflectionInfo(iter([request]), metadata=metadata).read()
+    stub = reflection_pb2_grpc.ServerReflectionStub(served.channel)
+    request = reflection_pb2.ServerReflectionRequest(list_services="")
+    reply = await stub.ServerReflectionInfo(iter([request]), metadata=metadata).read()
     names = {service.name for service in reply.list_services_response.service}
-    assert names == {service.full_name for service in SERVICES[name]} | {
-        "grpc.health.v1.Health",
-        REFLECTION.format("alpha"),
-    }
+    assert names == served.services | {"grpc.health.v1.Health", REFLECTION.format("alpha")}
 
 
 async def test_health_needs_no_token_and_the_token_opens_all(faulty: Any) -> None:

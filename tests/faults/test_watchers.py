@@ -1,4 +1,4 @@
-"""Those who watch a run come, go, and do not read: it never waits for them, and who comes back missed nothing."""
+"""Watchers of a run come, go, and do not read: the run never waits for them, and a resumed watch misses nothing."""
 
 import json
 import socket
@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("O11"), pytest.mark.timeout(240)]
-SLOW = 60  # of 64 streams that may be open over a door
+SLOW = 60  # of 64 streams that may be open
 COUNT = 40
 
 
@@ -48,7 +48,7 @@ def events(orchestrator: httpx.Client, run_id: str, *, after: int = -1, most: in
     return found
 
 
-def test_watchers_who_never_read_delay_nobody(orchestrator: httpx.Client) -> None:
+def test_watchers_that_never_read_delay_nobody(orchestrator: httpx.Client) -> None:
     run_id = start(orchestrator, "crowded")
     request = f"GET /v1/watch-run?id={run_id} HTTP/1.1\r\nhost: x\r\n\r\n".encode()
     slow = []
@@ -66,7 +66,7 @@ def test_watchers_who_never_read_delay_nobody(orchestrator: httpx.Client) -> Non
     assert seen[-1]["run"]["step"] == COUNT
 
 
-def test_who_comes_back_with_the_id_of_the_last_event_gets_the_rest(orchestrator: httpx.Client) -> None:
+def test_watching_resumes_after_the_last_event_id(orchestrator: httpx.Client) -> None:
     run_id = start(orchestrator, "interrupted")
     seen = events(orchestrator, run_id, most=2)
     while seen[-1]["run"]["state"] != "succeeded":

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, ServiceError, UnsupportedMedia
-from freerein.serving import body
+from freerein.serving.rest import body
 from freerein.types.common import ModelRef
 from freerein.types.learning import StartFitRequest, WatchFitRequest
 from freerein.types.segmentation import ListSkillsRequest, SegmentRequest
@@ -272,7 +272,7 @@ async def test_parts_that_make_no_request_are_refused(parts: list[bytes]) -> Non
 
 @pytest.mark.parametrize("name", ["config.steps", "config.fields", "config.fields.steps"])
 async def test_nothing_leads_into_free_form_values(name: str) -> None:
-    with pytest.raises(InvalidInput, match="named like a field"):
+    with pytest.raises(InvalidInput, match="must be a field of the request"):
         await read(form(part("dataset", b"x"), part(name, b"5")), StartFitRequest, MULTIPART)
 
 

@@ -6,21 +6,22 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from freerein.cli.job_display import draw
+from freerein.cli.job_progress import JobProgress, by_relevance
 from freerein.cli.terminal_plot import plot
-from freerein.cli.course import Course, by_telling
-from freerein.cli.course_picture import draw
+from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
 
 _RUN = Run("0" * 32, "ppo", "running", {}, step=0, steps=10)
 
 
-def _course(*steps: int, every_s: float = 2.0) -> Course:
+def _progress(*steps: int, every_s: float = 2.0) -> JobProgress:
     """A run that came to a step every two seconds; its return is the step."""
-    course = Course()
+    progress = JobProgress()
     for moment, step in enumerate(steps):
         now = replace(_RUN, step=step, metrics={"episode_return": float(step), "entropy": 1.0})
-        course.add(now, at_s=every_s * moment)
-    return course
+        progress.add(now, at_s=every_s * moment)
+    return progress
 
 
 def test_a_curve_climbs_from_its_least_value_to_its_greatest() -> None:
@@ -44,27 +45,30 @@ def test_a_long_curve_is_as_wide_as_was_asked_for() -> None:
     assert [len(line) for line in lines] == [20, 20, 20]
 
 
-def test_the_metrics_that_tell_most_come_first() -> None:
-    assert by_telling(["entropy", "value_loss", "episode_return"]) == ["episode_return", "value_loss", "entropy"]
+def test_the_most_relevant_metrics_come_first() -> None:
+    assert by_relevance(["entropy", "value_loss", "episode_return"]) == ["episode_return", "value_loss", "entropy"]
 
 
-def test_steps_that_are_made_once_more_replace_what_they_left_the_first_time() -> None:
-    course = _course(1, 2, 3, 4, 3, 4, 5)
+def test_steps_that_are_known_already_are_ignored() -> None:
+    progress = JobProgress()
+    progress.add_rows(MetricRow(step, {"episode_return": float(step)}) for step in (1, 2, 3))
+    for step in (2, 3, 4, 4):
+        progress.add(replace(_RUN, step=step, metrics={"episode_return": float(step)}), at_s=0.0)
 
-    assert course.curves(["episode_return"], most=1) == {"episode_return": [1, 2, 3, 4, 5]}
+    assert progress.curves(["episode_return"], most=1) == {"episode_return": [1, 2, 3, 4]}
 
 
 def test_the_time_left_follows_from_the_pace_since_it_is_watched() -> None:
-    course = _course(4, 5, 6)
-    history = _course(1, 2, 3, 4, every_s=0.01)
+    progress = _progress(4, 5, 6)
+    history = _progress(1, 2, 3, 4, every_s=0.01)
 
-    assert course.seconds_left == pytest.approx(8)
+    assert progress.seconds_left == pytest.approx(8)
     assert history.seconds_left is None
 
 
 def test_the_picture_shows_how_it_stands_and_a_curve_for_each_metric() -> None:
     console = Console(file=io.StringIO(), width=60, color_system=None)
-    console.print(draw("run 1234", _course(4, 5, 6), width=60))
+    console.print(draw("run 1234", _progress(4, 5, 6), width=60))
     lines = [line.split() for line in console.file.getvalue().splitlines()]
 
     assert [*lines[0][:3], *lines[0][-3:]] == ["run", "1234", "running", "6/10", "0:08", "left"]

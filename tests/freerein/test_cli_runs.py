@@ -95,6 +95,17 @@ def test_watching_it_again_tells_the_same_story() -> None:
     assert (first[0]["state"], first[-1]["state"]) == ("queued", "succeeded")
 
 
+def test_the_metrics_of_a_run_are_its_whole_curve_or_a_decimated_one() -> None:
+    run_id = _json(*FEW, "--watch")[0]["id"]
+
+    assert [row["step"] for row in _json("metrics", run_id)] == [1, 3]
+    assert [row["step"] for row in _json("metrics", run_id, "--max-rows", "1")] == [3]
+    assert [line.split()[0] for line in _run("metrics", run_id, "--from-step", "2").stdout.splitlines()] == [
+        "step",
+        "3",
+    ]
+
+
 def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Path) -> None:
     file = tmp_path / "grid.json"
     file.write_text(json.dumps({"task": "grid", "dataset": "keyed", "count": 3}))
@@ -134,9 +145,9 @@ def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
         child.send_signal(signal.SIGINT)
         assert child.wait(10) == 130
         assert child.stderr is not None
-        way_back = child.stderr.read().split("`")[1]
+        again = child.stderr.read().split("`")[1]
 
-    *command, run_id = way_back.split()
+    *command, run_id = again.split()
     (left,) = [run for run in _json("list") if run["id"] == run_id]
     _json("cancel", run_id)
     assert (command, left["state"]) == (["freerein", "runs", "watch"], "running")

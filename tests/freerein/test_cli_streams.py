@@ -5,10 +5,10 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from freerein.cli.streams import unbroken
+from freerein.cli.streams import reconnecting
 from freerein.errors import Unavailable
 
-PATIENCE_S = 0.1
+TIMEOUT_S = 0.1
 
 
 class Flaky:
@@ -25,11 +25,11 @@ class Flaky:
 
 
 async def test_a_stream_that_was_quiet_for_longer_than_its_service_may_be_away_is_opened_again() -> None:
-    quiet = Flaky(2 * PATIENCE_S, 2 * PATIENCE_S)
-    assert [item async for item in unbroken(quiet.open, patience_s=PATIENCE_S)] == ["back"]
+    quiet = Flaky(2 * TIMEOUT_S, 2 * TIMEOUT_S)
+    assert [item async for item in reconnecting(quiet.open, timeout_s=TIMEOUT_S)] == ["back"]
 
 
 async def test_a_service_that_stays_away_is_given_up() -> None:
     away = Flaky(*[0.0] * 100)
     with pytest.raises(Unavailable, match="went away"):
-        await anext(unbroken(away.open, patience_s=PATIENCE_S))
+        await anext(reconnecting(away.open, timeout_s=TIMEOUT_S))

@@ -13,10 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.cli.child import RestartPolicy
-from freerein.cli.recording import record
-from freerein.cli.services import choose, free_ports
-from freerein.cli.supervisor import Stack
+from freerein.cli.commands.sim import record
+from freerein.cli.services import RestartPolicy, Stack, choose, free_ports
 from freerein.clients import Channel, SimClient
 from freerein.data import Dataset
 from freerein.types.sim import DemonstrateRequest
@@ -89,7 +87,7 @@ def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
 
 @pytest.mark.fault("C19")
 async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) -> None:
-    request = DemonstrateRequest("grid", "expert", max_skills=2, count=60)
+    request = DemonstrateRequest("grid", "expert", max_skills=2, count=20)
     hasty = RestartPolicy(first_delay_s=0.01)
     services = choose(["sim"])
     async with Stack(

@@ -1,17 +1,13 @@
-"""The command line and a service whose doors speak TLS."""
+"""The command line and a service with TLS."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from freerein.cli.demo.context import Context
-from freerein.cli.demo.report import Reporter
-from freerein.cli.doctor import doors
-from freerein.cli.services import running_endpoints
-from freerein.cli.settings import CliSettings
-from freerein.errors import Unavailable
+from freerein.cli.connection import connect
+from freerein.cli.doctor import services
+from freerein.clients import SimClient
 from freerein.ports import PORTS, Ports
 from freerein.types.sim import ListTasksRequest
 
@@ -28,19 +24,9 @@ def sim(start_service: Any, certificate: tuple[Path, Path], monkeypatch: pytest.
     return service
 
 
-async def test_the_doctor_and_the_demo_speak_tls_and_say_when_the_connection_is_lost(sim: Any, tmp_path: Path) -> None:
-    context = Context(
-        running_endpoints(["sim"], os.environ), CliSettings(), tmp_path, tmp_path, 0, Reporter(as_json=True)
-    )
-
-    while (found := doors.service("sim")).state == "warning":
+async def test_the_doctor_and_the_command_line_speak_tls(sim: Any) -> None:
+    while (found := services.check_service("sim")).state == "warning":
         pass  # its workers start
     assert found.state == "ok", found
-    async with context.rest("sim") as rest, context.sim() as client:
-        over_rest = {task["name"] for task in (await rest.get("/v1/list-tasks"))["tasks"]}
-        over_grpc = {task.name for task in (await client.list_tasks(ListTasksRequest())).tasks}
-        sim.process.kill()
-        with pytest.raises(Unavailable, match="must answer; the connection failed"):
-            await rest.get("/v1/list-tasks")
-
-    assert over_rest == over_grpc != set()
+    async with connect(SimClient, "sim") as client:
+        assert (await client.list_tasks(ListTasksRequest())).tasks

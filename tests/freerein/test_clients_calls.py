@@ -20,7 +20,7 @@ from freerein import errors, wire
 from freerein.api.learning.v1 import learning_pb2, learning_pb2_grpc
 from freerein.api.segmentation.v1 import segmentation_pb2_grpc
 from freerein.api.sim.v1 import sim_pb2_grpc
-from freerein.clients import Channel, FitClient, ModelClient, SegmentationClient, SimClient, retries
+from freerein.clients import Channel, FitClient, ModelClient, SegmentationClient, SimClient, retry_policy
 from freerein.clients.channel import MAX_MESSAGE_BYTES
 from freerein.types import learning, segmentation, sim
 from freerein.types.common import ModelRef, Timing, Trajectory
@@ -269,7 +269,7 @@ async def test_a_call_is_tried_four_times_and_no_more(channel: Channel, peer: Pe
     peer.refusals = [UNAVAILABLE] * 9
     with pytest.raises(errors.Unavailable):
         await SegmentationClient(channel).list_skills(SKILLS)
-    assert len(peer.calls) == retries.MAX_ATTEMPTS == 4
+    assert len(peer.calls) == retry_policy.MAX_ATTEMPTS == 4
 
 
 async def test_a_call_that_is_not_idempotent_is_tried_once(channel: Channel, peer: Peer) -> None:

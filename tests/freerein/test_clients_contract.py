@@ -17,7 +17,7 @@ from freerein.clients import (
     RewardClient,
     SegmentationClient,
     SimClient,
-    retries,
+    retry_policy,
 )
 
 CLIENTS = (
@@ -46,6 +46,6 @@ def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
 
 def test_every_call_is_idempotent_or_known_not_to_be() -> None:
     calls = {(service.full_name, method) for service in SERVICES for method in service.methods_by_name}
-    idempotent = {(service, method) for service, methods in retries.IDEMPOTENT.items() for method in methods}
+    idempotent = {(service, method) for service, methods in retry_policy.IDEMPOTENT.items() for method in methods}
     assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "Control", "ActivateModel", "ResumeRun"}
     assert idempotent < calls

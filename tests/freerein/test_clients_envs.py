@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from freerein import wire
 from freerein.api.sim.v1 import sim_pb2_grpc
-from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
+from freerein.clients.envs import SimEnv, SimVectorEnv
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -159,10 +159,10 @@ STOP = np.ones(2, np.float32)
 
 
 def test_an_observation_is_the_one_cameras_frame_or_a_dict_of_several(address: str) -> None:
-    with RemoteEnv("slide", address) as env:
+    with SimEnv("slide", address) as env:
         assert env.observation_space == gymnasium.spaces.Box(0, 255, (40, 44, 3), np.uint8)
         assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-    with RemoteEnv("hop", address, cameras=("front", "wrist"), height=20) as env:
+    with SimEnv("hop", address, cameras=("front", "wrist"), height=20) as env:
         shapes = {camera: space.shape for camera, space in env.observation_space.spaces.items()}
         assert shapes == {"front": (20, 44, 3), "wrist": (20, 36, 1)}
         assert env.action_space == gymnasium.spaces.Discrete(3)
@@ -172,7 +172,7 @@ def test_an_observation_is_the_one_cameras_frame_or_a_dict_of_several(address: s
 @pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
-    gymnasium.register("freerein/Toy-v0", RemoteEnv, disable_env_checker=True, order_enforce=False)
+    gymnasium.register("freerein/Toy-v0", SimEnv, disable_env_checker=True, order_enforce=False)
     kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged}
     try:
         with gymnasium.make("freerein/Toy-v0", **kwargs).unwrapped as env:
@@ -184,7 +184,7 @@ def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple
 def test_the_last_frame_is_the_old_episodes_and_reset_takes_up_the_one_already_begun(
     address: str, service: Sim
 ) -> None:
-    with RemoteEnv("slide", address, render_mode="rgb_array") as env:
+    with SimEnv("slide", address, render_mode="rgb_array") as env:
         first, _ = env.reset(seed=3)
         last, _, terminated, truncated, _ = env.step(STOP)
         assert (terminated, truncated) == (True, False)
@@ -198,7 +198,7 @@ def test_the_last_frame_is_the_old_episodes_and_reset_takes_up_the_one_already_b
 
 
 def test_reset_begins_another_episode_when_seeded_or_in_the_middle_of_one(address: str, service: Sim) -> None:
-    with RemoteEnv("slide", address) as env:
+    with SimEnv("slide", address) as env:
         first, _ = env.reset(seed=3)
         env.step(STOP)
         again, _ = env.reset(seed=3)
@@ -209,7 +209,7 @@ def test_reset_begins_another_episode_when_seeded_or_in_the_middle_of_one(addres
 
 
 def test_a_step_after_the_end_is_refused_until_reset(address: str) -> None:
-    with RemoteEnv("hop", address) as env:
+    with SimEnv("hop", address) as env:
         env.reset()
         ends = [env.step(0)[2:4] for _ in range(STEPS)]
         assert ends == [(False, False)] * (STEPS - 1) + [(False, True)]
@@ -218,7 +218,7 @@ def test_a_step_after_the_end_is_refused_until_reset(address: str) -> None:
 
 
 def test_rewards_and_truth_are_the_oracles_only_when_privileged(address: str) -> None:
-    with RemoteEnv("slide", address) as env, RemoteEnv("slide", address, privileged=True) as judge:
+    with SimEnv("slide", address) as env, SimEnv("slide", address, privileged=True) as judge:
         env.reset(seed=1)
         _, reset_info = judge.reset(seed=1)
         _, reward, *_, info = env.step(GO)
@@ -229,13 +229,13 @@ def test_rewards_and_truth_are_the_oracles_only_when_privileged(address: str) ->
 
 
 def test_what_is_returned_belongs_to_the_caller(address: str) -> None:
-    with RemoteEnv("slide", address) as env:
+    with SimEnv("slide", address) as env:
         observation, _ = env.reset()
         observation[:] = 0
 
 
 def test_a_lost_reply_is_fetched_again_and_no_step_is_made_twice(address: str, service: Sim) -> None:
-    with RemoteEnv("slide", address) as env:
+    with SimEnv("slide", address) as env:
         first, _ = env.reset()
         service.failures = [grpc.StatusCode.UNAVAILABLE] * 2
         second, *_ = env.step(GO)
@@ -244,7 +244,7 @@ def test_a_lost_reply_is_fetched_again_and_no_step_is_made_twice(address: str, s
 
 
 def test_a_refused_action_is_no_step_and_a_step_of_unknown_fate_is_one(address: str, service: Sim) -> None:
-    with RemoteEnv("slide", address) as env:
+    with SimEnv("slide", address) as env:
         first, _ = env.reset()
         with pytest.raises(InvalidInput):
             env.step(3 * STOP)
@@ -256,12 +256,12 @@ def test_a_refused_action_is_no_step_and_a_step_of_unknown_fate_is_one(address: 
 
 
 def test_close_ends_the_session_once_and_needs_no_service(address: str, service: Sim) -> None:
-    env = RemoteEnv("slide", address)
+    env = SimEnv("slide", address)
     assert len(service.sessions) == 1
     env.close()
     env.close()
     assert service.sessions == {}
-    lost = RemoteEnv("slide", address)
+    lost = SimEnv("slide", address)
     service.sessions.clear()
     lost.close()
 
@@ -269,11 +269,11 @@ def test_close_ends_the_session_once_and_needs_no_service(address: str, service:
 def test_what_cannot_be_made_leaves_nothing_behind(address: str, service: Sim) -> None:
     threads = {thread.name for thread in threading.enumerate()}
     with pytest.raises(NotFound, match="no such task"):
-        RemoteEnv("fly", address)
+        SimEnv("fly", address)
     with pytest.raises(InvalidInput, match="among front, wrist"):
-        RemoteEnv("slide", address, cameras=("top",))
+        SimEnv("slide", address, cameras=("top",))
     with pytest.raises(InvalidInput, match="rgb_array"):
-        RemoteEnv("slide", address, render_mode="human")
+        SimEnv("slide", address, render_mode="human")
     assert service.sessions == {}
     assert "SimClient" not in {thread.name for thread in threading.enumerate()} - threads
 
@@ -286,10 +286,10 @@ def test_what_cannot_be_made_leaves_nothing_behind(address: str, service: Sim) -
 def test_a_vector_of_one_is_what_gymnasium_makes_of_one_environment(
     address: str, task: str, cameras: tuple[str, ...]
 ) -> None:
-    def make() -> RemoteEnv:
-        return RemoteEnv(task, address, cameras=cameras, privileged=True)
+    def make() -> SimEnv:
+        return SimEnv(task, address, cameras=cameras, privileged=True)
 
-    ours = RemoteVectorEnv(task, address, num_envs=1, cameras=cameras, privileged=True)
+    ours = SimVectorEnv(task, address, num_envs=1, cameras=cameras, privileged=True)
     theirs = SyncVectorEnv([make], autoreset_mode=AutoresetMode.SAME_STEP)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
@@ -305,7 +305,7 @@ def test_a_vector_of_one_is_what_gymnasium_makes_of_one_environment(
 
 def test_where_an_episode_ends_the_next_begins_and_the_final_observation_is_in_info(address: str) -> None:
     with_stop = np.stack([GO, STOP, GO])
-    envs = RemoteVectorEnv("slide", address, num_envs=3, privileged=True, render_mode="rgb_array")
+    envs = SimVectorEnv("slide", address, num_envs=3, privileged=True, render_mode="rgb_array")
     first, _ = envs.reset(seed=2)
     second, reward, terminated, truncated, info = envs.step(with_stop)
     assert terminated.tolist() == [False, True, False]
@@ -319,7 +319,7 @@ def test_where_an_episode_ends_the_next_begins_and_the_final_observation_is_in_i
 
 
 def test_environments_of_a_vector_draw_from_spawned_seeds_and_a_mask_resets_some(address: str) -> None:
-    envs = RemoteVectorEnv("hop", address, num_envs=3)
+    envs = SimVectorEnv("hop", address, num_envs=3)
     first, _ = envs.reset(seed=11)
     expected = [np.random.default_rng(child).integers(100, size=2) for child in np.random.SeedSequence(11).spawn(3)]
     assert first[:, 0, 0, 0].tolist() == [draws[0] for draws in expected]
@@ -331,7 +331,7 @@ def test_environments_of_a_vector_draw_from_spawned_seeds_and_a_mask_resets_some
 
 
 def test_gymnasiums_wrappers_fit(address: str) -> None:
-    envs = DictInfoToList(RecordEpisodeStatistics(RemoteVectorEnv("hop", address, num_envs=2, privileged=True)))
+    envs = DictInfoToList(RecordEpisodeStatistics(SimVectorEnv("hop", address, num_envs=2, privileged=True)))
     envs.reset(seed=0)
     for _ in range(STEPS):
         *_, infos = envs.step(np.zeros(2, np.int64))
@@ -353,10 +353,10 @@ def test_stable_baselines_trains_on_environments_as_they_are(address: str, task:
 
     policy, width = ("CnnPolicy", "features_dim") if len(cameras) == 1 else ("MultiInputPolicy", "cnn_output_dim")
     small = {"features_extractor_kwargs": {width: 8}}
-    with RemoteEnv(task, address, cameras=cameras) as env:
+    with SimEnv(task, address, cameras=cameras) as env:
         check_for_stable_baselines(env)
         sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs=small).learn(8)
-    envs = make_vec_env(lambda: RemoteEnv(task, address, cameras=cameras), n_envs=2, seed=0)
+    envs = make_vec_env(lambda: SimEnv(task, address, cameras=cameras), n_envs=2, seed=0)
     learner = sb3.PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1, policy_kwargs=small)
     assert learner.learn(16).num_timesteps == 16
     envs.close()

@@ -28,5 +28,5 @@ def test_an_unknown_service_is_refused() -> None:
 
 
 def test_no_two_doors_share_a_port() -> None:
-    doors = [port for ports in PORTS.values() for port in (ports.rest, ports.grpc)]
-    assert len(set(doors)) == len(doors)
+    listed = [port for ports in PORTS.values() for port in (ports.rest, ports.grpc)]
+    assert len(set(listed)) == len(listed)

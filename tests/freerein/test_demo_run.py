@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from freerein.cli.demo.language_policies import TASKS, DistillationResult, Returns
+from freerein.cli.demo.language_policies import Returns, Student
 from freerein.cli.demo.output_folder import MARKER, prepare
 from freerein.cli.demo.pipeline import isolated_environ, run
 from freerein.cli.demo.report import Figure, Reporter, summary, write
-from freerein.cli.services import running_endpoints
+from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
 
 
@@ -67,13 +67,13 @@ def test_the_output_of_an_earlier_demo_is_deleted_however_far_it_came(tmp_path: 
 @pytest.mark.parametrize(
     ("figure", "bar", "met"),
     [
-        (Figure("a", "a", 0.6, 0.5, "guess", beats_baseline=True), "above baseline", True),
-        (Figure("a", "a", 0.5, 0.5, "guess", beats_baseline=True), "above baseline", False),
-        (Figure("a", "a", 9, 0, "guess", (-1, 20), beats_baseline=True), "interval above baseline", False),
-        (Figure("a", "a", 9, 0, "guess", (1, 20), beats_baseline=True), "interval above baseline", True),
-        (Figure("a", "a", 0.9, at_least=0.99), ">= 0.99", False),
-        (Figure("a", "a", 580, at_most=600), "<= 600", True),
-        (Figure("a", "a", 0.6, 0.5, "guess"), "", None),
+        (Figure("a", 0.6, 0.5, "guess", beats_baseline=True), "above baseline", True),
+        (Figure("a", 0.5, 0.5, "guess", beats_baseline=True), "above baseline", False),
+        (Figure("a", 9, 0, "guess", (-1, 20), beats_baseline=True), "interval above baseline", False),
+        (Figure("a", 9, 0, "guess", (1, 20), beats_baseline=True), "interval above baseline", True),
+        (Figure("a", 0.9, at_least=0.99), ">= 0.99", False),
+        (Figure("a", 580, at_most=600), "<= 600", True),
+        (Figure("a", 0.6, 0.5, "guess"), "", None),
     ],
 )
 def test_a_bar_is_the_baseline_or_a_number_and_an_interval_must_clear_it(figure: Figure, bar: str, met: bool) -> None:
@@ -81,22 +81,23 @@ def test_a_bar_is_the_baseline_or_a_number_and_an_interval_must_clear_it(figure:
 
 
 def test_the_summary_is_written_as_json_and_as_a_table(tmp_path: Path) -> None:
-    figures = (Figure("x.y", "the share", 0.25, 0.5, "a coin", beats_baseline=True), Figure("s", "seconds", 3.0))
+    figures = (Figure("x.y", 0.25, 0.5, "a coin", beats_baseline=True), Figure("s", 3.0))
     write(tmp_path, figures, summary(figures, seed=4, shipped={"ppo": ["left"]}))
     found = json.loads((tmp_path / "summary.json").read_text())
     assert (found["x.y"], found["s"], found["seed"], found["shipped"]) == (0.25, 3.0, 4, {"ppo": ["left"]})
     assert found["figures"]["x.y"]["met"] is False
     rows = (tmp_path / "summary.md").read_text().splitlines()
-    assert rows[2] == "| the share | 0.25 |  | 0.5 (a coin) | above baseline | not met |"
+    assert rows[2] == "| x.y | 0.25 |  | 0.5 (a coin) | above baseline | not met |"
 
 
 def test_the_word_blind_student_is_told_the_better_sentence_everywhere() -> None:
-    (left, say_left), (right, say_right) = TASKS.items()
-    told = {
-        left: {say_left: Returns((30.0, 40.0)), say_right: Returns((10.0, 0.0))},
-        right: {say_left: Returns((20.0, 30.0)), say_right: Returns((35.0, 25.0))},
+    returns = {
+        ("left", "left"): Returns((30.0, 40.0)),
+        ("left", "right"): Returns((10.0, 0.0)),
+        ("right", "left"): Returns((20.0, 30.0)),
+        ("right", "right"): Returns((35.0, 25.0)),
     }
-    student = DistillationResult(told, training_s=1.0)
-    assert student.told_the_truth().episodes == (30.0, 40.0, 35.0, 25.0)
-    assert student.word_blind().episodes == (30.0, 40.0, 20.0, 30.0)
-    assert student.told_the_truth().minus(student.word_blind()).mean == 2.5
+    student = Student(returns, training_s=1.0)
+    assert student.told_right.episodes == (30.0, 40.0, 35.0, 25.0)
+    assert student.word_blind.episodes == (30.0, 40.0, 20.0, 30.0)
+    assert (student.told_right - student.word_blind).mean == 2.5

@@ -4,11 +4,10 @@ import asyncio
 import json
 import logging
 import os
-import resource
 import textwrap
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,8 @@ import psutil
 import pytest
 
 from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded
-from freerein.serving import fits as fits_module
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.jobs import queue
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
@@ -49,6 +47,9 @@ CHILD = textwrap.dedent(
         os.kill(os.getpid(), signal.SIGKILL)
     if behaviour == "crash":
         os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "burst":
+        with (work / "metrics.jsonl").open("a") as metrics:
+            metrics.writelines(f'{{"step": {step}, "train_loss": {1 / step}}}\\n' for step in range(3, 6))
     if behaviour == "hopeless":
         sys.stderr.write("The dataset must hold two skills; it holds one.\\n")
         sys.exit(2)
@@ -87,10 +88,10 @@ class Bench:
         self.models = ModelCache(self.store, load, fit_command="freerein fit toy")
 
     @asynccontextmanager
-    async def running(self) -> AsyncIterator[Fits]:
+    async def running(self, resolve: Callable[..., dict[str, Any]] = resolve) -> AsyncIterator[FitService]:
         health = Health()
-        fits = Fits(
-            FitRecords(self.root / "fits"),
+        fits = FitService(
+            self.root / "fits",
             module="child",
             store=self.store,
             models=self.models,
@@ -104,11 +105,11 @@ class Bench:
             health.drain()
             await fits.close()
 
-    def work(self, fit: Fit) -> Path:
-        return self.root / "fits" / fit.id / "work"
+    def folder(self, fit: Fit) -> Path:
+        return self.root / "fits" / fit.id
 
     def runs(self, fit: Fit) -> list[int]:
-        return [int(line) for line in (self.work(fit) / "runs.txt").read_text().split()]
+        return [int(line) for line in (self.folder(fit) / "runs.txt").read_text().split()]
 
 
 @pytest.fixture
@@ -118,11 +119,11 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     return Bench(tmp_path)
 
 
-async def begin(fits: Fits, behaviour: str = "succeed", key: str = "") -> Fit:
+async def begin(fits: FitService, behaviour: str = "succeed", key: str = "") -> Fit:
     return (await fits.start_fit(StartFitRequest("demos", "", {"behaviour": behaviour}, key))).fit
 
 
-async def when(fits: Fits, fit: Fit, condition: Callable[[Fit], object]) -> Fit:
+async def when(fits: FitService, fit: Fit, condition: Callable[[Fit], object]) -> Fit:
     """Returns the fit at its first event that meets a condition."""
     async for event in fits.watch_fit(WatchFitRequest(fit.id)):
         if condition(event.fit):
@@ -130,7 +131,7 @@ async def when(fits: Fits, fit: Fit, condition: Callable[[Fit], object]) -> Fit:
     pytest.fail(f"the fit ended as {(await fits.get_fit(GetFitRequest(fit.id))).fit}")
 
 
-async def end(fits: Fits, fit: Fit) -> Fit:
+async def end(fits: FitService, fit: Fit) -> Fit:
     return await when(fits, fit, lambda now: now.ended)
 
 
@@ -158,7 +159,10 @@ async def test_a_child_that_always_dies_is_given_up(bench: Bench) -> None:
     async with bench.running() as fits:
         fit = await end(fits, await begin(fits, "crash"))
     assert (fit.state, len(bench.runs(fit))) == ("failed", 4)  # the first made progress
-    assert fit.error == "Its process ended with code -9, 3 times without progress."
+    assert (
+        fit.error
+        == "3 attempts in a row ended without progress. Its process was killed by SIGKILL; its log.txt says more."
+    )
 
 
 async def test_a_child_that_says_there_is_no_hope_is_believed(bench: Bench) -> None:
@@ -216,7 +220,7 @@ async def test_cancelled_before_its_turn_a_fit_never_starts(bench: Bench) -> Non
         await fits.cancel_fit(CancelFitRequest(first.id))
         third = await begin(fits)
         await end(fits, third)
-    assert not bench.work(second).joinpath("runs.txt").exists()
+    assert not bench.folder(second).joinpath("runs.txt").exists()
 
 
 async def test_cancelled_at_the_moment_its_child_is_started_a_fit_ends_too(bench: Bench) -> None:
@@ -246,24 +250,11 @@ async def test_after_a_drain_the_next_start_goes_on_with_what_had_not_ended(benc
         await fits.cancel_fit(CancelFitRequest(open_fit.id))
 
 
-async def test_a_line_torn_by_a_crash_is_cut_off_and_a_fit_without_one_was_never_there(bench: Bench) -> None:
-    async with bench.running() as fits:
-        fit = await end(fits, await begin(fits))
-    with (bench.root / "fits" / fit.id / "events.jsonl").open("ab") as events:
-        events.write(b'{"id": "torn')
-    torn = bench.root / "fits" / ("0" * 32)
-    torn.mkdir()
-    (torn / "request.json").write_text('{"dataset": "demos"}')
-    (torn / "events.jsonl").write_bytes(b'{"id"')
-    assert FitRecords(bench.root / "fits").all() == (fit,)
-    assert FitRecords(bench.root / "fits").all() == (fit,)
-
-
 async def test_a_full_disk_ends_no_runner_and_what_happened_is_recorded_when_there_is_room(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fits_module, "_DISK_S", 0.01)
-    log, is_refused = logging.getLogger(fits_module.__name__), asyncio.Event()
+    monkeypatch.setattr(queue, "_DISK_S", 0.01)
+    log, is_refused = logging.getLogger(queue.__name__), threading.Event()
 
     def notice(record: logging.LogRecord) -> bool:
         if "cannot be recorded" in record.getMessage():
@@ -273,30 +264,13 @@ async def test_a_full_disk_ends_no_runner_and_what_happened_is_recorded_when_the
     monkeypatch.setattr(log, "filters", [notice])
     async with bench.running() as fits:
         first, second, third = await begin(fits, "wait"), await begin(fits, "hopeless"), await begin(fits)
-        events = bench.work(second).with_name("events.jsonl")
+        events = bench.folder(second) / "events.jsonl"
         kept = events.rename(events.with_name("kept"))
         events.symlink_to("/dev/full")
         await fits.cancel_fit(CancelFitRequest(first.id))
-        await is_refused.wait()
-        events.unlink()
-        kept.rename(events)
+        assert await asyncio.to_thread(is_refused.wait, 10)
+        kept.replace(events)
         assert [(await end(fits, each)).state for each in (second, third)] == ["failed", "succeeded"]
-
-
-async def test_a_full_disk_tears_no_line(tmp_path: Path) -> None:
-    fit, whole = Fit("0" * 32, "queued", "demos", "default", {}), resource.getrlimit(resource.RLIMIT_FSIZE)
-    records = FitRecords(tmp_path)
-    await records.add(fit, StartFitRequest("demos"))
-    size = (tmp_path / fit.id / "events.jsonl").stat().st_size
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 7, whole[1]))
-    try:
-        with pytest.raises(OSError, match="large"):
-            await records.change(replace(fit, state="running"))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, whole)
-    assert records.fit(fit.id) == fit
-    await records.change(replace(fit, state="failed"))
-    assert FitRecords(tmp_path).events(fit.id) == [fit, replace(fit, state="failed")]
 
 
 async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_restart(bench: Bench) -> None:
@@ -340,6 +314,14 @@ async def test_watchers_end_on_drain(bench: Bench) -> None:
     assert await watcher is None
 
 
+async def test_every_row_of_a_burst_is_an_event(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "burst")
+        events = [event.fit async for event in fits.watch_fit(WatchFitRequest(fit.id))]
+    assert [now.step for now in events if now.state == "running"] == [0, 2, 3, 4, 5]
+    assert [now.metrics["train_loss"] for now in events if now.step] == [0.5, 1 / 3, 1 / 4, 1 / 5, 1 / 5]
+
+
 # --- what is refused
 
 
@@ -375,7 +357,7 @@ async def test_an_unknown_fit_is_not_found_and_a_path_is_no_id(
 
 
 async def test_only_so_many_fits_may_wait(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fits_module, "_WAITING", 1)
+    monkeypatch.setattr(queue, "_MAX_WAITING", 1)
     async with bench.running() as fits:
         running = await begin(fits, "wait")
         await when(fits, running, lambda fit: fit.state == "running")
@@ -384,14 +366,30 @@ async def test_only_so_many_fits_may_wait(bench: Bench, monkeypatch: pytest.Monk
             await begin(fits)
 
 
+async def test_the_event_loop_runs_on_while_a_dataset_is_slow_to_open(bench: Bench) -> None:
+    ticked = threading.Event()
+
+    def resolve_slowly(dataset: str, config: Mapping[str, Any]) -> dict[str, Any]:
+        assert ticked.wait(5), "the event loop is blocked"
+        return resolve(dataset, config)
+
+    async with bench.running(resolve_slowly) as fits:
+        starting = asyncio.create_task(begin(fits, "wait"))
+        await asyncio.sleep(0.05)
+        ticked.set()
+        assert (await starting).state == "queued"
+
+
 def test_a_fit_is_on_disk_before_it_is_acknowledged(bench: Bench) -> None:
     async def scenario() -> Fit:
         async with bench.running() as fits:
             return await begin(fits, "wait")
 
     fit = asyncio.run(scenario())
-    assert json.loads((bench.work(fit) / "config.json").read_text()) == {
+    assert json.loads((bench.folder(fit) / "config.json").read_text()) == {
         "dataset": "demos",
+        "model_name": "default",
         "config": {"behaviour": "wait", "steps": 5},
+        "steps": 5,
     }
     assert os.fspath(bench.root) not in (bench.root / "fits" / fit.id / "events.jsonl").read_text()

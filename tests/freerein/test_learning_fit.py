@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +28,12 @@ CUT = 7
 class Line:
     """Fits a line to noisy points; the noise is drawn during training, so that every generator's state matters."""
 
-    def __init__(self, config: FitConfig = CONFIG, before_update: Callable[[int], None] = lambda _: None) -> None:
+    def __init__(
+        self, config: FitConfig = CONFIG, *, data: str = "points", before_update: Callable[[int], None] = lambda _: None
+    ) -> None:
         self.config = config
         self.size = 10
-        self.identity = {"config": asdict(config)}
+        self.fingerprint = data
         self.before_update = before_update
 
     def init(self, generator: torch.Generator) -> TrainState[nn.Linear]:
@@ -80,7 +82,7 @@ class NormalisedLine:
 
     config = CONFIG
     size = 10
-    identity: Mapping[str, str] = {}
+    fingerprint = ""
 
     def init(self, generator: torch.Generator) -> TrainState[Normalised]:
         network = Normalised()
@@ -195,14 +197,18 @@ def test_a_network_is_returned_in_evaluation_mode_whether_or_not_an_update_was_l
 
 @pytest.mark.fault("O7")
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [({"threads": 2}, "config.threads was 1 and is 2"), ({"seed": 2}, "config.seed was 1 and is 2")],
+    ("change", "data", "message"),
+    [
+        ({"threads": 2}, "points", "config.threads was 1 and is 2"),
+        ({"seed": 2}, "points", "config.seed was 1 and is 2"),
+        ({}, "others", "data was points and is others"),
+    ],
 )
 def test_a_training_is_resumed_as_it_was_begun_or_not_at_all(
-    tmp_path: Path, undisturbed: tuple[str, str], change: dict[str, int], message: str
+    tmp_path: Path, undisturbed: tuple[str, str], change: dict[str, int], data: str, message: str
 ) -> None:
     with pytest.raises(FailedPrecondition, match=message):
-        run(tmp_path / "undisturbed", Line(replace(CONFIG, **change)))
+        run(tmp_path / "undisturbed", Line(replace(CONFIG, **change), data=data))
 
 
 def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path, undisturbed: tuple[str, str]) -> None:

@@ -15,7 +15,7 @@ from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
+from freerein.serving.rest.app import make_app
 from freerein.types.learning import Fit, WatchFitResponse
 from freerein.types.orchestrator import GetArtifactResponse
 

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from pydantic import ValidationError
 
 from freerein import wire
-from freerein.serving.schemas import schema_of
+from freerein.serving.rest.schemas import schema_of
 from freerein.types import common, imitation, learning, reward, segmentation, sim
 from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest

@@ -1,4 +1,4 @@
-"""Errors that say what a client named, over the real doors of a service: never longer than a reply may be."""
+"""Errors that name a client's field stay within the size limits of REST and gRPC replies."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -11,12 +11,12 @@ from freerein import wire
 from freerein.api.reward.v1 import reward_pb2
 from freerein.clients import Channel, RewardClient
 from freerein.errors import InvalidInput
+from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import make_app
-from freerein.serving.rpc import GrpcServer
+from freerein.serving.rest.app import make_app
 from freerein.types.reward import RewardRequest
 
 
@@ -32,15 +32,15 @@ LONG = pytest.mark.parametrize("character", ["x", '"', "\\", "\n", "\x01", "é",
 
 @LONG
 async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str) -> None:
-    door = GrpcServer(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
-    port = door.server.add_insecure_port("127.0.0.1:0")
-    await door.server.start()
+    server = GrpcServer(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
+    port = server.server.add_insecure_port("127.0.0.1:0")
+    await server.server.start()
     try:
         async with RewardClient(Channel(f"127.0.0.1:{port}")) as client:
             with pytest.raises(InvalidInput) as error:
                 await client.reward(refused(20_000 * character))
     finally:
-        await door.server.stop(None)
+        await server.server.stop(None)
     assert error.value.field.startswith("frames.")
     assert error.value.hint
 

@@ -1,4 +1,4 @@
-"""What an operator may set, and what is refused before a door opens."""
+"""What an operator may set, and what is refused before a service listens."""
 
 import subprocess
 from pathlib import Path

@@ -1,8 +1,10 @@
-"""The faulty policy and the robots of the fault rows, for tests of the core in this process; and a small text tower."""
+"""The faulty policy and robots of the fault tests, the core around them, fits as child processes, a text encoder."""
 
 import importlib.util
+import json
+import subprocess
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +18,10 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_imitation.acting import BatchActor
-from freerein_imitation.control import ControlStreams
-from freerein_imitation.core import Actor
-from freerein_imitation.model.text_tower import tower_file
-from freerein_imitation.model.word_pieces import MAX_TOKENS
+from freerein_imitation import fit
+from freerein_imitation.core import ActService, ControlService, PolicyRunner
+from freerein_imitation.model import text_encoder
+from freerein_imitation.model.wordpiece import MAX_TOKENS
 
 _FAULTS = Path(__file__).parents[1] / "faults"
 
@@ -49,10 +50,10 @@ def robots() -> Any:
 
 @dataclass(frozen=True)
 class Core:
-    """The core of the service around the faulty policy, and the versions that there are, the first one active."""
+    """The core of the service around the faulty policy, and its versions, of which the first is active."""
 
-    actor: Actor
-    streams: ControlStreams
+    act: ActService
+    control: ControlService
     models: Any
     health: Health
     versions: list[ModelRef]
@@ -63,22 +64,41 @@ async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
     versions = policies.publish_policies(tmp_path)
     store = ModelStore(tmp_path / "models" / policies.NAME)
     models: Any = ModelCache(store, lambda folder: policies.load(folder, "cpu"), fit_command="none")
-    batcher = Batcher(BatchActor().act_batch, queue=64, batch=32, metrics=Metrics())
+    batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=Metrics())
     health = Health()
-    streams = ControlStreams(models, batcher, health=health, drain_s=5.0)
-    yield Core(Actor(models, batcher, timeout_s=10.0), streams, models, health, versions)
+    control = ControlService(models, batcher, health=health, drain_s=5.0)
+    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions)
     batcher.close()
 
 
 @pytest.fixture(scope="session")
-def tower() -> bytes:
-    """The file of a text tower of one layer, 32 numbers wide, that nobody trained and that knows few words."""
+def run_fit() -> Callable[..., Path]:
+    """Runs a fit in a child process to its end; returns the model's folder."""
+
+    def run(data_dir: Path, dataset: str, values: dict[str, Any]) -> Path:
+        folder = data_dir / "fit"
+        folder.mkdir()
+        config = fit.resolve(data_dir, dataset, values, threads=1)
+        (folder / "config.json").write_text(json.dumps({"dataset": dataset, "config": config}))
+        command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+            assert child.stderr is not None
+            stderr = child.stderr.read()  # a fit ends when its standard input is closed
+            assert (child.wait(), stderr) == (0, "")
+        return folder / "model"
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def text_encoder_file() -> bytes:
+    """An untrained text encoder of one layer, with embeddings of 32 numbers and a vocabulary of three words."""
     generator, width, pieces = torch.Generator().manual_seed(0), 32, ("[UNK]", "[CLS]", "[SEP]", "red", "left", "block")
-    shapes = {"words": (len(pieces), width), "places": (MAX_TOKENS, width)}
-    shapes |= {f"layers.0.{name}": (width, width) for name in ("query", "key", "value", "out")}
-    shapes |= {"layers.0.inner": (2 * width, width), "layers.0.outer": (width, 2 * width)}
+    shapes = {"tokens": (len(pieces), width), "positions": (MAX_TOKENS, width)}
+    shapes |= {f"layers.0.{name}": (width, width) for name in ("query", "key", "value", "attention_output")}
+    shapes |= {"layers.0.intermediate": (2 * width, width), "layers.0.output": (width, 2 * width)}
     weights = {f"{name}.weight": torch.randn(shape, generator=generator) / 4 for name, shape in shapes.items()}
     weights |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in shapes.items() if name.startswith("layers")}
-    for name in ("norm", "layers.0.attended", "layers.0.norm"):
+    for name in ("norm", "layers.0.attention_norm", "layers.0.output_norm"):
         weights |= {f"{name}.weight": torch.ones(width), f"{name}.bias": torch.zeros(width)}
-    return tower_file(weights, pieces)
+    return text_encoder.pack(weights, pieces)

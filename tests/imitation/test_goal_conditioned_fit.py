@@ -1,7 +1,5 @@
-import json
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation import fit, model
 
-TINY = {"steps": 2, "batch_size": 2, "features": 8, "hidden": 8, "embedding": 4}
+TINY = {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
@@ -29,19 +27,10 @@ def data_dir(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_fit_leaves_a_policy_that_knows_what_its_actions_mean(data_dir: Path) -> None:
-    config = fit.resolve(data_dir, "play", {"camera": "front", **TINY}, threads=1)
-    folder = data_dir / "fit"
-    folder.mkdir()
-    (folder / "config.json").write_text(json.dumps({"dataset": "play", "config": config}))
-    command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stderr is not None
-        said = child.stderr.read()  # a fit ends when its standard input is closed
-        assert (child.wait(), said) == (0, "")
-    policy = model.load(folder / "model", "cpu")
-    assert (policy.kind, policy.camera, policy.action) == ("goal_conditioned", "front", ACTION)
-    assert (policy.control_dt_s, policy.max_steps_per_goal) == (0.04, 30)
+def test_a_fit_leaves_a_policy_that_knows_what_its_actions_mean(data_dir: Path, run_fit: Any) -> None:
+    policy = model.load(run_fit(data_dir, "play", {"camera": "front", **TINY}), "cpu")
+    assert (policy.spec.goal_form, policy.spec.camera, policy.spec.action) == ("images", "front", ACTION)
+    assert (policy.spec.control_dt_s, policy.spec.max_steps_per_goal) == (0.04, 30)
 
 
 def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_dir: Path) -> None:

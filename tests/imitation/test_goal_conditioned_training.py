@@ -11,24 +11,30 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.types.common import ActionSpec
-from freerein_imitation.model import GoalConditionedPolicy, Handshake
-from freerein_imitation.training import goal_conditioned
-from freerein_imitation.training.exploration import Exploration, hold_out
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner, draw_slices
+from freerein_imitation.model.goal_conditioned import GoalConditionedPolicy
+from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec
+from freerein_imitation.training.goal_conditioned import (
+    GoalConditionedConfig,
+    GoalConditionedLearner,
+    reached_threshold,
+)
+from freerein_imitation.training.goal_relabelling import RecognizerBatch, sample_slices
+from freerein_imitation.training.trajectories import TrajectoryDataset, split_trajectories
 
 SIDE = 16
 STEP = 1.0
 CPU = torch.device("cpu")
+SIZES = PolicyNetworkSpec(camera="front", height=SIDE, width=SIDE, channels=1, action_size=2)
 FAST = GoalConditionedConfig(
     camera="front",
     steps=200,
     batch_size=4,
     lr=1e-2,
-    longest_slice=10,
+    max_goal_steps=10,
     far_steps=10,
     features=32,
-    hidden=32,
-    embedding=16,
+    hidden_size=32,
+    embedding_size=16,
     evaluate_every=100,
 )
 
@@ -41,7 +47,7 @@ def picture(places: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     return (255 * rows * columns).astype(np.uint8)[..., None]
 
 
-def explore(count: int, *, seed: int, length: int = 40) -> Exploration:
+def explore(count: int, *, seed: int, length: int = 40) -> TrajectoryDataset:
     """Returns trajectories of a dot that wanders about: an action is how far it moves along each axis."""
     rng = np.random.default_rng(seed)
     frames, actions = [], []
@@ -53,30 +59,29 @@ def explore(count: int, *, seed: int, length: int = 40) -> Exploration:
             place = np.clip(place + STEP * action, 0, SIDE - 1)
         frames.append(picture(np.array(places)))
         actions.append(done)
-    return Exploration(frames, actions)
+    return TrajectoryDataset(frames, actions)
 
 
 def learner(config: GoalConditionedConfig = FAST) -> GoalConditionedLearner:
-    learnt, held_out = explore(40, seed=0), explore(6, seed=1)
-    spec = goal_conditioned.design(config, learnt, action_choices=0)
-    return GoalConditionedLearner(config, spec, learnt, held_out, "fingerprint", CPU)
+    training, validation = explore(40, seed=0), explore(6, seed=1)
+    return GoalConditionedLearner(config, config.network_spec(SIZES), training, validation, "fingerprint", CPU)
 
 
-def test_goals_never_seen_are_reached_and_recognised(tmp_path: Path) -> None:
+def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
     fitted = fit(learner(), tmp_path)
     assert fitted is not None
-    threshold = goal_conditioned.reached_threshold(fitted.network, learner().validation)
-    policy = GoalConditionedPolicy(fitted.network, Handshake(ActionSpec(2, 0, ("down", "right")), 0.1, threshold, 30))
+    threshold = reached_threshold(fitted.network, learner().validation)
+    policy = GoalConditionedPolicy(fitted.network, ControlSpec(ActionSpec(2, 0, ("down", "right")), 0.1, threshold, 30))
     rng = np.random.default_rng(2)
     here, there = rng.uniform(4, 11, (2, 32, 2))
     goals, before = policy.encode_goals(picture(there)), np.linalg.norm(here - there, axis=1)
-    previous, memory = np.zeros((32, 2), np.float32), np.zeros((32, policy.memory_size), np.float32)
+    previous, memory = np.zeros((32, 2), np.float32), np.zeros((32, policy.spec.recurrent_size), np.float32)
     reached, distances = [], []
     for _ in range(12):
         step = policy.step(picture(here), goals, previous, memory)
         reached.append(step.reached)
         distances.append(np.linalg.norm(here - there, axis=1))
-        previous, memory = step.actions[:, 0], step.memory
+        previous, memory = step.actions[:, 0], step.recurrent
         here = np.clip(here + STEP * previous, 0, SIDE - 1)
     assert distances[-1].mean() < before.mean() / 2
     near = np.concatenate(distances) < 1.5
@@ -84,15 +89,15 @@ def test_goals_never_seen_are_reached_and_recognised(tmp_path: Path) -> None:
     assert 0.5 < threshold < 1.0
 
 
-def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_are_learnt_from_too() -> None:
+def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_can_be_learned_from() -> None:
     learnt = explore(8, seed=0)
     turns = [(learnt.actions[item][:, :1] > 0).astype(np.int64) for item in range(len(learnt))]
-    discrete = Exploration(learnt.frames, turns)
+    discrete = TrajectoryDataset(learnt.frames, turns)
     for data, choices in ((learnt, 0), (discrete, 2)):
         digests = set()
         for weight in (0.0, 1.0, 10.0):
-            config = replace(FAST, forward_consistency=weight)
-            spec = goal_conditioned.design(config, data, action_choices=choices)
+            config = replace(FAST, forward_consistency_weight=weight)
+            spec = config.network_spec(replace(SIZES, action_size=1 if choices else 2, action_choices=choices))
             whole = GoalConditionedLearner(config, spec, data, data, "fingerprint", CPU)
             state = whole.init(torch.Generator().manual_seed(0))
             for _ in range(2):
@@ -116,8 +121,8 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 def test_a_slice_is_a_stretch_of_one_trajectory_that_ends_in_its_goal() -> None:
     exploration = explore(3, seed=0, length=30)
     clock = np.arange(30, dtype=np.uint8)[:, None, None, None] + np.zeros((4, 4, 1), np.uint8)
-    numbered = Exploration([clock, clock + 40, clock + 80], exploration.actions)
-    slices = draw_slices(numbered, [0, 2, 2] * 6, np.random.default_rng(0), bounds=(5, 15), device=CPU)
+    numbered = TrajectoryDataset([clock, clock + 40, clock + 80], exploration.actions)
+    slices = sample_slices(numbered, [0, 2, 2] * 6, np.random.default_rng(0), steps=(5, 15), device=CPU)
     seen = slices.frames[:, 0, 0, 0].long()
     assert (seen[slices.goals] - seen[slices.starts] == slices.lengths).all()
     assert sorted(set(slices.lengths.tolist())) == list(range(5, 16))
@@ -131,16 +136,14 @@ def test_a_slice_is_a_stretch_of_one_trajectory_that_ends_in_its_goal() -> None:
 
 
 def test_slices_of_a_short_trajectory_are_as_long_as_it_allows() -> None:
-    slices = draw_slices(explore(1, seed=0, length=10), [0], np.random.default_rng(0), bounds=(5, 15), device=CPU)
+    slices = sample_slices(explore(1, seed=0, length=10), [0], np.random.default_rng(0), steps=(5, 15), device=CPU)
     assert slices.lengths.min() >= 5
     assert slices.goals.max() == 9
 
 
 def test_pairs_are_close_far_or_from_elsewhere_and_those_in_between_count_for_nothing() -> None:
-    moments = goal_conditioned.Moments(
-        torch.zeros(4, 1, 1, 1), torch.tensor([0, 2, 10, 20]), torch.tensor([0, 0, 0, 1])
-    )
-    close, far, elsewhere = moments.pairs(close_steps=2, far_steps=9)
+    batch = RecognizerBatch(torch.zeros(4, 1, 1, 1), torch.tensor([0, 2, 10, 20]), torch.tensor([0, 0, 0, 1]))
+    close, far, elsewhere = batch.pairs(close_steps=2, far_steps=9)
     assert close.int().tolist() == [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]]
     assert far.int().tolist() == [[0, 0, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0]]
     assert elsewhere.int().tolist() == [[0, 0, 0, 1], [0, 0, 0, 1], [0, 0, 0, 1], [1, 1, 1, 0]]
@@ -148,27 +151,21 @@ def test_pairs_are_close_far_or_from_elsewhere_and_those_in_between_count_for_no
 
 def test_trajectories_too_short_to_learn_from_are_left_out() -> None:
     long, short = explore(4, seed=0), explore(1, seed=1, length=5)
-    mixed = Exploration(
+    mixed = TrajectoryDataset(
         [*(long.frames[item] for item in range(4)), short.frames[0]],
         [*(np.asarray(long.actions[item], np.float32) for item in range(4)), np.asarray(short.actions[0], np.float32)],
     )
-    learnt, held_out = hold_out(mixed, share=0.25, seed=0, shortest=6)
-    assert (len(learnt), len(held_out)) == (3, 1)
+    training, validation = split_trajectories(mixed, fraction=0.25, seed=0, min_length=6)
+    assert (len(training), len(validation)) == (3, 1)
     with pytest.raises(InvalidInput, match="at least 2"):
-        hold_out(short, share=0.25, seed=0, shortest=6)
+        split_trajectories(short, fraction=0.25, seed=0, min_length=6)
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
     config = GoalConditionedConfig.from_mapping(
-        {"steps": 20.0, "forward_consistency": 1.0, "policy": "goal_conditioned"}
+        {"steps": 20.0, "forward_consistency_weight": 1.0, "policy": "goal_conditioned"}
     )
-    assert config == GoalConditionedConfig(steps=20, forward_consistency=1.0)
-    for wrong in ({"labels": True}, {"policy": "skills"}, {"shortest_slice": 16}, {"close_steps": 16}):
+    assert config == GoalConditionedConfig(steps=20, forward_consistency_weight=1.0)
+    for wrong in ({"labels": True}, {"policy": "skills"}, {"min_goal_steps": 16}, {"close_steps": 16}):
         with pytest.raises(InvalidInput):
             GoalConditionedConfig.from_mapping(wrong)
-
-
-def test_there_is_no_training_on_frames_that_no_policy_is_made_for() -> None:
-    wide = Exploration([np.zeros((6, 8, 1280, 3), np.uint8)], [np.zeros((6, 2), np.float32)])
-    with pytest.raises(InvalidInput, match=r"`width` must be in .4, 1024.; got 1280"):
-        goal_conditioned.design(FAST, wide, action_choices=0)

@@ -1,9 +1,8 @@
 """A fit of a language policy, from a dataset to `Act` with a sentence."""
 
 import json
-import subprocess
-import sys
-from collections.abc import AsyncIterator
+import shutil
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,13 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation import fit, model
-from freerein_imitation.acting import BatchActor
-from freerein_imitation.core import Actor
+from freerein_imitation.core import ActService, PolicyRunner
 from freerein_imitation.fit import language
-from freerein_imitation.training.language import minilm
+from freerein_imitation.training import minilm
 
 TEXTS = ("open the gripper", "close the gripper")
 ACTION = ActionSpec(1, 0, ("gripper",), "m", (0.02,))
-FAST = {"policy": "language", "steps": 40, "batch_size": 16, "lr": 1e-2, "warmup_steps": 3, "hidden": 16}
+FAST = {"policy": "language", "steps": 40, "batch_size": 16, "lr": 1e-2, "warmup_steps": 3, "hidden_size": 16}
 
 
 def record(data_dir: Path, name: str, *, texts: tuple[str, ...] = TEXTS) -> None:
@@ -40,33 +38,21 @@ def record(data_dir: Path, name: str, *, texts: tuple[str, ...] = TEXTS) -> None
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a fit that has ended, in a process of its own."""
+def folder(tmp_path_factory: pytest.TempPathFactory, run_fit: Callable[..., Path]) -> Path:
+    """The folder of a fitted model."""
     data_dir = tmp_path_factory.mktemp("data")
     record(data_dir, "play")
-    config = fit.resolve(data_dir, "play", FAST, threads=1)
-    folder = data_dir / "fit"
-    folder.mkdir()
-    (folder / "config.json").write_text(json.dumps({"dataset": "play", "config": config}))
-    command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stderr is not None
-        said = child.stderr.read()  # a fit ends when its standard input is closed
-        assert (child.wait(), said) == (0, "")
-    return folder
+    return run_fit(data_dir, "play", FAST)
 
 
 @pytest.fixture
-async def actor(folder: Path, tmp_path: Path) -> AsyncIterator[Actor]:
+async def act(folder: Path, tmp_path: Path) -> AsyncIterator[ActService]:
     """The core of the service around a copy of the fit's model."""
-    store, copied = ModelStore(tmp_path / "models"), tmp_path / "copy"
-    copied.mkdir()
-    for path in (folder / "model").iterdir():
-        (copied / path.name).write_bytes(path.read_bytes())
-    store.activate(store.publish("", copied))
+    store = ModelStore(tmp_path / "models")
+    store.activate(store.publish("", shutil.copytree(folder, tmp_path / "copy")))
     models: Any = ModelCache(store, lambda path: model.load(path, "cpu"), fit_command="none")
-    batcher = Batcher(BatchActor().act_batch, queue=4, batch=4, metrics=Metrics())
-    yield Actor(models, batcher, timeout_s=10.0)
+    batcher = Batcher(PolicyRunner().run_batch, queue=4, batch=4, metrics=Metrics())
+    yield ActService(models, batcher, timeout_s=10.0)
     batcher.close()
 
 
@@ -76,9 +62,9 @@ def asked(text: str, **fields: Any) -> ActRequest:
 
 
 def test_a_card_names_the_tower_and_what_was_told(folder: Path) -> None:
-    card = json.loads((folder / "model" / "card.json").read_text())
+    card = json.loads((folder / "card.json").read_text())
     assert card["goal_texts"] == {"count": 2, "first": sorted(TEXTS)}
-    assert (card["text_tower"]["name"], len(card["text_tower"]["sha256"])) == (minilm.NAME, 64)
+    assert (card["text_encoder"]["name"], len(card["text_encoder"]["sha256"])) == (minilm.NAME, 64)
     assert (card["supervision"], card["privileged"]) == ("images, executed actions and goal texts", False)
     assert card["figures"]["action_loss"] < 0.1
 
@@ -96,29 +82,29 @@ def test_a_card_tells_what_taught_the_policies_that_acted_and_whether_that_was_p
     assert [card["privileged"] for card in told.values()] == [False, True, False]
 
 
-async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(actor: Actor) -> None:
-    spec = await actor.get_spec(GetSpecRequest())
+async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(act: ActService) -> None:
+    spec = await act.get_spec(GetSpecRequest())
     assert (spec.goal_form, spec.skills, spec.max_steps_per_goal, spec.reached_threshold) == ("text", (), 10, 1.0)
     for text, direction in zip(TEXTS, (1, -1), strict=True):
-        reply = await actor.act(asked(text))
+        reply = await act.act(asked(text))
         assert reply.actions.shape == (1, 1)
         assert reply.actions[0, 0] * direction > 0.5
         assert (reply.goal_reached, reply.goal_confidence, reply.goal_index) == (None, 0.0, 0)
 
 
-async def test_a_sentence_that_takes_too_long_is_given_up(actor: Actor) -> None:
+async def test_a_sentence_that_takes_too_long_is_given_up(act: ActService) -> None:
     state = b""
     for step in range(4):
         done = np.zeros((1, 1), np.float32) if step else None
-        reply = await actor.act(asked(TEXTS[0], state=state, executed_actions=done, max_steps_per_goal=3))
+        reply = await act.act(asked(TEXTS[0], state=state, executed_actions=done, max_steps_per_goal=3))
         state = reply.state
     assert (reply.goal_abandoned, reply.goal_reached, reply.goal_index, len(reply.actions)) == (True, None, 1, 0)
 
 
-async def test_a_state_is_of_one_sentence(actor: Actor) -> None:
-    first = await actor.act(asked(TEXTS[0]))
+async def test_a_state_is_of_one_sentence(act: ActService) -> None:
+    first = await act.act(asked(TEXTS[0]))
     with pytest.raises(FailedPrecondition):
-        await actor.act(asked(TEXTS[1], state=first.state))
+        await act.act(asked(TEXTS[1], state=first.state))
 
 
 PICTURE = Image("raw_rgb8", 12, 12, bytes(12 * 12 * 3))
@@ -127,9 +113,9 @@ PICTURE = Image("raw_rgb8", 12, 12, bytes(12 * 12 * 3))
 @pytest.mark.parametrize(
     "goal", [Goal(), Goal(text="x" * 2001), Goal((PICTURE,)), Goal((PICTURE,), text="open"), Goal((), ("a",), "open")]
 )
-async def test_a_goal_is_one_sentence_of_a_bounded_length(actor: Actor, goal: Goal) -> None:
+async def test_a_goal_is_one_sentence_of_a_bounded_length(act: ActService, goal: Goal) -> None:
     with pytest.raises(InvalidInput) as error:
-        await actor.act(asked("", goal=goal))
+        await act.act(asked("", goal=goal))
     assert error.value.field == "goal.text"
 
 

@@ -1,4 +1,4 @@
-"""Sentences to codes as BERT makes them, and a policy whose folder holds the tower that it was learned with."""
+"""Text embeddings as BERT's, and a language policy whose folder holds its text encoder."""
 
 import json
 from collections.abc import Callable
@@ -13,11 +13,12 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.types.common import ActionSpec
 from freerein_imitation import model
-from freerein_imitation.model import Handshake, LanguageNetwork, LanguageSpec, language_policy
-from freerein_imitation.model.language import differences
-from freerein_imitation.model.text_tower import TextTower
-from freerein_imitation.model.word_pieces import MAX_TOKENS, WordPieces
-from freerein_imitation.training.language import minilm
+from freerein_imitation.model import language
+from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.text_encoder import TextEncoder
+from freerein_imitation.model.wordpiece import MAX_TOKENS, WordPieceTokenizer
+from freerein_imitation.training import minilm
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "all_minilm_l6_v2.json").read_text())
 ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.1, 0.1))
@@ -25,22 +26,22 @@ PIECES = ("[UNK]", "[CLS]", "[SEP]", "red", "block", "##s", "left", ".", "日")
 
 
 @pytest.fixture(scope="module")
-def real() -> TextTower:
-    return TextTower(minilm.read())
+def real() -> TextEncoder:
+    return TextEncoder(minilm.read())
 
 
 @pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: golden["text"][:12].encode("unicode_escape").decode())
-def test_a_sentence_has_the_code_that_the_reference_gives_it(real: TextTower, golden: dict[str, Any]) -> None:
+def test_an_embedding_is_the_reference_s(real: TextEncoder, golden: dict[str, Any]) -> None:
     """Made by Hugging Face's tokenizer and BertModel in single precision: halving the weights does not show."""
     (code,) = real([golden["text"]])
     expected = np.array(golden["code"], np.float32)
     assert float(code @ expected) / float(np.linalg.norm(expected)) > 0.99999
 
 
-def test_the_codes_of_sentences_do_not_depend_on_one_another(real: TextTower) -> None:
+def test_embeddings_do_not_depend_on_one_another(real: TextEncoder) -> None:
     texts = [golden["text"] for golden in GOLDEN]
     np.testing.assert_array_equal(real(texts), np.concatenate([real([text]) for text in texts]))
-    assert real([]).shape == (0, real.width)
+    assert real([]).shape == (0, real.size)
 
 
 @pytest.mark.parametrize(
@@ -55,17 +56,17 @@ def test_the_codes_of_sentences_do_not_depend_on_one_another(real: TextTower) ->
     ],
 )
 def test_words_are_split_into_the_longest_pieces_known(text: str, pieces: list[str]) -> None:
-    assert WordPieces(PIECES)(text) == [PIECES.index(piece) for piece in ("[CLS]", *pieces, "[SEP]")]
+    assert WordPieceTokenizer(PIECES)(text) == [PIECES.index(piece) for piece in ("[CLS]", *pieces, "[SEP]")]
 
 
-def test_a_long_text_is_read_as_far_as_the_tower_goes(real: TextTower) -> None:
-    assert len(WordPieces(PIECES)("red " * 1000)) == MAX_TOKENS
+def test_a_long_text_is_cut_off(real: TextEncoder) -> None:
+    assert len(WordPieceTokenizer(PIECES)("red " * 1000)) == MAX_TOKENS
     np.testing.assert_array_equal(real(["red " * 400]), real(["red " * 500]))
 
 
 def test_codes_lie_in_as_many_directions_as_there_are_differences() -> None:
     codes = torch.nn.functional.normalize(torch.randn(4, 8, generator=torch.Generator().manual_seed(0)), dim=1)
-    basis = differences(codes)
+    basis = principal_components(codes)
     assert basis.shape == (8, 3)
     before, after = codes - codes.mean(dim=0), (codes - codes.mean(dim=0)) @ basis
     larger = torch.pdist(after) / torch.pdist(before)
@@ -75,15 +76,15 @@ def test_codes_lie_in_as_many_directions_as_there_are_differences() -> None:
 
 @pytest.mark.parametrize("codes", [torch.full((1, 8), 0.5), torch.full((3, 8), 0.1)])
 def test_one_goal_text_has_no_differences(codes: torch.Tensor) -> None:
-    assert differences(codes).tolist() == [[0.0]] * 8
+    assert principal_components(codes).tolist() == [[0.0]] * 8
 
 
 def network(codes: torch.Tensor, **spec: Any) -> LanguageNetwork:
-    sizes = {"text_width": 32, "height": 8, "width": 8, "features": 8, "hidden": 8, "action_size": 2, **spec}
-    made = LanguageNetwork(LanguageSpec(camera="front", directions=differences(codes).shape[1], **sizes))
+    sizes = {"text_size": 32, "height": 8, "width": 8, "features": 8, "hidden_size": 8, "action_size": 2, **spec}
+    made = LanguageNetwork(LanguageSpec(camera="front", text_components=principal_components(codes).shape[1], **sizes))
     generator = torch.Generator().manual_seed(0)
     weights.initialise(made, generator=generator)
-    made.calibrate(torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator), codes)
+    made.fit_normalisation(torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator), codes)
     return made
 
 
@@ -96,24 +97,25 @@ def test_what_goal_texts_do_not_differ_in_does_not_matter() -> None:
 
 
 @pytest.fixture
-def folder(tower: bytes, tmp_path: Path) -> Path:
-    """A policy that nobody trained, in a folder, and its tower."""
-    codes = torch.from_numpy(TextTower(tower)(["red", "left", "red block"]))
-    card = Handshake(ACTION, 0.04, 1.0, 9).to_card()
-    language_policy.save(network(codes), tower, tmp_path / "model", name="tiny", card={"kind": "language", **card})
+def folder(text_encoder_file: bytes, tmp_path: Path) -> Path:
+    """The folder of an untrained policy."""
+    codes = torch.from_numpy(TextEncoder(text_encoder_file)(["red", "left", "red block"]))
+    card = ControlSpec(ACTION, 0.04, 1.0, 9).to_card()
+    language.save(network(codes), text_encoder_file, tmp_path / "model", name="tiny", card={"kind": "language", **card})
     return tmp_path / "model"
 
 
-def test_a_policy_comes_back_with_its_tower_and_does_as_it_did(folder: Path, tower: bytes) -> None:
+def test_a_policy_on_disk_has_its_text_encoder_and_acts_as_it_did(folder: Path, text_encoder_file: bytes) -> None:
     policy = model.load(folder, "cpu")
-    assert (policy.kind, policy.action, policy.max_steps_per_goal, policy.memory_size) == ("language", ACTION, 9, 0)
+    spec = policy.spec
+    assert (spec.goal_form, spec.action, spec.max_steps_per_goal, spec.recurrent_size) == ("text", ACTION, 9, 0)
     frames = np.zeros((2, 8, 8, 3), np.uint8)
     codes = policy.encode_goals(["red", "left"])
     step = policy.step(frames, codes, np.zeros((2, 2), np.float32), np.zeros((2, 0), np.float32))
-    assert (step.actions.shape, step.actions.dtype, step.memory.shape) == ((2, 1, 2), np.float32, (2, 0))
+    assert (step.actions.shape, step.actions.dtype, step.recurrent.shape) == ((2, 1, 2), np.float32, (2, 0))
     assert step.reached.tolist() == [0, 0]
     assert not np.allclose(step.actions[0], step.actions[1])
-    np.testing.assert_array_equal(codes, TextTower(tower)(["red", "left"]))
+    np.testing.assert_array_equal(codes, TextEncoder(text_encoder_file)(["red", "left"]))
 
 
 def change_one_bit(path: Path) -> None:
@@ -123,16 +125,16 @@ def change_one_bit(path: Path) -> None:
 
 
 @pytest.mark.parametrize("tamper", [change_one_bit, Path.unlink])
-def test_a_tower_that_is_not_the_one_of_the_card_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
-    tamper(folder / "text_tower.safetensors")
-    with pytest.raises(InvalidInput, match="text tower whose sha256 its card names"):
+def test_a_text_encoder_that_is_not_the_card_s_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
+    tamper(folder / "text_encoder.safetensors")
+    with pytest.raises(InvalidInput, match="text encoder whose sha256 its card names"):
         model.load(folder, "cpu")
 
 
-def test_a_file_that_is_no_tower_is_refused(tower: bytes) -> None:
-    for data in (b"", tower[:-1], torch_file(vocabulary=torch.zeros(3, dtype=torch.uint8))):
+def test_a_file_that_is_no_text_encoder_is_refused(text_encoder_file: bytes) -> None:
+    for data in (b"", text_encoder_file[:-1], torch_file(vocabulary=torch.zeros(3, dtype=torch.uint8))):
         with pytest.raises(InvalidInput):
-            TextTower(data)
+            TextEncoder(data)
 
 
 def torch_file(**tensors: torch.Tensor) -> bytes:

@@ -1,6 +1,7 @@
 """Distilling: what a sentence says is done, and what was learned of one text is not what was learned of another."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,21 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
-from freerein_imitation.model.text_tower import TextTower
-from freerein_imitation.training import language
-from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.language import LanguageConfig, LanguageLearner, Rollouts, hold_out, random_crop
+from freerein_imitation.model.policy import PolicyNetworkSpec
+from freerein_imitation.training.goal_texts import GoalTextDataset, random_crop, split_by_text
+from freerein_imitation.training.language import LanguageConfig, LanguageLearner
+from freerein_imitation.training.trajectories import TrajectoryDataset
 
 CPU = torch.device("cpu")
+SIZES = PolicyNetworkSpec(camera="front", height=12, width=12, channels=3, action_size=2)
 FAST = LanguageConfig(
     camera="front", steps=60, batch_size=32, lr=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25
 )
 TEXTS = ("red left", "left red")  # to the right, and to the left
 
 
-def roll_out(count: int, *, seed: int = 0) -> Exploration:
-    """Trajectory i is of `TEXTS[i % 2]`: a bright column, moved to the right or to the left by what is told."""
+def roll_out(count: int, *, seed: int = 0) -> TrajectoryDataset:
+    """Trajectory i has goal text `TEXTS[i % 2]`: a bright column, moved to the right or to the left."""
     rng = np.random.default_rng(seed)
     frames, actions = [], []
     for item in range(count):
@@ -32,50 +34,51 @@ def roll_out(count: int, *, seed: int = 0) -> Exploration:
         seen[np.arange(8), :, columns] = 200
         frames.append(seen)
         actions.append(np.stack([np.full(8, 1 - 2 * (item % 2)), columns / 11], axis=1).astype(np.float32))
-    return Exploration(frames, actions)
+    return TrajectoryDataset(frames, actions)
 
 
-def prepare(tower: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> LanguageLearner:
-    return language.prepare(
+def prepare(text_encoder_file: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> LanguageLearner:
+    return LanguageLearner.prepare(
         FAST,
+        SIZES,
         roll_out(count),
         [texts[item % len(texts)] for item in range(count)],
-        TextTower(tower),
-        action_choices=0,
+        text_encoder_file,
         fingerprint="fingerprint",
         device=CPU,
     )
 
 
-def test_the_sentence_decides_what_is_done(tower: bytes, tmp_path: Path) -> None:
-    learner, blind = prepare(tower), prepare(tower, texts=TEXTS[:1])
+def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: Path) -> None:
+    learner, blind = prepare(text_encoder_file), prepare(text_encoder_file, texts=TEXTS[:1])
     told, untold = (fit(each, tmp_path / str(i)) for i, each in enumerate((learner, blind)))
     assert told is not None
     assert untold is not None
     assert told.validation_loss < 0.05 < 0.4 < untold.validation_loss  # the mean of opposites is no use
 
-    frames = torch.from_numpy(learner.validation.exploration.frames[0])
-    right, left = (torch.from_numpy(learner.training.codes[text]).expand(len(frames), -1) for text in TEXTS)
+    frames = torch.from_numpy(learner.validation.trajectories.frames[0])
+    right, left = (torch.from_numpy(learner.training.embeddings[text]).expand(len(frames), -1) for text in TEXTS)
     with torch.no_grad():
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tower: bytes, tmp_path: Path) -> None:
-    learner, asked = prepare(tower), iter(range(100))
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(text_encoder_file: bytes, tmp_path: Path) -> None:
+    learner, asked = prepare(text_encoder_file), iter(range(100))
     whole = fit(learner, tmp_path / "whole")
     assert fit(learner, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
-    parts = fit(prepare(tower), tmp_path / "parts")
+    parts = fit(prepare(text_encoder_file), tmp_path / "parts")
     assert whole is not None
     assert parts is not None
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_discrete_actions_are_learned_too(tower: bytes) -> None:
+def test_discrete_actions_are_learned_too(text_encoder_file: bytes) -> None:
     moves = roll_out(4)
-    choices = Exploration(moves.frames, [(done[:, :1] > 0).astype(np.int64) for done in moves.actions])
-    learner = language.prepare(
-        FAST, choices, TEXTS * 2, TextTower(tower), action_choices=2, fingerprint="fingerprint", device=CPU
+    choices = TrajectoryDataset(moves.frames, [(done[:, :1] > 0).astype(np.int64) for done in moves.actions])
+    sizes = replace(SIZES, action_size=1, action_choices=2)
+    learner = LanguageLearner.prepare(
+        FAST, sizes, choices, TEXTS * 2, text_encoder_file, fingerprint="fingerprint", device=CPU
     )
     state = learner.init(torch.Generator().manual_seed(0))
     before = learner.evaluate(state)
@@ -84,42 +87,42 @@ def test_discrete_actions_are_learned_too(tower: bytes) -> None:
     assert learner.evaluate(state) < before
 
 
-def rollouts(lengths: Sequence[int], texts: Sequence[str]) -> Rollouts:
-    """Rollouts whose timesteps say in every number which they are, counted over all."""
+def numbered(lengths: Sequence[int], texts: Sequence[str]) -> GoalTextDataset:
+    """GoalTextDataset whose timesteps say in every number which they are, counted over all."""
     numbers = np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1])
     frames = [np.broadcast_to(each[:, None, None, None], (len(each), 4, 4, 1)).astype(np.uint8) for each in numbers]
     actions = [each[:, None].astype(np.float32) for each in numbers]
     codes = {text: np.array([place], np.float32) for place, text in enumerate(sorted(set(texts)))}
-    return Rollouts(Exploration(frames, actions), tuple(texts), codes)
+    return GoalTextDataset(TrajectoryDataset(frames, actions), tuple(texts), codes)
 
 
-def test_a_timestep_is_what_was_seen_told_and_done_in_it() -> None:
-    all_of_it = rollouts((3, 1, 4), ("b", "a", "b"))
-    assert len(all_of_it) == 8
-    batch = all_of_it.gather(np.array([7, 0, 3, 2, 4]), device=CPU)
+def test_a_batch_has_frame_text_and_action_of_each_timestep() -> None:
+    dataset = numbered((3, 1, 4), ("b", "a", "b"))
+    assert len(dataset) == 8
+    batch = dataset.collate(np.array([7, 0, 3, 2, 4]), device=CPU)
     assert batch.frames[:, 0, 0, 0].tolist() == batch.actions[:, 0].tolist() == [7, 0, 3, 2, 4]
-    assert batch.codes[:, 0].tolist() == [1, 1, 0, 1, 1]
+    assert batch.texts[:, 0].tolist() == [1, 1, 0, 1, 1]
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_some_of_every_goal_text_is_held_out(seed: int) -> None:
+def test_some_of_every_goal_text_is_for_validation(seed: int) -> None:
     texts = ("a",) * 6 + ("b",) * 2 + ("c",)
-    training, validation = hold_out(rollouts((2,) * 9, texts), share=0.3, seed=seed)
+    training, validation = split_by_text(numbered((2,) * 9, texts), fraction=0.3, seed=seed)
     assert (validation.texts, training.texts) == (("a", "a", "b"), ("a",) * 4 + ("b", "c"))
-    shown = [int(each[0, 0]) for part in (training, validation) for each in part.exploration.actions]
+    shown = [int(each[0, 0]) for part in (training, validation) for each in part.trajectories.actions]
     assert sorted(shown) == list(range(0, 18, 2))
 
 
-def test_without_two_trajectories_of_one_goal_text_there_is_nothing_to_hold_out() -> None:
+def test_without_two_trajectories_of_one_goal_text_there_is_nothing_to_split_by_text() -> None:
     with pytest.raises(InvalidInput, match="2 trajectories of a goal text"):
-        hold_out(rollouts((2, 2), ("a", "b")), share=0.5, seed=0)
+        split_by_text(numbered((2, 2), ("a", "b")), fraction=0.5, seed=0)
 
 
 def test_a_crop_is_a_part_of_the_frame_that_fills_it() -> None:
     frames = torch.arange(20 * 10, dtype=torch.uint8).reshape(1, 20, 10, 1).repeat(64, 1, 1, 1)
     generator = torch.Generator().manual_seed(0)
-    assert torch.equal(random_crop(frames, smallest=1.0, generator=generator), frames)
-    cropped = random_crop(frames, smallest=0.49, generator=generator)
+    assert torch.equal(random_crop(frames, min_scale=1.0, generator=generator), frames)
+    cropped = random_crop(frames, min_scale=0.49, generator=generator)
     rows, columns = cropped[..., 0].int() // 10, cropped[..., 0].int() % 10
     assert cropped.shape == frames.shape
     for places, length in ((rows[:, :, 0], 20), (columns[:, 0], 10)):

@@ -1,7 +1,6 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +10,9 @@ from freerein.data.labels import LabelsInfo
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation import fit, model
-from freerein_imitation.model import SkillsPolicy
+from freerein_imitation.model.skills import SkillsPolicy
 
-ASKED = {"policy": "skills", "steps": 2, "batch_size": 2, "colours": 2, "hidden": 8, "memory": 8}
+ASKED = {"policy": "skills", "steps": 2, "batch_size": 2, "codebook_size": 2, "hidden_size": 8, "recurrent_size": 8}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
@@ -48,19 +47,11 @@ def test_demonstrations_must_be_labelled_before_skills_are_learned(data_dir: Pat
         fit.resolve(data_dir, "demos", {**ASKED, "truth": True}, threads=1)
 
 
-def test_a_fit_leaves_skills_that_tell_whose_labels_they_are_from(data_dir: Path) -> None:
+def test_a_fit_leaves_skills_that_tell_whose_labels_they_are_from(data_dir: Path, run_fit: Any) -> None:
     label(data_dir)
-    folder = data_dir / "fit"
-    folder.mkdir()
-    config = fit.resolve(data_dir, "demos", ASKED, threads=1)
-    (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config}))
-    command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stderr is not None
-        said = child.stderr.read()  # a fit ends when its standard input is closed
-        assert (child.wait(), said) == (0, "")
-    policy = model.load(folder / "model", "cpu")
+    folder = run_fit(data_dir, "demos", ASKED)
+    policy = model.load(folder, "cpu")
     assert isinstance(policy, SkillsPolicy)
-    assert (policy.skills, policy.action, policy.max_steps_per_goal) == (("pick", "push"), ACTION, 18)
-    card = json.loads((folder / "model" / "card.json").read_text())
+    assert (policy.spec.skills, policy.spec.action, policy.spec.max_steps_per_goal) == (("pick", "push"), ACTION, 18)
+    card = json.loads((folder / "card.json").read_text())
     assert card["labels"]["model"] == {"name": "segments", "version": "0123456789ab"}

@@ -10,25 +10,33 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.types.common import ActionSpec
-from freerein_imitation.model import Handshake, SkillsPolicy
-from freerein_imitation.training import skills
-from freerein_imitation.training.exploration import Exploration
-from freerein_imitation.training.skills import Segment, Segments, SkillsConfig, SkillsLearner
+from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec
+from freerein_imitation.model.skills import SkillsPolicy
+from freerein_imitation.training.skill_segments import (
+    SegmentDataset,
+    SkillSegment,
+    collate,
+    find_segments,
+    split_segments,
+)
+from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner
+from freerein_imitation.training.trajectories import TrajectoryDataset
 
 SKILLS = ("to-red", "to-blue")
 SIDE, STEP = 24, 2.0
 HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
 CPU = torch.device("cpu")
+SIZES = PolicyNetworkSpec(camera="front", height=8, width=SIDE, channels=3)
 FAST = SkillsConfig(
     camera="front",
     steps=250,
     batch_size=8,
     lr=5e-3,
-    shortest_segment=2,
+    min_segment_steps=2,
     start_jitter=1,
-    colours=3,
-    hidden=32,
-    memory=16,
+    codebook_size=3,
+    hidden_size=32,
+    recurrent_size=16,
     evaluate_every=125,
 )
 
@@ -47,7 +55,7 @@ def towards(hand: float, goal: float) -> float:
     return float(np.clip((goal - hand) / STEP, -1, 1))
 
 
-def demonstrate(count: int, *, seed: int) -> tuple[Exploration, list[npt.NDArray[np.int64]]]:
+def demonstrate(count: int, *, seed: int) -> tuple[TrajectoryDataset, list[npt.NDArray[np.int64]]]:
     """Returns trajectories in which a hand goes above one block and then above the other, and which skill that is."""
     rng = np.random.default_rng(seed)
     frames, actions, labels = [], [], []
@@ -67,13 +75,13 @@ def demonstrate(count: int, *, seed: int) -> tuple[Exploration, list[npt.NDArray
         frames.append(np.array(seen))
         actions.append(np.array(done, np.float32))
         labels.append(np.array(told, np.int64))
-    return Exploration(frames, actions), labels
+    return TrajectoryDataset(frames, actions), labels
 
 
 def learner(config: SkillsConfig = FAST) -> SkillsLearner:
     demonstrations, labels = demonstrate(60, seed=0)
-    return skills.prepare(
-        config, demonstrations, labels, skills=SKILLS, action_choices=0, fingerprint="fingerprint", device=CPU
+    return SkillsLearner.prepare(
+        config, SIZES, demonstrations, labels, skills=SKILLS, fingerprint="fingerprint", device=CPU
     )
 
 
@@ -81,15 +89,16 @@ def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
     cloned = learner()
     fitted = fit(cloned, tmp_path)
     assert fitted is not None
-    handshake = Handshake(ActionSpec(1, 0, ("right",)), 0.1, skills.END_THRESHOLD, cloned.max_steps_per_skill)
+    handshake = ControlSpec(ActionSpec(1, 0, ("right",)), 0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill)
     policy = SkillsPolicy(fitted.network, handshake)
     hand, red, blue = 20.0, 5.0, 17.0
     previous = np.zeros((1, 1), np.float32)
     for skill, goal in (("to-red", red), ("to-blue", blue), ("to-red", red)):
-        memory, steps, ended = np.zeros((1, policy.memory_size), np.float32), 0, False
-        while not ended and steps < policy.max_steps_per_goal:
-            step = policy.step(picture(hand, red, blue)[None], policy.encode_goals([skill]), previous, memory)
-            previous, memory, ended = step.actions[:, 0], step.memory, step.reached[0] >= policy.reached_threshold
+        recurrent, steps, ended = np.zeros((1, policy.spec.recurrent_size), np.float32), 0, False
+        while not ended and steps < policy.spec.max_steps_per_goal:
+            step = policy.step(picture(hand, red, blue)[None], policy.encode_goals([skill]), previous, recurrent)
+            previous, recurrent = step.actions[:, 0], step.recurrent
+            ended = step.reached[0] >= policy.spec.reached_threshold
             hand, steps = hand + STEP * float(previous[0, 0]) * (not ended), steps + 1
         assert ended
         assert abs(hand - goal) < 1.5
@@ -107,70 +116,74 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 
 def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
     labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1])]
-    assert skills.cut(labels, shortest=2) == [Segment(0, 0, 3, 0), Segment(0, 4, 6, 0), Segment(1, 0, 2, 1)]
+    assert find_segments(labels, min_steps=2) == [
+        SkillSegment(0, 0, 3, 0),
+        SkillSegment(0, 4, 6, 0),
+        SkillSegment(1, 0, 2, 1),
+    ]
 
 
-def segments(*items: Segment) -> Segments:
+def segments(*items: SkillSegment) -> SegmentDataset:
     """Returns segments of one trajectory of 6 timesteps in which action t is t / 10."""
-    places = torch.arange(6.0)[:, None, None].expand(6, 2, 5)
-    return Segments(items, [places], [np.arange(6, dtype=np.float32)[:, None] / 10])
+    moments = torch.arange(6.0)[:, None, None].expand(6, 2, 5)
+    return SegmentDataset(items, [moments], [np.arange(6, dtype=np.float32)[:, None] / 10])
 
 
 def test_a_segment_is_followed_by_timesteps_that_only_the_end_head_learns_from() -> None:
-    some = segments(Segment(0, 1, 4, 1), Segment(0, 4, 6, 0))
-    batch = skills.gather(some, some.items, [2, 4], after=1, device=CPU)
+    some = segments(SkillSegment(0, 1, 4, 1), SkillSegment(0, 4, 6, 0))
+    batch = collate(some, some.segments, [2, 4], steps_after=1, device=CPU)
     assert batch.skills.tolist() == [1, 0]
-    assert batch.places[:, :, 0, 0].tolist() == [[2, 3, 4], [4, 5, 0]]
+    assert batch.moments[:, :, 0, 0].tolist() == [[2, 3, 4], [4, 5, 0]]
     assert batch.previous[0, :, 0].tolist() == pytest.approx([0.1, 0.2, 0.3])
     assert batch.actions[0, :, 0].tolist() == pytest.approx([0.2, 0.3, 0.4])
     assert batch.inside.tolist() == [[True, True, False], [True, True, False]]
-    assert batch.ends.tolist() == [[False, True, True], [False, True, False]]
+    assert batch.terminates.tolist() == [[False, True, True], [False, True, False]]
 
 
 def test_before_the_first_timestep_nothing_was_executed() -> None:
-    some = segments(Segment(0, 0, 3, 0))
-    assert skills.gather(some, some.items, [0], after=0, device=CPU).previous[0, 0].tolist() == [0]
-    discrete = Segments(some.items, some.places, [np.arange(6)[:, None]])
-    assert skills.gather(discrete, some.items, [0], after=0, device=CPU).previous[0, :, 0].tolist() == [-1, 0, 1]
+    some = segments(SkillSegment(0, 0, 3, 0))
+    assert collate(some, some.segments, [0], steps_after=0, device=CPU).previous[0, 0].tolist() == [0]
+    discrete = SegmentDataset(some.segments, some.moments, [np.arange(6)[:, None]])
+    assert collate(discrete, some.segments, [0], steps_after=0, device=CPU).previous[0, :, 0].tolist() == [-1, 0, 1]
 
 
-def test_whole_trajectories_are_held_out() -> None:
+def test_whole_trajectories_are_for_validation() -> None:
     demonstrations, labels = demonstrate(20, seed=0)
-    found = Segments(skills.cut(labels, shortest=1), [torch.zeros(1)] * 20, demonstrations.actions)
-    learnt, held_out = skills.hold_out(found, share=0.2, seed=0)
-    parts = [{item.trajectory for item in part.items} for part in (learnt, held_out)]
+    found = SegmentDataset(find_segments(labels, min_steps=1), [torch.zeros(1)] * 20, demonstrations.actions)
+    training, validation = split_segments(found, fraction=0.2, seed=0)
+    parts = [{item.trajectory for item in part.segments} for part in (training, validation)]
     assert (len(parts[0]), len(parts[1]), parts[0] & parts[1]) == (16, 4, set())
     with pytest.raises(InvalidInput, match="at least 2 trajectories"):
-        skills.hold_out(segments(Segment(0, 0, 3, 0)), share=0.2, seed=0)
+        split_segments(segments(SkillSegment(0, 0, 3, 0)), fraction=0.2, seed=0)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_only_skills_that_were_learned_are_offered(seed: int) -> None:
     demonstrations, labels = demonstrate(6, seed=0)
     told = [each + 1 for each in labels]  # "wave" is never shown
-    held_out = set(range(6)) - {item.trajectory for item in prepare(demonstrations, told, seed=seed).training.items}
+    held_out = set(range(6)) - {item.trajectory for item in prepare(demonstrations, told, seed=seed).training.segments}
     told[held_out.pop()][:6] = 3  # "jump" is shown once, by the trajectory that is held out
     cloned = prepare(demonstrations, told, seed=seed)
     assert cloned.spec.skills == SKILLS
     for part in (cloned.training, cloned.validation):
-        assert part.items
-        assert all(set(told[item.trajectory][item.start : item.stop]) == {item.skill + 1} for item in part.items)
+        assert part.segments
+        assert all(set(told[item.trajectory][item.start : item.stop]) == {item.skill + 1} for item in part.segments)
 
 
 def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by() -> None:
     demonstrations, _ = demonstrate(2, seed=0)
     told = [np.full(len(done), skill) for skill, done in enumerate(demonstrations.actions)]
-    with pytest.raises(InvalidInput, match="held out must show a skill"):
+    with pytest.raises(InvalidInput, match="must show a skill"):
         prepare(demonstrations, told, seed=0)
 
 
-def prepare(demonstrations: Exploration, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsLearner:
-    return skills.prepare(
+def prepare(demonstrations: TrajectoryDataset, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsLearner:
+    return SkillsLearner.prepare(
         replace(FAST, seed=seed),
+        SIZES,
         demonstrations,
         labels,
         skills=("wave", *SKILLS, "jump"),
-        action_choices=0,
         fingerprint="fingerprint",
         device=CPU,
     )
@@ -178,10 +191,11 @@ def prepare(demonstrations: Exploration, labels: list[npt.NDArray[np.int64]], *,
 
 def test_discrete_actions_are_learned_too() -> None:
     demonstrations, labels = demonstrate(6, seed=0)
-    moves = Exploration(demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions])
-    discrete = skills.prepare(
-        FAST, moves, labels, skills=SKILLS, action_choices=3, fingerprint="fingerprint", device=CPU
+    moves = TrajectoryDataset(
+        demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions]
     )
+    sizes = replace(SIZES, action_choices=3)
+    discrete = SkillsLearner.prepare(FAST, sizes, moves, labels, skills=SKILLS, fingerprint="fingerprint", device=CPU)
     state, figures = discrete.update(discrete.init(torch.Generator().manual_seed(0)), np.arange(4))
     assert state.step == 1
     assert np.isfinite(list(figures.values())).all()
@@ -190,6 +204,6 @@ def test_discrete_actions_are_learned_too() -> None:
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
     assert SkillsConfig.from_mapping({"steps": 20.0, "policy": "skills"}) == SkillsConfig(steps=20)
-    for wrong in ({"labels": True}, {"steps": 0}, {"policy": "goal_conditioned"}, {"late_start_share": 1.5}):
+    for wrong in ({"labels": True}, {"steps": 0}, {"policy": "goal_conditioned"}, {"random_start_fraction": 1.5}):
         with pytest.raises(InvalidInput):
             SkillsConfig.from_mapping(wrong)

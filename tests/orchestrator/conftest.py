@@ -70,7 +70,14 @@ class LooseRun:
 
     def kill_when(self, is_time: Callable[[], bool]) -> None:
         """Starts a child process that does the work, and kills it as soon as it is time."""
-        command = [sys.executable, "-m", "freerein_orchestrator.child", str(self.folder), str(self.data_dir), "cpu"]
+        command = [
+            sys.executable,
+            "-m",
+            "freerein_orchestrator.runs.child",
+            str(self.folder),
+            str(self.data_dir),
+            "cpu",
+        ]
         environ = {**os.environ, "OMP_NUM_THREADS": "1", **self.environ}
         limit = time.monotonic() + _LIMIT_S
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=environ) as child:

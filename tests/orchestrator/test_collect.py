@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.recording import Recording
+from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.sim import DemonstrateRequest, ListTasksRequest
@@ -40,8 +40,8 @@ def collect(new_run: Callable[..., Any], sim: Any, tmp_path: Path) -> Callable[.
 def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
     """Returns the fingerprint of a dataset recorded without a run, and without disturbance."""
     with SyncClient(SimClient(Channel(sim.address))) as client:
-        recording = Recording(root, request, client.list_tasks(ListTasksRequest()))
-        with recording, closing(client.demonstrate(recording.rest)) as demonstrations:
+        recording = DatasetRecorder(root, request, client.list_tasks(ListTasksRequest()))
+        with recording, closing(client.demonstrate(recording.remaining)) as demonstrations:
             for demonstration in demonstrations:
                 recording.append(demonstration)
     return Dataset(root).fingerprint

@@ -11,7 +11,7 @@ from freerein.errors import InvalidInput, NotFound
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
-TINY = {"steps": 20, "batch_size": 2, "features": 8, "hidden": 8, "embedding": 4, "log_every": 5}
+TINY = {"steps": 20, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 5}
 COLLECT = {
     "name": "play",
     "kind": "collect",
@@ -72,7 +72,7 @@ def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
         "feature_size": 8,
     }
     teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", **small}
-    words = {"steps": 10, "batch_size": 4, "features": 8, "words": 4, "hidden": 8, "log_every": 5}
+    words = {"steps": 10, "batch_size": 4, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 5}
     told = {"run": "student", "goal_text": "pick up all"}
     steps = [
         {"name": "teacher", "kind": "ppo", "config": teach},

@@ -46,7 +46,7 @@ def _one_thread() -> Iterator[None]:
 
 
 class Corridor:
-    """A lamp in a row of cells, at first at the left end; actions move it by one. Episodes are truncated at `length`."""
+    """A lamp in a row of cells, at first at the left end, moved by actions. Episodes are truncated at `length`."""
 
     num_envs = PPO.num_envs
 

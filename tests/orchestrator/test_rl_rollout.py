@@ -18,7 +18,7 @@ from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, Vec
 
 
 class ScriptedEnvs:
-    """Three environments with rewards of 1; at timestep 2 the first terminates, the second is truncated, the third both."""
+    """Three environments, rewards of 1; at timestep 2 the first terminates, the second is truncated, the third both."""
 
     num_envs = 3
 

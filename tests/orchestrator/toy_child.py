@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from freerein.atomic_files import write_atomic
-from freerein.serving.child import end_with_parent
+from freerein.jobs.child import die_with_parent
 
 
 def main(folder: Path) -> int:
-    end_with_parent()
+    die_with_parent()
     config = json.loads((folder / "config.json").read_bytes())["config"]
     signal.signal(signal.SIGTERM, signal.SIG_IGN if config.get("deaf") else lambda *_: sys.exit(save(folder)))
     with (folder / "pids.txt").open("a") as pids:

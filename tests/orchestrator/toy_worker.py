@@ -1,4 +1,4 @@
-"""An orchestrator without doors: `python toy_worker.py DATA_DIR NAME DATABASE_URL`, a JSON command a line on stdin."""
+"""An orchestrator without REST and gRPC: `python toy_worker.py DATA_DIR NAME DATABASE_URL`; JSON commands on stdin."""
 
 import asyncio
 import json
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
+from freerein.jobs.attempt import AttemptRunner
+from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.types.orchestrator import (
     CancelRunRequest,
@@ -20,24 +22,22 @@ from freerein.types.orchestrator import (
     StartRunRequest,
     WatchRunRequest,
 )
-from freerein_orchestrator.durable import DurableRuns
-from freerein_orchestrator.runs.attempts import Attempts
-from freerein_orchestrator.runs.core import Resolved, Runs
-from freerein_orchestrator.runs.records import RunRecords
+from freerein_orchestrator.runs.dbos_queue import DbosQueue
+from freerein_orchestrator.runs.service import Resolved, RunService
 
 
 async def main(data_dir: Path, name: str, url: str) -> int:
-    health, records = Health(), RunRecords(data_dir / "runs")
-    attempt = Attempts(records, module="toy_child").make
-    durable = DurableRuns(
+    health, store = Health(), JobStore(data_dir / "runs", noun="run")
+    runner = AttemptRunner(store, module="toy_child")
+    queue = DbosQueue(
         data_dir / "runs",
+        store=store,
+        attempt=runner.run,
         database_url=url,
         executor_id=name,
-        attempt=attempt,
-        note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
         takeover_s=0.3,
     )
-    runs = Runs(records, durable, resolve=resolve, health=health)
+    runs = RunService(store, queue, resolve=resolve, health=health)
     try:
         await runs.start()
     except ServiceError as error:
@@ -59,7 +59,7 @@ def say(reply: Any) -> None:
     sys.stdout.flush()
 
 
-async def obey(runs: Runs) -> None:
+async def obey(runs: RunService) -> None:
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     pipe, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
@@ -75,7 +75,7 @@ async def obey(runs: Runs) -> None:
         pipe.close()
 
 
-async def answer(runs: Runs, do: str, **values: Any) -> Any:
+async def answer(runs: RunService, do: str, **values: Any) -> Any:
     match do:
         case "start":
             return asdict((await runs.start_run(StartRunRequest("ppo", values["config"], values["key"]))).run)

@@ -18,7 +18,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
-from freerein_reward.core import GoalCache, Inference, Loaded, Rewarder
+from freerein_reward.core import GoalCache, Inference, RewardCore
 
 COLOURS = ("red", "green", "blue")
 CACHE_BYTES = 2**20
@@ -31,6 +31,9 @@ class Colours:
         self.cameras = cameras
         self.frames_per_call: list[int] = []
         self.read: list[str] = []
+
+    def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        return np.broadcast_to(image.mean(axis=(0, 1)).astype(np.uint8), (2, 2, 3))
 
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
         colours = np.mean([views[camera].mean(axis=(1, 2)) for camera in self.cameras], axis=0) + 1e-3
@@ -48,11 +51,7 @@ class Colours:
         return sum(word not in COLOURS for word in text.split())
 
 
-def preprocess(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    return np.broadcast_to(image.mean(axis=(0, 1)).astype(np.uint8), (2, 2, 3))
-
-
-Start = Callable[[Any], Awaitable[Rewarder]]
+Start = Callable[[Any], Awaitable[RewardCore]]
 
 
 @pytest.fixture
@@ -60,16 +59,16 @@ async def start(tmp_path: Path) -> AsyncIterator[Start]:
     """A function that returns the core around a model."""
     batchers: list[Batcher[Any, Any]] = []
 
-    async def begin(model: Any) -> Rewarder:
+    async def begin(model: Any) -> RewardCore:
         store, folder = ModelStore(tmp_path / "models"), tmp_path / "unpublished"
         folder.mkdir()
         (folder / "card.json").write_text(json.dumps({}))
         store.activate(store.publish("", folder))
-        models = ModelCache(store, lambda _folder: Loaded(model, preprocess), fit_command="freerein fit reward X")
+        models = ModelCache(store, lambda _folder: model, fit_command="freerein fit reward X")
         await models.start()
         goals = GoalCache(CACHE_BYTES)
         batchers.append(Batcher(Inference(goals).run, queue=64, batch=8, metrics=Metrics()))
-        return Rewarder(models, batchers[-1], goals, timeout_s=10.0)
+        return RewardCore(models, batchers[-1], goals, timeout_s=10.0)
 
     yield begin
     for batcher in batchers:
@@ -237,6 +236,8 @@ async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
 
 async def test_a_model_of_the_other_kind_is_refused(start: Start) -> None:
     class Grounding:
+        def preprocess(self, _image: object) -> None: ...
+
         def ground(self, _images: object, _phrases: object) -> None: ...
 
     rewarder = await start(Grounding())

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from freerein_reward.core.captions import captions
+from freerein_reward.core.grounding import captions
 
 PHRASES = ("a red block", "a blue block", "a cat")
 

@@ -21,6 +21,9 @@ class Lengths:
     def __init__(self) -> None:
         self.embedded = 0
 
+    def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        raise NotImplementedError
+
     def embed_images(self, _views: object) -> npt.NDArray[np.float32]:
         raise NotImplementedError
 

@@ -6,10 +6,10 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein_reward.model import DualEncoder, DualEncoderSpec, Preprocess, RewardModel
-from freerein_reward.model.image_tower import AttentionPool, PlacePool
+from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec
+from freerein_reward.model.image_encoder import AttentionPool, KeypointPool
 
-SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), heads=4, hidden=32)
+SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), keypoints=4, hidden=32)
 
 
 @pytest.fixture(scope="module")
@@ -20,29 +20,29 @@ def network() -> DualEncoder:
 
 
 @pytest.fixture(scope="module")
-def model(network: DualEncoder) -> RewardModel:
-    return RewardModel(network)
+def model(network: DualEncoder) -> DualEncoderModel:
+    return DualEncoderModel(network)
 
 
-def test_an_image_alone_or_in_a_batch_has_the_same_embedding(model: RewardModel) -> None:
+def test_an_image_alone_or_in_a_batch_has_the_same_embedding(model: DualEncoderModel) -> None:
     frames = np.random.default_rng(0).integers(0, 256, size=(33, 64, 64, 3), dtype=np.uint8)
     together = model.embed_images({"front": frames})
     alone = np.concatenate([model.embed_images({"front": frame[None]}) for frame in frames])
     assert np.abs(together - alone).max() < 1e-5
 
 
-def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: RewardModel) -> None:
+def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: DualEncoderModel) -> None:
     together, _ = model.embed_texts(["a red block", "red " * 100])
     alone, _ = model.embed_texts(["a red block"])
     assert np.abs(together[0] - alone[0]).max() < 1e-5
 
 
 def test_two_views_are_averaged() -> None:
-    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), heads=4, hidden=32))
+    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), keypoints=4, hidden=32))
     weights.initialise(two, generator=torch.Generator().manual_seed(0))
     frames = np.random.default_rng(0).integers(0, 256, size=(2, 3, 64, 64, 3), dtype=np.uint8)
-    there = RewardModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
-    back = RewardModel(two).embed_images({"front": frames[1], "tilt": frames[0]})
+    there = DualEncoderModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
+    back = DualEncoderModel(two).embed_images({"front": frames[1], "tilt": frames[0]})
     assert np.abs(there - back).max() < 1e-5
 
 
@@ -57,15 +57,15 @@ def test_two_views_are_averaged() -> None:
     ],
 )
 def test_any_image_has_a_finite_embedding_of_length_1(
-    model: RewardModel, make: Callable[[], np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]
+    model: DualEncoderModel, make: Callable[[], np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]
 ) -> None:
-    view = Preprocess(SPEC.side)(make())
+    view = model.preprocess(make())
     embedding = model.embed_images({"front": view[None]})
     assert (str(view.dtype), view.shape) == ("uint8", (64, 64, 3))
     assert np.linalg.norm(embedding) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_the_scale_of_cosines_is_100_at_most(network: DualEncoder) -> None:
+def test_the_inverse_temperature_is_at_most_100(network: DualEncoder) -> None:
     with torch.no_grad():
         before = network.temperature.log_scale.clone()
         network.temperature.log_scale.fill_(10.0)
@@ -73,9 +73,8 @@ def test_the_scale_of_cosines_is_100_at_most(network: DualEncoder) -> None:
         network.temperature.log_scale.copy_(before)
 
 
-def test_attention_with_one_question_is_attention() -> None:
-    """Keys and values are never computed cell by cell; here they are."""
-    pool = AttentionPool(channels=64, features=32)
+def test_attention_pooling_equals_attention_with_explicit_keys_and_values() -> None:
+    pool = AttentionPool(64, embedding_dim=32)
     weights.initialise(pool, generator=torch.Generator().manual_seed(0))
     maps = torch.rand(2, 64, 16, 16, generator=torch.Generator().manual_seed(1))
     cells = maps.flatten(start_dim=2).transpose(1, 2)
@@ -88,15 +87,15 @@ def test_attention_with_one_question_is_attention() -> None:
     assert torch.allclose(pool(maps), pool.out(expected), atol=1e-5)
 
 
-def test_a_head_says_where_it_found_its_thing_or_that_it_is_nowhere() -> None:
-    pool = PlacePool(channels=2, heads=2, hidden=8, features=8)
+def test_a_keypoint_has_position_and_presence() -> None:
+    pool = KeypointPool(2, 2, hidden=8, embedding_dim=8)
     with torch.no_grad():
-        pool.ask.weight.copy_(torch.eye(2))
-        pool.ask.bias.fill_(-50.0)
+        pool.logits.weight.copy_(torch.eye(2))
+        pool.logits.bias.fill_(-50.0)
     maps = torch.zeros(1, 2, 16, 16)
     maps[0, 0, 0, 12] = 100.0  # the first channel is strong in the first row and column 12 of 16
 
-    found = pool.find(maps)[0]
+    found = pool.keypoints(maps)[0]
 
     assert found[0].tolist() == pytest.approx([1 / 16 - 1, 25 / 16 - 1, 1.0], abs=1e-5)
     assert found[1].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
@@ -104,4 +103,4 @@ def test_a_head_says_where_it_found_its_thing_or_that_it_is_nowhere() -> None:
 
 def test_a_spec_with_an_odd_size_is_refused() -> None:
     with pytest.raises(InvalidInput):
-        DualEncoderSpec(cameras=("front",), vocabulary=("a",), side=63)
+        DualEncoderSpec(cameras=("front",), vocabulary=("a",), image_size=63)

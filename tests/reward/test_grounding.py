@@ -8,15 +8,15 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel, load, load_grounding
-from freerein_reward.training import objects
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, load, load_grounding
+from freerein_reward.training import synthetic_objects
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 PHRASES = ("a red block", "a blue block", "a yellow block")
 
 
 @pytest.fixture(scope="module")
-def model() -> GroundingModel:
+def model() -> GradCamModel:
     store = ModelStore(SHIPPED)
     return load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
 
@@ -32,18 +32,18 @@ def picture(*squares: tuple[int, int, tuple[int, int, int]]) -> npt.NDArray[np.u
 RED, BLUE = (220, 25, 20), (25, 75, 235)
 
 
-def test_what_is_named_is_found_where_it_is(model: GroundingModel) -> None:
+def test_what_is_named_is_found_where_it_is(model: GradCamModel) -> None:
     found = model.ground(picture((15, 40, RED), (45, 20, BLUE))[None], PHRASES)
     assert np.abs(64 * found.x[0, :2] - [15, 45]).max() < 3
     assert np.abs(64 * found.y[0, :2] - [40, 20]).max() < 3
 
 
-def test_what_is_not_there_is_said_not_to_be(model: GroundingModel) -> None:
+def test_what_is_not_there_is_said_not_to_be(model: GradCamModel) -> None:
     found = model.ground(picture((15, 40, RED), (45, 20, BLUE))[None], PHRASES)
     assert (found.presence[0] >= 0.5).tolist() == [True, True, False]
 
 
-def test_heat_is_in_0_to_1_and_finite_whatever_is_shown(model: GroundingModel) -> None:
+def test_heat_is_in_0_to_1_and_finite_whatever_is_shown(model: GradCamModel) -> None:
     images = np.stack([picture(), np.zeros((64, 64, 3), np.uint8), np.full((64, 64, 3), 255, np.uint8)])
     for phrases in (PHRASES, ("a red block",)):
         found = model.ground(images, phrases)
@@ -54,28 +54,31 @@ def test_heat_is_in_0_to_1_and_finite_whatever_is_shown(model: GroundingModel) -
         assert ((found.x >= 0) & (found.x <= 1) & (found.y >= 0) & (found.y <= 1)).all()
 
 
-def test_an_image_alone_or_in_a_batch_is_read_alike(model: GroundingModel) -> None:
-    images = np.stack([objects.draw(np.random.default_rng(seed))[0] for seed in range(70)])
+def test_an_image_alone_or_in_a_batch_is_read_alike(model: GradCamModel) -> None:
+    images = np.stack([synthetic_objects.render(np.random.default_rng(seed))[0] for seed in range(70)])
     together, alone = model.ground(images, PHRASES), model.ground(images[-1:], PHRASES)
     assert np.abs(together.heatmaps[-1:] - alone.heatmaps).max() < 1e-4
     assert np.abs(together.x[-1] - alone.x[0]).max() < 1e-4
 
 
-def test_captions_of_objects_name_no_place_and_no_relation() -> None:
+def test_captions_of_synthetic_objects_mention_no_positions() -> None:
     rng = np.random.default_rng(0)
-    said = {word for _ in range(500) for word in objects.caption(objects.draw(rng)[1], rng)[0].split()}
-    assert said <= set(objects.VOCABULARY)
-    assert len(objects.COLOURS) >= 10
-    assert {"red", "green", "yellow", "blue"} < set(objects.COLOURS)
+    said = {
+        word for _ in range(500) for word in synthetic_objects.caption(synthetic_objects.render(rng)[1], rng)[0].split()
+    }
+    assert said <= set(synthetic_objects.VOCABULARY)
+    assert len(synthetic_objects.COLOURS) >= 10
+    assert {"red", "green", "yellow", "blue"} < set(synthetic_objects.COLOURS)
 
 
 def test_a_caption_is_true_of_what_it_was_made_from() -> None:
     rng = np.random.default_rng(1)
-    shown = objects.Attributes("red", "block", "small")
+    shown = synthetic_objects.Attributes("red", "block", "small")
     assert all(
-        said is not None and said.describes(shown) for _, said in (objects.caption(shown, rng) for _ in range(50))
+        said is not None and said.describes(shown)
+        for _, said in (synthetic_objects.caption(shown, rng) for _ in range(50))
     )
-    assert not objects.Attributes("blue").describes(shown)
+    assert not synthetic_objects.Attributes("blue").describes(shown)
 
 
 def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
@@ -84,7 +87,7 @@ def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
         load(tmp_path, "cpu")
 
 
-def test_as_a_reward_model_it_knows_which_things_are_there(model: GroundingModel) -> None:
+def test_as_a_reward_model_it_knows_which_things_are_there(model: GradCamModel) -> None:
     red, blue = (picture((32, 32, colour)) for colour in (RED, BLUE))
     images = model.embed_images({"": np.stack([red, blue])})
     texts, _ = model.embed_texts(PHRASES[:2])

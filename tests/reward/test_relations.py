@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from freerein_reward.relations import Relation, caption, judge, rivals
+from freerein_reward.relations import SpatialRelation, caption, classify_relation, rival_captions
 
 EPSILON = 0.1
 
@@ -9,28 +9,36 @@ EPSILON = 0.1
 @pytest.mark.parametrize(
     ("x", "y", "relation"),
     [
-        (-0.12, 0.0, Relation.LEFT_OF),
-        (0.12, 0.0, Relation.RIGHT_OF),
-        (0.04, -0.1, Relation.ON_TOP_OF),
-        (-0.04, 0.1, Relation.BELOW),
-        (0.0, -0.2, Relation.APART_FROM),
-        (0.3, 0.0, Relation.APART_FROM),
+        (-0.12, 0.0, SpatialRelation.LEFT_OF),
+        (0.12, 0.0, SpatialRelation.RIGHT_OF),
+        (0.04, -0.1, SpatialRelation.ON_TOP_OF),
+        (-0.04, 0.1, SpatialRelation.BELOW),
+        (0.0, -0.2, SpatialRelation.APART_FROM),
+        (0.3, 0.0, SpatialRelation.APART_FROM),
     ],
 )
-def test_a_relation_is_judged_from_pixels_that_count_down(x: float, y: float, relation: Relation) -> None:
-    assert judge(np.array([0.5 + x, 0.5 + y]), np.array([0.5, 0.5]), epsilon=EPSILON) == relation
+def test_relations_are_classified_in_image_coordinates(x: float, y: float, relation: SpatialRelation) -> None:
+    assert classify_relation(np.array([0.5 + x, 0.5 + y]), np.array([0.5, 0.5]), epsilon=EPSILON) == relation
 
 
-def test_what_one_thing_is_to_another_the_other_is_the_contrary_of() -> None:
+def test_the_relation_of_swapped_objects_is_the_inverse() -> None:
     rng = np.random.default_rng(0)
     first, second = rng.uniform(0, 1, size=(2, 1000, 2))
-    contrary = np.array([Relation.RIGHT_OF, Relation.LEFT_OF, Relation.BELOW, Relation.ON_TOP_OF, Relation.APART_FROM])
-    there, back = judge(first, second, epsilon=EPSILON), judge(second, first, epsilon=EPSILON)
-    assert np.array_equal(contrary[there], back)
+    inverse = np.array(
+        [
+            SpatialRelation.RIGHT_OF,
+            SpatialRelation.LEFT_OF,
+            SpatialRelation.BELOW,
+            SpatialRelation.ON_TOP_OF,
+            SpatialRelation.APART_FROM,
+        ]
+    )
+    there, back = classify_relation(first, second, epsilon=EPSILON), classify_relation(second, first, epsilon=EPSILON)
+    assert np.array_equal(inverse[there], back)
 
 
 def test_rivals_are_the_same_sentence_with_each_other_relation() -> None:
-    assert rivals("a red block on top of a yellow block") == (
+    assert rival_captions("a red block on top of a yellow block") == (
         "a red block to the left of a yellow block",
         "a red block to the right of a yellow block",
         "a red block below a yellow block",
@@ -39,9 +47,9 @@ def test_rivals_are_the_same_sentence_with_each_other_relation() -> None:
 
 
 def test_each_caption_is_a_rival_of_the_others() -> None:
-    said = [caption("a red block", relation, "a blue block") for relation in Relation]
-    assert all({text, *rivals(text)} == set(said) for text in said)
+    said = [caption("a red block", relation, "a blue block") for relation in SpatialRelation]
+    assert all({text, *rival_captions(text)} == set(said) for text in said)
 
 
 def test_a_text_without_a_relation_has_no_rivals() -> None:
-    assert rivals("an inverted pendulum") == ()
+    assert rival_captions("an inverted pendulum") == ()

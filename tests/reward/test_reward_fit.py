@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freerein.data.spec import DatasetSpec
+from freerein.data.layout import DatasetSpec
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward import fit
-from freerein_reward.model import RewardModel, load
+from freerein_reward.model import DualEncoderModel, GradCamModel, load
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden": 16}
@@ -47,12 +47,13 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.wait(timeout=50) == 0, child.communicate()[1]
-    model, _ = load(folder / "model", "cpu")
-    assert isinstance(model, RewardModel)
+    model = load(folder / "model", "cpu")
+    assert isinstance(model, DualEncoderModel)
+    assert not isinstance(model, GradCamModel)
     assert model.cameras == ("front",)
     card = json.loads((folder / "model" / "card.json").read_bytes())
     assert (card["kind"], card["grounding"]) == ("reward", version)
-    assert "agreement" in card["figures"]
+    assert "relation_accuracy" in card["figures"]
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)
 

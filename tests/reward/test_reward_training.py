@@ -9,10 +9,15 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein_reward import objectives
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GroundingModel
-from freerein_reward.relations import Relation
-from freerein_reward.training import Described, RewardConfig, RewardLearner, agreement, design, hold_out
-from freerein_reward.training.described import UNSAID, relations_of, sentences, sides_of
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
+from freerein_reward.relations import SpatialRelation
+from freerein_reward.training import CaptionDataset, RewardConfig, RewardLearner, evaluate_reward, network_spec
+from freerein_reward.training.caption_dataset import (
+    NO_CAPTION,
+    pairwise_relations,
+    pairwise_sides,
+    relation_captions,
+)
 
 CPU = torch.device("cpu")
 PHRASES = ("a red block", "a blue block")
@@ -28,7 +33,7 @@ FAST = RewardConfig(
 )
 
 
-def blocks(count: int, *, seed: int) -> Described:
+def blocks(count: int, *, seed: int) -> CaptionDataset:
     """Returns images of a red and a blue square, and how they truly lie to one another."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(0.1, 0.9, size=(count, 2, 2))
@@ -38,8 +43,8 @@ def blocks(count: int, *, seed: int) -> Described:
             frame[max(0, y - 3) : y + 3, max(0, x - 3) : x + 3] = colour
     shown = np.ones((count, 2), bool)
     x, y = places[..., 0], places[..., 1]
-    relations = relations_of(x, y, shown, epsilon=0.1)
-    return Described((frames,), PHRASES, relations, sides_of(x, relations))
+    relations = pairwise_relations(x, y, shown, epsilon=0.1)
+    return CaptionDataset((frames,), PHRASES, relations, pairwise_sides(x, relations))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +52,9 @@ def learner() -> RewardLearner:
     grounding = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "blue", "block")))
     weights.initialise(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
-    return RewardLearner(FAST, design(grounding.spec, FAST), training, validation, GroundingModel(grounding), "", CPU)
+    return RewardLearner(
+        FAST, network_spec(grounding.spec, FAST), training, validation, GradCamModel(grounding), "", CPU
+    )
 
 
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, tmp_path: Path) -> None:
@@ -60,13 +67,15 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, 
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_before_the_first_update_each_phrase_has_a_head_that_sees_its_heatmap(learner: RewardLearner) -> None:
+def test_before_the_first_update_each_phrase_has_a_keypoint_with_its_heatmap(learner: RewardLearner) -> None:
     begun = learner.init(torch.Generator().manual_seed(5)).network.image
     frames = learner.training.views[0][:4]
 
     with torch.no_grad():
-        asked = begun.places.ask(begun.maps(torch.from_numpy(frames)).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
-        heat = (asked - begun.places.ask.bias[:, None, None])[:, : len(PHRASES)].relu()  # (N, P, h, w)
+        asked = begun.keypoint_pool.logits(begun.feature_maps(torch.from_numpy(frames)).permute(0, 2, 3, 1)).permute(
+            0, 3, 1, 2
+        )
+        heat = (asked - begun.keypoint_pool.logits.bias[:, None, None])[:, : len(PHRASES)].relu()  # (N, P, h, w)
         heat /= heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6)
 
     heatmaps = learner.grounding.ground(frames, PHRASES).heatmaps
@@ -74,9 +83,9 @@ def test_before_the_first_update_each_phrase_has_a_head_that_sees_its_heatmap(le
     np.testing.assert_allclose(heat, heatmaps, atol=1e-3)
 
 
-def test_what_the_grounding_model_saw_is_never_unlearned(learner: RewardLearner) -> None:
+def test_the_convolutions_of_the_grounding_model_stay_frozen(learner: RewardLearner) -> None:
     begun = learner.init(torch.Generator().manual_seed(5))
-    ask = begun.network.image.places.ask.weight.clone()
+    ask = begun.network.image.keypoint_pool.logits.weight.clone()
 
     after, _ = learner.update(begun, np.arange(8))
     learner.evaluate(after)
@@ -85,82 +94,82 @@ def test_what_the_grounding_model_saw_is_never_unlearned(learner: RewardLearner)
     kept = {name: tensor for name, tensor in after.network.image.state_dict().items() if not name.startswith("pool.")}
     assert kept
     assert all(torch.equal(tensor, known[name]) for name, tensor in kept.items())
-    assert not torch.equal(after.network.image.places.ask.weight, ask)
+    assert not torch.equal(after.network.image.keypoint_pool.logits.weight, ask)
 
 
-def test_agreement_counts_every_caption(learner: RewardLearner) -> None:
-    figures = agreement(learner.init(torch.Generator().manual_seed(0)).network, learner.validation)
-    assert 0.0 <= figures["agreement"] <= 1.0
-    assert {f"{relation.name.lower()}.{kind}" for relation in Relation for kind in ("precision", "recall")} < set(
-        figures
-    )
+def test_evaluation_has_accuracy_precision_and_recall(learner: RewardLearner) -> None:
+    figures = evaluate_reward(learner.init(torch.Generator().manual_seed(0)).network, learner.validation)
+    assert 0.0 <= figures["relation_accuracy"] <= 1.0
+    assert {
+        f"{relation.name.lower()}.{kind}" for relation in SpatialRelation for kind in ("precision", "recall")
+    } < set(figures)
 
 
 def test_in_a_mirror_left_is_right_and_top_is_top() -> None:
-    described = blocks(200, seed=2)
-    mirrored = described.mirrored(np.ones(200, bool))
-    there, back = described.relations[:, 0, 1], mirrored.relations[:, 0, 1]
-    assert np.array_equal(there == Relation.LEFT_OF, back == Relation.RIGHT_OF)
-    assert np.array_equal(there == Relation.ON_TOP_OF, back == Relation.ON_TOP_OF)
-    assert np.array_equal(described.sides[:, 0, 1] == Relation.LEFT_OF, mirrored.sides[:, 0, 1] == Relation.RIGHT_OF)
-    assert (mirrored.relations[:, 0, 0] == UNSAID).all()
-    assert np.array_equal(mirrored.views[0][:, :, ::-1], described.views[0])
+    dataset = blocks(200, seed=2)
+    mirrored = dataset.mirrored(np.ones(200, bool))
+    there, back = dataset.relations[:, 0, 1], mirrored.relations[:, 0, 1]
+    assert np.array_equal(there == SpatialRelation.LEFT_OF, back == SpatialRelation.RIGHT_OF)
+    assert np.array_equal(there == SpatialRelation.ON_TOP_OF, back == SpatialRelation.ON_TOP_OF)
+    assert np.array_equal(
+        dataset.sides[:, 0, 1] == SpatialRelation.LEFT_OF, mirrored.sides[:, 0, 1] == SpatialRelation.RIGHT_OF
+    )
+    assert (mirrored.relations[:, 0, 0] == NO_CAPTION).all()
+    assert np.array_equal(mirrored.views[0][:, :, ::-1], dataset.views[0])
 
 
 def test_images_move_by_whole_pixels() -> None:
-    described = blocks(3, seed=3)
-    moved = described.shifted(np.array([[0, 0], [4, 0], [0, -4]]), most=4)
-    assert np.array_equal(moved.views[0][0], described.views[0][0])
-    assert np.array_equal(moved.views[0][1, :-4], described.views[0][1, 4:])
-    assert np.array_equal(moved.views[0][2, :, 4:], described.views[0][2, :, :-4])
+    dataset = blocks(3, seed=3)
+    moved = dataset.shifted(np.array([[0, 0], [4, 0], [0, -4]]), limit=4)
+    assert np.array_equal(moved.views[0][0], dataset.views[0][0])
+    assert np.array_equal(moved.views[0][1, :-4], dataset.views[0][1, 4:])
+    assert np.array_equal(moved.views[0][2, :, 4:], dataset.views[0][2, :, :-4])
 
 
-def test_no_caption_tells_of_a_thing_that_is_not_shown() -> None:
+def test_no_caption_mentions_an_object_that_is_not_shown() -> None:
     x = y = np.array([[0.1, 0.5, 0.9]])
-    relations = relations_of(x, y, np.array([[True, True, False]]), epsilon=0.1)
-    assert (relations[0, 0, 1], relations[0, 1, 0]) == (Relation.APART_FROM, Relation.APART_FROM)
-    assert (relations[0, 2] == UNSAID).all()
-    assert (relations[0, :, 2] == UNSAID).all()
+    relations = pairwise_relations(x, y, np.array([[True, True, False]]), epsilon=0.1)
+    assert (relations[0, 0, 1], relations[0, 1, 0]) == (SpatialRelation.APART_FROM, SpatialRelation.APART_FROM)
+    assert (relations[0, 2] == NO_CAPTION).all()
+    assert (relations[0, :, 2] == NO_CAPTION).all()
 
 
-def test_sentences_come_in_the_order_of_the_relations() -> None:
-    texts = sentences(PHRASES, np.array([[1, 0]]))
-    assert texts[Relation.BELOW] == "a blue block below a red block"
+def test_captions_come_in_the_order_of_the_relations() -> None:
+    texts = relation_captions(PHRASES, np.array([[1, 0]]))
+    assert texts[SpatialRelation.BELOW] == "a blue block below a red block"
 
 
 def test_whole_trajectories_are_held_out_and_images_without_a_caption_left_out() -> None:
-    described = blocks(10, seed=4)
-    numbered = replace(described, views=(np.arange(10, dtype=np.uint8).reshape(10, 1, 1, 1),))
-    numbered.relations[9] = UNSAID
+    dataset = blocks(10, seed=4)
+    numbered = replace(dataset, views=(np.arange(10, dtype=np.uint8).reshape(10, 1, 1, 1),))
+    numbered.relations[9] = NO_CAPTION
     lengths = np.array([3, 1, 4, 2])
-    training, validation = (side.views[0].ravel().tolist() for side in hold_out(numbered, lengths, share=0.3, seed=0))
+    training, validation = (side.views[0].ravel().tolist() for side in numbered.split(lengths, fraction=0.3, seed=0))
     assert sorted(training + validation) == list(range(9))
     assert validation in ([0, 1, 2], [3], [4, 5, 6, 7], [8])
 
 
 def test_a_dataset_that_cannot_be_split_or_tells_nothing_is_refused() -> None:
-    described = blocks(4, seed=4)
+    dataset = blocks(4, seed=4)
     with pytest.raises(InvalidInput, match="2 trajectories"):
-        hold_out(described, np.array([4]), share=0.3, seed=0)
-    described.relations[:] = UNSAID
+        dataset.split(np.array([4]), fraction=0.3, seed=0)
+    dataset.relations[:] = NO_CAPTION
     with pytest.raises(InvalidInput, match="show two"):
-        hold_out(described, np.array([2, 2]), share=0.3, seed=0)
+        dataset.split(np.array([2, 2]), fraction=0.3, seed=0)
 
 
 def test_equal_captions_are_never_each_others_negatives() -> None:
     scores = torch.tensor([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     positives = torch.tensor([[True, False], [True, False], [False, True]])
-    assert objectives.contrastive(scores, positives).item() < 0.5
-    assert objectives.multi_positive(scores.T[:1], positives.T[:1]).item() == pytest.approx(np.log(2), abs=1e-3)
+    assert objectives.contrastive_loss(scores, positives).item() < 0.5
+    assert objectives.multi_positive_cross_entropy(scores.T[:1], positives.T[:1]).item() == pytest.approx(
+        np.log(2), abs=1e-3
+    )
 
 
-def test_rivalry_counts_only_pairs_that_captions_tell_of() -> None:
+def test_relation_cross_entropy_counts_only_pairs_with_captions() -> None:
     scores = torch.zeros(2, 1, 5)
-    scores[0, 0, Relation.BELOW] = 50.0
-    told = torch.tensor([[int(Relation.BELOW)], [UNSAID]])
-    assert objectives.rivalry(scores, told).item() == pytest.approx(0.0, abs=1e-6)
-    assert objectives.rivalry(scores, torch.full((2, 1), UNSAID)).item() == 0.0
-
-
-def test_a_problem_is_known_by_its_data_and_its_configuration(learner: RewardLearner) -> None:
-    assert replace(learner, fingerprint="other").identity != learner.identity
+    scores[0, 0, SpatialRelation.BELOW] = 50.0
+    told = torch.tensor([[int(SpatialRelation.BELOW)], [NO_CAPTION]])
+    assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
+    assert objectives.relation_cross_entropy(scores, torch.full((2, 1), NO_CAPTION)).item() == 0.0

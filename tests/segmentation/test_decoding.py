@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freerein_segmentation import decoding
-from freerein_segmentation.decoding import Decoded, merge_short, smooth
+from freerein_segmentation.core import decoding
+from freerein_segmentation.core.decoding import Decoded, merge_short, smooth
 
 Probabilities = npt.NDArray[np.float32]
 SKILLS = "abcde"

@@ -10,11 +10,11 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from gymnasium.utils.env_checker import check_env
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.envs import RemoteEnv, RemoteVectorEnv
+from freerein.clients.envs import SimEnv, SimVectorEnv
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput, NotFound, SessionNotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
-from freerein_sim.workers.envs import Envs
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, grid
 
 TOKEN = "secret"
@@ -38,7 +38,7 @@ def address(start_module_service: Callable[..., object]) -> str:
     ("task", "cameras"), [("grid", ()), ("blocks", ()), ("blocks.red-left-of-blue", ("front", "left"))]
 )
 def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
-    gymnasium.register("freerein/Real-v0", RemoteEnv, disable_env_checker=True, order_enforce=False)
+    gymnasium.register("freerein/Real-v0", SimEnv, disable_env_checker=True, order_enforce=False)
     kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged, "token": TOKEN}
     try:
         with gymnasium.make("freerein/Real-v0", **kwargs).unwrapped as env:
@@ -50,8 +50,8 @@ def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple
 @pytest.mark.parametrize(("task", "steps"), [("grid", 200), ("blocks.red-left-of-blue", 105)])
 def test_a_remote_vector_is_bit_for_bit_the_one_in_process(address: str, task: str, steps: int) -> None:
     camera = TASKS[task].spec.cameras[0].name
-    local = Envs(TASKS[task], num_envs=3, seed=0, privileged=True)
-    remote = RemoteVectorEnv(task, address, num_envs=3, privileged=True, token=TOKEN)
+    local = VectorEnv(TASKS[task], num_envs=3, seed=0, privileged=True)
+    remote = SimVectorEnv(task, address, num_envs=3, privileged=True, token=TOKEN)
     first, _ = remote.reset(seed=4)
     np.testing.assert_array_equal(first, local.reset(seed=4, cameras=(camera,)).frames[camera])
     remote.action_space.seed(4)
@@ -70,8 +70,8 @@ def test_a_remote_vector_is_bit_for_bit_the_one_in_process(address: str, task: s
 
 
 def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
-    with RemoteEnv("grid", address, token=TOKEN) as env:
-        envs = RemoteVectorEnv("grid", address, num_envs=1, token=TOKEN)
+    with SimEnv("grid", address, token=TOKEN) as env:
+        envs = SimVectorEnv("grid", address, num_envs=1, token=TOKEN)
         observation, (observations, _) = env.reset(seed=9)[0], envs.reset(seed=9)
         np.testing.assert_array_equal(observation, observations[0])
         env.action_space.seed(9)
@@ -87,7 +87,7 @@ def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
 
 
 def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None:
-    with RemoteEnv("grid", address, token=TOKEN) as env:
+    with SimEnv("grid", address, token=TOKEN) as env:
         _, info = env.reset(seed=1)
         assert info == {}
         _, reward, _, _, info = env.step(0)
@@ -96,11 +96,11 @@ def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None
 
 def test_errors_of_the_service_say_what_to_mend(address: str) -> None:
     with pytest.raises(NotFound, match="no such task") as not_found:
-        RemoteEnv("fly", address, token=TOKEN)
+        SimEnv("fly", address, token=TOKEN)
     assert not_found.value.hint
     with pytest.raises(Unauthenticated):
-        RemoteEnv("grid", address, token="guess")
-    with RemoteEnv("blocks", address, token=TOKEN) as env:
+        SimEnv("grid", address, token="guess")
+    with SimEnv("blocks", address, token=TOKEN) as env:
         env.reset()
         with pytest.raises(InvalidInput) as invalid:
             env.step(np.full(3, 2.0))
@@ -122,7 +122,7 @@ def test_a_session_is_made_once_per_key_and_ends_when_it_is_closed(address: str)
 def test_a_task_is_found_by_its_name(address: str) -> None:
     with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
         assert find_task(sim, "grid").name == "grid"
-        with pytest.raises(NotFound, match="`config.task` must name one") as not_found:
+        with pytest.raises(NotFound, match="must name one") as not_found:
             find_task(sim, "gri")
         assert not_found.value.field == "config.task"
 
@@ -133,8 +133,8 @@ def test_stable_baselines_trains_on_environments_as_they_are(address: str, task:
     sb3 = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.env_util import make_vec_env
 
-    with RemoteEnv(task, address, token=TOKEN) as env:
+    with SimEnv(task, address, token=TOKEN) as env:
         sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1).learn(8)
-    envs = make_vec_env(lambda: RemoteEnv(task, address, token=TOKEN), n_envs=2, seed=0)
+    envs = make_vec_env(lambda: SimEnv(task, address, token=TOKEN), n_envs=2, seed=0)
     assert sb3.PPO(policy, envs, n_steps=8, batch_size=8, n_epochs=1).learn(16).num_timesteps == 16
     envs.close()

@@ -35,9 +35,9 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
-from freerein_sim.sessions import Sessions
-from freerein_sim.workers.envs import Envs
-from freerein_sim.workers.pool import Pool
+from freerein_sim.core import SimCore
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -47,7 +47,7 @@ ONE = CreateSessionRequest("grid", seed=1)
 UP, DOWN = np.zeros((1, 1), np.int64), np.ones((1, 1), np.int64)
 TOP = ("top",)
 Workers = list[psutil.Process]
-StartSessions = Callable[..., Awaitable[tuple[Sessions, Workers]]]
+StartSessions = Callable[..., Awaitable[tuple[SimCore, Workers]]]
 
 
 @dataclass
@@ -68,11 +68,11 @@ def clock() -> Clock:
 @pytest_asyncio.fixture(loop_scope="module")
 async def start(clock: Clock) -> AsyncIterator[StartSessions]:
     """A function that starts sessions of the test's own, closed with it, and returns their workers too."""
-    started: list[Sessions] = []
+    started: list[SimCore] = []
 
-    async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> tuple[Sessions, Workers]:
+    async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> tuple[SimCore, Workers]:
         others = children()
-        started.append(Sessions(Pool(workers=workers), max_sessions=max_sessions, clock=clock))
+        started.append(SimCore(WorkerPool(workers=workers), max_sessions=max_sessions, clock=clock))
         await started[-1].start()
         return started[-1], [child for child in children() if child not in others]
 
@@ -82,21 +82,21 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def sessions() -> AsyncIterator[Sessions]:
+async def sessions() -> AsyncIterator[SimCore]:
     """The sessions that tests share which harm nobody."""
-    shared = Sessions(Pool(workers=1))
+    shared = SimCore(WorkerPool(workers=1))
     await shared.start()
     yield shared
     await shared.close()
 
 
-async def begun(sessions: Sessions, request: CreateSessionRequest = ONE) -> str:
+async def begun(sessions: SimCore, request: CreateSessionRequest = ONE) -> str:
     session = (await sessions.create_session(request)).session
     await sessions.reset(ResetRequest(session))
     return session
 
 
-async def snapshot(sessions: Sessions, session: str) -> bytes:
+async def snapshot(sessions: SimCore, session: str) -> bytes:
     return (await sessions.snapshot(SnapshotRequest(session))).snapshot
 
 
@@ -120,7 +120,7 @@ def assert_same(one: StepResponse, other: StepResponse) -> None:
         }
 
 
-async def test_a_session_says_what_it_is(sessions: Sessions) -> None:
+async def test_a_session_says_what_it_is(sessions: SimCore) -> None:
     created = await sessions.create_session(CreateSessionRequest("grid"))
 
     assert len(bytes.fromhex(created.session)) == 16
@@ -128,7 +128,7 @@ async def test_a_session_says_what_it_is(sessions: Sessions) -> None:
     assert created.task in (await sessions.list_tasks(ListTasksRequest())).tasks
 
 
-async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessions: Sessions) -> None:
+async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessions: SimCore) -> None:
     drawn = await sessions.create_session(CreateSessionRequest("grid", num_envs=2))
     again = await sessions.create_session(CreateSessionRequest("grid", num_envs=2, seed=drawn.seed))
 
@@ -149,7 +149,7 @@ async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessi
     ],
 )
 async def test_a_session_out_of_bounds_is_refused(
-    sessions: Sessions, change: dict[str, object], error: type[ServiceError]
+    sessions: SimCore, change: dict[str, object], error: type[ServiceError]
 ) -> None:
     with pytest.raises(error) as refusal:
         await sessions.create_session(replace(ONE, **change))
@@ -157,7 +157,7 @@ async def test_a_session_out_of_bounds_is_refused(
 
 
 @pytest.mark.fault("M8")
-async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(sessions: Sessions) -> None:
+async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(sessions: SimCore) -> None:
     huge = CreateSessionRequest("blocks", num_envs=64, seed=0, height=256, width=256)
     session = await begun(sessions, huge)
     actions = np.zeros((64, 3), np.float32)
@@ -170,7 +170,7 @@ async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(s
 
 
 @pytest.mark.fault("M7")
-async def test_a_step_before_the_reset_is_refused(sessions: Sessions) -> None:
+async def test_a_step_before_the_reset_is_refused(sessions: SimCore) -> None:
     session = (await sessions.create_session(ONE)).session
 
     with pytest.raises(FailedPrecondition, match="no reset yet"):
@@ -179,7 +179,7 @@ async def test_a_step_before_the_reset_is_refused(sessions: Sessions) -> None:
 
 @pytest.mark.fault("M7")
 @pytest.mark.parametrize("step_id", [0, 1, 4, 2**60])
-async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(sessions: Sessions, step_id: int) -> None:
+async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(sessions: SimCore, step_id: int) -> None:
     session = await begun(sessions)
     for turn in (1, 2):
         await sessions.step(StepRequest(session, turn, UP))
@@ -191,7 +191,7 @@ async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(session
 
 
 @pytest.mark.fault("M4")
-async def test_a_refused_step_takes_no_turn(sessions: Sessions) -> None:
+async def test_a_refused_step_takes_no_turn(sessions: SimCore) -> None:
     session = await begun(sessions)
     before = await snapshot(sessions, session)
 
@@ -203,7 +203,7 @@ async def test_a_refused_step_takes_no_turn(sessions: Sessions) -> None:
 
 
 @pytest.mark.fault("M13")
-async def test_the_last_step_repeated_is_answered_as_it_was_and_not_made_again(sessions: Sessions) -> None:
+async def test_the_last_step_repeated_is_answered_as_it_was_and_not_made_again(sessions: SimCore) -> None:
     session = await begun(sessions)
     step = StepRequest(session, 1, DOWN, TOP)
     reply = await sessions.step(step)
@@ -218,7 +218,7 @@ async def test_the_last_step_repeated_is_answered_as_it_was_and_not_made_again(s
 @pytest.mark.fault("M13")
 @pytest.mark.parametrize("change", [{"actions": DOWN}, {"cameras": TOP}])
 async def test_the_last_step_repeated_with_something_else_is_refused(
-    sessions: Sessions, change: dict[str, object]
+    sessions: SimCore, change: dict[str, object]
 ) -> None:
     session = await begun(sessions)
     step = StepRequest(session, 1, UP)
@@ -229,14 +229,14 @@ async def test_the_last_step_repeated_with_something_else_is_refused(
 
 
 @pytest.mark.fault("M7")
-async def test_steps_at_the_same_time_are_made_one_after_the_other(sessions: Sessions) -> None:
+async def test_steps_at_the_same_time_are_made_one_after_the_other(sessions: SimCore) -> None:
     session = await begun(sessions)
     before = await snapshot(sessions, session)
 
     replies = await asyncio.gather(*(sessions.step(StepRequest(session, i, DOWN, TOP)) for i in (1, 1, 2, 2, 3)))
 
     assert [reply.step_id for reply in replies] == [1, 1, 2, 2, 3]
-    envs = Envs(GRID, num_envs=1, seed=0)
+    envs = VectorEnv(GRID, num_envs=1, seed=0)
     envs.restore(before)
     for reply in replies[::2]:
         assert_same(reply, envs.step(DOWN, TOP))
@@ -264,7 +264,7 @@ async def test_a_step_whose_caller_goes_away_is_made_and_its_reply_kept(start: S
 
 
 @pytest.mark.fault("M7")
-async def test_a_key_makes_one_session_however_often_it_is_used(sessions: Sessions) -> None:
+async def test_a_key_makes_one_session_however_often_it_is_used(sessions: SimCore) -> None:
     request = replace(ONE, idempotency_key="mine", seed=None)
 
     first, twin = await asyncio.gather(sessions.create_session(request), sessions.create_session(request))
@@ -277,7 +277,7 @@ async def test_a_key_makes_one_session_however_often_it_is_used(sessions: Sessio
 
 
 @pytest.mark.fault("M7")
-async def test_a_key_whose_session_could_not_be_made_can_be_used_again(sessions: Sessions) -> None:
+async def test_a_key_whose_session_could_not_be_made_can_be_used_again(sessions: SimCore) -> None:
     request = replace(ONE, idempotency_key="again")
 
     with pytest.raises(InvalidInput):
@@ -287,7 +287,7 @@ async def test_a_key_whose_session_could_not_be_made_can_be_used_again(sessions:
 
 
 @pytest.mark.fault("M7")
-async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: Sessions) -> None:
+async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: SimCore) -> None:
     session = await begun(sessions)
     await sessions.close_session(CloseSessionRequest(session))
 
@@ -304,7 +304,7 @@ async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: Se
 
 
 @pytest.mark.fault("M7")
-async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: Sessions) -> None:
+async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: SimCore) -> None:
     session = await begun(sessions)
 
     closed, late = await asyncio.gather(
@@ -317,7 +317,7 @@ async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: 
     assert isinstance(late, SessionNotFound)
 
 
-async def test_the_truth_is_for_the_privileged(sessions: Sessions) -> None:
+async def test_the_truth_is_for_the_privileged(sessions: SimCore) -> None:
     plain, privileged = await begun(sessions), await begun(sessions, replace(ONE, privileged=True))
 
     assert (await sessions.step(StepRequest(plain, 1, UP))).truth is None
@@ -327,7 +327,7 @@ async def test_the_truth_is_for_the_privileged(sessions: Sessions) -> None:
     assert not told.reward.any()
 
 
-async def test_rendering_shows_what_the_last_step_left(sessions: Sessions) -> None:
+async def test_rendering_shows_what_the_last_step_left(sessions: SimCore) -> None:
     session = await begun(sessions)
     stepped = await sessions.step(StepRequest(session, 1, DOWN, TOP))
 
@@ -337,7 +337,7 @@ async def test_rendering_shows_what_the_last_step_left(sessions: Sessions) -> No
 
 
 @pytest.mark.fault("M10")
-async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: Sessions) -> None:
+async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: SimCore) -> None:
     one, other = await begun(sessions), await begun(sessions, replace(ONE, seed=2))
     for step_id in (1, 2):
         await sessions.step(StepRequest(one, step_id, DOWN))
@@ -353,7 +353,7 @@ async def test_a_session_goes_on_from_a_snapshot_where_the_other_was(sessions: S
 
 
 @pytest.mark.fault("M10")
-async def test_a_restored_session_has_no_last_step(sessions: Sessions) -> None:
+async def test_a_restored_session_has_no_last_step(sessions: SimCore) -> None:
     session = await begun(sessions)
     await sessions.step(StepRequest(session, 1, DOWN))
     await sessions.restore(RestoreRequest(session, await snapshot(sessions, session)))
@@ -363,7 +363,7 @@ async def test_a_restored_session_has_no_last_step(sessions: Sessions) -> None:
 
 
 @pytest.mark.fault("M10")
-async def test_a_snapshot_that_is_none_changes_nothing(sessions: Sessions) -> None:
+async def test_a_snapshot_that_is_none_changes_nothing(sessions: SimCore) -> None:
     session = await begun(sessions)
     before = await snapshot(sessions, session)
 
@@ -376,7 +376,7 @@ async def test_a_snapshot_that_is_none_changes_nothing(sessions: Sessions) -> No
     assert await snapshot(sessions, session) == before
 
 
-async def test_demonstrations_come_in_order_and_resume_where_they_were_left(sessions: Sessions) -> None:
+async def test_demonstrations_come_in_order_and_resume_where_they_were_left(sessions: SimCore) -> None:
     request = DemonstrateRequest("grid", "expert", count=6, seed=3)
 
     whole = [each async for each in sessions.demonstrate(request)]
@@ -389,7 +389,7 @@ async def test_demonstrations_come_in_order_and_resume_where_they_were_left(sess
     assert [each async for each in sessions.demonstrate(replace(request, first=6))] == []
 
 
-async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(sessions: Sessions) -> None:
+async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(sessions: SimCore) -> None:
     stream = sessions.demonstrate(DemonstrateRequest("grid", "random", count=100_000))
     await anext(stream)
     next_one = asyncio.ensure_future(anext(stream))
@@ -433,7 +433,7 @@ async def test_no_session_waits_for_a_demonstration(start: StartSessions) -> Non
     ],
 )
 async def test_demonstrations_out_of_bounds_are_refused(
-    sessions: Sessions, change: dict[str, object], error: type[ServiceError]
+    sessions: SimCore, change: dict[str, object], error: type[ServiceError]
 ) -> None:
     with pytest.raises(error):
         await anext(sessions.demonstrate(replace(DemonstrateRequest("grid", "expert", count=2), **change)))
@@ -533,7 +533,7 @@ async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothin
 
 async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
     files, processes = psutil.Process().num_fds(), set(children())
-    sessions = Sessions(Pool(workers=2))
+    sessions = SimCore(WorkerPool(workers=2))
     await sessions.start()
     await begun(sessions)
 

@@ -21,9 +21,9 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
-from freerein_sim.sessions import Sessions
-from freerein_sim.workers.envs import Envs
-from freerein_sim.workers.pool import Pool
+from freerein_sim.core import SimCore
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
 
 GRID = next(task for task in grid.TASKS if task.name == "grid")
@@ -40,7 +40,7 @@ class Service:
     def __init__(self, runner: asyncio.Runner) -> None:
         self.now_s = 0.0
         self.run = runner.run
-        self.sessions = Sessions(Pool(workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
+        self.sessions = SimCore(WorkerPool(workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
 
 
 @dataclass(eq=False)
@@ -48,7 +48,7 @@ class Held:
     """A session, and the environments that it must be like."""
 
     session: str
-    envs: Envs
+    envs: VectorEnv
     last: tuple[StepRequest, Outcome] | None = None
     is_open: bool = True
 
@@ -98,7 +98,7 @@ class Clients(RuleBasedStateMachine):
                 self.service.run(self.sessions.create_session(request))
             return self.open[0]
         created = self.service.run(self.sessions.create_session(request))
-        self.open.append(Held(created.session, Envs(GRID, num_envs=num_envs, seed=seed)))
+        self.open.append(Held(created.session, VectorEnv(GRID, num_envs=num_envs, seed=seed)))
         return self.open[-1]
 
     @rule(held=held, envs=st.sampled_from([(), (), (0,), (1,)]), seed=st.none() | st.integers(0, 3))

@@ -40,63 +40,62 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
-from freerein_sim.workers import demonstrations, framing
-from freerein_sim.workers.connection import Connection
-from freerein_sim.workers.envs import Envs
-from freerein_sim.workers.host import Host
-from freerein_sim.workers.pool import Pool
-from freerein_sim.workers.worker import Worker
+from freerein_sim.workers import demonstrations, protocol
+from freerein_sim.workers.handler import RequestHandler
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.workers.worker import Connection, Worker
 from freerein_sim.worlds import blocks, grid
-from freerein_sim.worlds.grid import Grid
-from freerein_sim.worlds.world import Action, Behaviour, Decision, Outcome, Task, World
+from freerein_sim.worlds.grid import GridWorld
+from freerein_sim.worlds.world import Action, LabelledAction, ScriptedPolicy, StepResult, TaskDefinition, World
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 ORPHANED = """
 import asyncio, sys
-from freerein_sim.workers.pool import Pool
+from freerein_sim.workers.pool import WorkerPool
 
 async def main():
-    await Pool(workers=1).start()
+    await WorkerPool(workers=1).start()
     print("ready", flush=True)
     await asyncio.Event().wait()
 
 asyncio.run(main())
 """
 
-StartPool = Callable[..., Awaitable[Pool]]
+StartPool = Callable[..., Awaitable[WorkerPool]]
 
 
-class Faulty(Grid):
+class Faulty(GridWorld):
     """A world with a bug."""
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         raise ZeroDivisionError
 
 
 class Idle:
     """Somebody who does nothing."""
 
-    def decide(self) -> Decision | None:
+    def act(self) -> LabelledAction | None:
         return None
 
     def succeeded(self) -> bool:
         return False
 
 
-class Hopeless(Grid):
+class Hopeless(GridWorld):
     """A world whose expert never succeeds."""
 
-    def expert(self, skills: object, rng: np.random.Generator) -> Behaviour:
+    def expert(self, skills: object, rng: np.random.Generator) -> ScriptedPolicy:
         return Idle()
 
 
 @pytest.fixture
 async def start_pool() -> AsyncIterator[StartPool]:
     """A function that starts a pool, closed with the test."""
-    pools: list[Pool] = []
+    pools: list[WorkerPool] = []
 
-    async def start(**options: float) -> Pool:
-        pools.append(Pool(**options))
+    async def start(**options: float) -> WorkerPool:
+        pools.append(WorkerPool(**options))
         await pools[-1].start()
         return pools[-1]
 
@@ -141,7 +140,7 @@ async def test_a_worker_steps_to_the_same_bits_as_in_process(
     pool = await start_pool(workers=1)
     worker = await pool.place(3)
     session = await create(worker, task, num_envs=3)
-    envs = Envs(TASKS[task], num_envs=3, seed=5)
+    envs = VectorEnv(TASKS[task], num_envs=3, seed=5)
     first = await worker.call(ResetRequest(session, cameras=(camera,)), ResetResponse)
     assert first.frames[camera].tobytes() == envs.reset(cameras=(camera,)).frames[camera].tobytes()
     rng, spec = np.random.default_rng(0), TASKS[task].spec.action
@@ -217,7 +216,7 @@ async def test_a_worker_has_one_thread_and_no_socket_but_its_own(start_pool: Sta
 
 async def test_a_service_that_closes_leaves_no_process_and_no_file_open() -> None:
     before = open_files(os.getpid())
-    pool = Pool(workers=2)
+    pool = WorkerPool(workers=2)
     await pool.start()
     stop(children()[0])  # will not exit by itself
 
@@ -274,7 +273,7 @@ async def test_refusals_cross_the_socket_whole(start_pool: StartPool) -> None:
     pool = await start_pool(workers=1)
     worker = await pool.place(1)
     session = await create(worker, "grid", num_envs=2)
-    envs = Envs(TASKS["grid"], num_envs=2, seed=5)
+    envs = VectorEnv(TASKS["grid"], num_envs=2, seed=5)
     actions = np.full((2, 1), 9)
     await worker.call(ResetRequest(session), ResetResponse)
     envs.reset()
@@ -294,7 +293,7 @@ async def test_a_message_that_announces_too_much_ends_the_connection_unread() ->
     asking = asyncio.ensure_future(connection.ask(ListTasksRequest()))
     await asyncio.sleep(0)
 
-    theirs.sendall(struct.pack("<IBQ", framing.MAX_MESSAGE_BYTES + 1, 1, 1))
+    theirs.sendall(struct.pack("<IBQ", protocol.MAX_MESSAGE_BYTES + 1, 1, 1))
 
     with pytest.raises(WorkerLost):
         await asking
@@ -303,51 +302,56 @@ async def test_a_message_that_announces_too_much_ends_the_connection_unread() ->
 
 def test_a_message_over_the_limit_is_not_sent() -> None:
     with pytest.raises(TooLarge, match="at most 68157440 bytes"):
-        framing.encode(SnapshotResponse(bytes(framing.MAX_MESSAGE_BYTES + 1)), call=1, number=1)
+        protocol.encode(SnapshotResponse(bytes(protocol.MAX_MESSAGE_BYTES + 1)), call=1, number=1)
 
 
 def test_a_bug_in_a_world_ends_its_session_and_no_other() -> None:
-    host = Host(
-        {"grid": TASKS["grid"], "faulty": Task("faulty", "grid", "", grid.SPEC, lambda: Faulty(indicator=True))}
+    handler = RequestHandler(
+        {
+            "grid": TASKS["grid"],
+            "faulty": TaskDefinition("faulty", "grid", "", grid.SPEC, lambda: Faulty(indicator=True)),
+        }
     )
     request = CreateSessionRequest("grid", num_envs=1, seed=0)
-    good = host.answer(request).session
-    bad = host.answer(replace(request, task="faulty")).session
+    good = handler.handle(request).session
+    bad = handler.handle(replace(request, task="faulty")).session
     up = np.zeros((1, 1), np.int64)
     for session in (good, bad):
-        host.answer(ResetRequest(session))
+        handler.handle(ResetRequest(session))
 
     with pytest.raises(Internal, match="session has ended"):
-        host.answer(StepRequest(bad, 1, up))
+        handler.handle(StepRequest(bad, 1, up))
 
     with pytest.raises(SessionNotFound):
-        host.answer(StepRequest(bad, 1, up))
-    assert host.answer(StepRequest(good, 1, up)).step_id == 1
-    assert host.answer(CloseSessionRequest(good)) == CloseSessionResponse()
+        handler.handle(StepRequest(bad, 1, up))
+    assert handler.handle(StepRequest(good, 1, up)).step_id == 1
+    assert handler.handle(CloseSessionRequest(good)) == CloseSessionResponse()
 
 
 def test_what_ends_frees_its_worlds() -> None:
     closed: list[World] = []
 
-    class Counted(Grid):
+    class Counted(GridWorld):
         def close(self) -> None:
             closed.append(self)
 
-    host = Host({"counted": Task("counted", "grid", "", grid.SPEC, lambda: Counted(indicator=True))})
+    handler = RequestHandler(
+        {"counted": TaskDefinition("counted", "grid", "", grid.SPEC, lambda: Counted(indicator=True))}
+    )
     request = CreateSessionRequest("counted", num_envs=2, seed=0)
-    one, _ = host.answer(request), host.answer(request)
-    host.answer(DemonstrateRequest("counted", "expert"))
+    one, _ = handler.handle(request), handler.handle(request)
+    handler.handle(DemonstrateRequest("counted", "expert"))
 
-    host.answer(CloseSessionRequest(one.session))
+    handler.handle(CloseSessionRequest(one.session))
     assert len(closed) == 2
-    host.close()
+    handler.close()
     assert len(closed) == 5
 
 
 def demonstrated(task: str, **request: object) -> list[DemonstrateResponse]:
     whole = DemonstrateRequest(task, **{"behaviour": "expert", "count": 4, "seed": 3, **request})
     world = TASKS[task].make()
-    made = [demonstrations.draw(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
+    made = [demonstrations.make_demonstration(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
     world.close()
     return made
 
@@ -413,4 +417,4 @@ def test_a_demonstration_that_cannot_be_is_refused(request_: dict[str, object]) 
 
 def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
     with pytest.raises(FailedPrecondition, match="within 10 tries"):
-        demonstrations.draw(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))
+        demonstrations.make_demonstration(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))

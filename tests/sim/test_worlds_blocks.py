@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein_sim.worlds.blocks import COLOURS, TASKS, scene, starts
-from freerein_sim.worlds.blocks.relations import Goal, Relation, holds
-from freerein_sim.worlds.blocks.simulation import Blocks
-from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
-from freerein_sim.worlds.wander import Wander
+from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
+from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation, holds
+from freerein_sim.worlds.blocks.simulation import BlocksWorld
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.world import World
 
 BY_NAME = {task.name: task for task in TASKS}
@@ -29,11 +29,13 @@ def begin(name: str, seed: int = 0) -> World:
     return world
 
 
-def show(world: World, seed: int, skills: tuple[str, ...]) -> Demonstration:
+def show(world: World, seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
     rng = np.random.default_rng(seed)
     world.reset(rng, recipe=skills)
     steps = world.spec.max_episode_steps
-    return demonstrate(world, world.expert(skills, rng), skills=skills, cameras=(), height=1, width=1, max_steps=steps)
+    return record_episode(
+        world, world.expert(skills, rng), skills=skills, cameras=(), height=1, width=1, max_steps=steps
+    )
 
 
 def tamper(world: World, offset: int, value: float) -> bytes:
@@ -64,28 +66,28 @@ def test_listing_tasks_needs_no_simulator() -> None:
 @pytest.mark.parametrize(
     ("relation", "offset", "expected"),
     [
-        (Relation.LEFT_OF, (0, -0.07, 0), True),
-        (Relation.LEFT_OF, (0, -0.05, 0), True),
-        (Relation.LEFT_OF, (0, -0.0481, 0), True),
-        (Relation.LEFT_OF, (0, -0.0479, 0), False),
-        (Relation.LEFT_OF, (0, 0.05, 0), False),
-        (Relation.LEFT_OF, (0, 0.07, 0), False),
-        (Relation.LEFT_OF, (0, -0.10, 0), False),
-        (Relation.LEFT_OF, (0.03, -0.07, 0), False),
-        (Relation.LEFT_OF, (0, -0.07, 0.03), False),
-        (Relation.RIGHT_OF, (0, 0.07, 0), True),
-        (Relation.RIGHT_OF, (0, 0.0495, 0), True),
-        (Relation.RIGHT_OF, (0, 0.0479, 0), False),
-        (Relation.RIGHT_OF, (0, -0.07, 0), False),
-        (Relation.ON_TOP_OF, (0, 0.01, 0.05), True),
-        (Relation.ON_TOP_OF, (0, 0.01, 0.047), True),
-        (Relation.ON_TOP_OF, (0, 0.03, 0.05), False),
-        (Relation.ON_TOP_OF, (0, 0.01, 0.07), False),
-        (Relation.ON_TOP_OF, (0, 0.01, -0.05), False),
+        (BlockRelation.LEFT_OF, (0, -0.07, 0), True),
+        (BlockRelation.LEFT_OF, (0, -0.05, 0), True),
+        (BlockRelation.LEFT_OF, (0, -0.0481, 0), True),
+        (BlockRelation.LEFT_OF, (0, -0.0479, 0), False),
+        (BlockRelation.LEFT_OF, (0, 0.05, 0), False),
+        (BlockRelation.LEFT_OF, (0, 0.07, 0), False),
+        (BlockRelation.LEFT_OF, (0, -0.10, 0), False),
+        (BlockRelation.LEFT_OF, (0.03, -0.07, 0), False),
+        (BlockRelation.LEFT_OF, (0, -0.07, 0.03), False),
+        (BlockRelation.RIGHT_OF, (0, 0.07, 0), True),
+        (BlockRelation.RIGHT_OF, (0, 0.0495, 0), True),
+        (BlockRelation.RIGHT_OF, (0, 0.0479, 0), False),
+        (BlockRelation.RIGHT_OF, (0, -0.07, 0), False),
+        (BlockRelation.ON_TOP_OF, (0, 0.01, 0.05), True),
+        (BlockRelation.ON_TOP_OF, (0, 0.01, 0.047), True),
+        (BlockRelation.ON_TOP_OF, (0, 0.03, 0.05), False),
+        (BlockRelation.ON_TOP_OF, (0, 0.01, 0.07), False),
+        (BlockRelation.ON_TOP_OF, (0, 0.01, -0.05), False),
     ],
 )
 def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
-    relation: Relation, offset: tuple[float, float, float], expected: bool
+    relation: BlockRelation, offset: tuple[float, float, float], expected: bool
 ) -> None:
     other = np.array([0.0, 0.02, 0.025])
 
@@ -95,7 +97,7 @@ def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
 def test_blocks_pressed_together_by_the_gripper_count_as_beside() -> None:
     colours = ("red", "green")
     with closing(begin("blocks.red-left-of-green")) as world:
-        assert isinstance(world, Blocks)
+        assert isinstance(world, BlocksWorld)
         red, green = (world.position(colour) for colour in colours)
         assert red[1] < green[1]
         for y, z in ((red[1] - 0.07, 0.15), (red[1] - 0.07, 0.05)):
@@ -111,17 +113,17 @@ def test_blocks_pressed_together_by_the_gripper_count_as_beside() -> None:
         assert world.truth().success
 
 
-@pytest.mark.parametrize("relation", Relation)
-def test_no_episode_begins_at_its_goal(relation: Relation) -> None:
+@pytest.mark.parametrize("relation", BlockRelation)
+def test_no_episode_begins_at_its_goal(relation: BlockRelation) -> None:
     rng = np.random.default_rng(0)
 
-    assert not any(holds(relation, *starts.pair(rng).blocks) for _ in range(2000))
+    assert not any(holds(relation, *initial_states.pair(rng).blocks) for _ in range(2000))
 
 
 def test_the_expert_moves_every_named_block_and_no_other() -> None:
     rng = np.random.default_rng(0)
     with closing(begin("blocks")) as world:
-        assert isinstance(world, Blocks)
+        assert isinstance(world, BlocksWorld)
         for seed in range(40):
             skills = tuple(rng.permutation(world.spec.skills)[: rng.integers(2, 5)].tolist())
             world.reset(np.random.default_rng(seed))
@@ -188,7 +190,7 @@ def test_a_free_gripper_moves_by_the_scale_of_its_action() -> None:
 
 def test_a_blocked_gripper_does_not_wind_up() -> None:
     with closing(begin("blocks")) as world:
-        assert isinstance(world, Blocks)
+        assert isinstance(world, BlocksWorld)
         for _ in range(40):
             world.step(np.array([0, -1, -1], np.float32))
         low = world.gripper[1]
@@ -228,8 +230,8 @@ def test_a_snapshot_that_is_not_finite_is_refused() -> None:
 
 @pytest.mark.fault("M10")
 def test_any_cut_of_a_demonstration_continues_to_the_same_bits() -> None:
-    wander = Wander(BY_NAME["blocks"].spec.action, np.random.default_rng(1))
-    actions = [wander.decide().action for _ in range(60)]
+    policy = SmoothRandomPolicy(BY_NAME["blocks"].spec.action, np.random.default_rng(1))
+    actions = [policy.act().action for _ in range(60)]
     with closing(begin("blocks")) as world, closing(begin("blocks", seed=9)) as other:
         cuts = []
         for action in actions:
@@ -260,7 +262,7 @@ def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch:
 
 
 def test_a_goal_reads_as_a_name_and_as_words() -> None:
-    goal = Goal("red", Relation.RIGHT_OF, "blue")
+    goal = BlockGoal("red", BlockRelation.RIGHT_OF, "blue")
 
     assert re.fullmatch(r"[a-z0-9][a-z0-9._-]*", goal.name)
     assert goal.text == "a red block to the right of a blue block"

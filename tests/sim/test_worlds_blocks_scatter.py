@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from freerein_sim.worlds.blocks import COLOURS, TASKS, scene, starts
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Relation, holds
+from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
+from freerein_sim.worlds.blocks.goals import BLOCK_M, BlockRelation, holds
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.rendering import open_renderer
-from freerein_sim.worlds.wander import Wander
 from freerein_sim.worlds.world import Frame, World
 
 TASK = next(task for task in TASKS if task.name == "blocks.scatter")
@@ -19,17 +19,17 @@ SEEDS = 300
 CAMERAS = [camera.name for camera in TASK.spec.cameras]
 
 
-def draw(count: int) -> list[starts.Start]:
+def draw(count: int) -> list[initial_states.InitialState]:
     rng = np.random.default_rng(0)
-    return [starts.scatter(rng) for _ in range(count)]
+    return [initial_states.scatter(rng) for _ in range(count)]
 
 
 def on_show(blocks: np.ndarray) -> tuple[int, ...]:
     """Returns which blocks are not parked, from their centres, (4, 3)."""
-    return tuple(np.flatnonzero(blocks[:, 0] > starts.PARKED_M[0, 0] / 2).tolist())
+    return tuple(np.flatnonzero(blocks[:, 0] > initial_states.PARKED_M[0, 0] / 2).tolist())
 
 
-def shown(start: starts.Start) -> np.ndarray:
+def shown(start: initial_states.InitialState) -> np.ndarray:
     return start.blocks[list(on_show(start.blocks))]
 
 
@@ -79,12 +79,12 @@ def test_the_relations_of_the_goal_tasks_and_blocks_in_hand_occur_often() -> Non
         relation
         for start in drawn
         for first, second in (shown(start), shown(start)[::-1])
-        for relation in Relation
+        for relation in BlockRelation
         if holds(relation, first, second)
     )
     in_hand = sum(start.gripper.target_m < start.gripper.finger_m for start in drawn)
 
-    assert all(seen[relation] > 0.05 * len(drawn) for relation in Relation)
+    assert all(seen[relation] > 0.05 * len(drawn) for relation in BlockRelation)
     assert 0.2 < in_hand / len(drawn) < 0.3
 
 
@@ -115,21 +115,21 @@ def test_blocks_are_where_the_gripper_works_and_half_are_near_one_another() -> N
 def test_parked_blocks_stay_where_they_are_and_end_no_episode() -> None:
     for seed in range(40):
         with closing(begin(seed)) as world:
-            wander = Wander(TASK.spec.action, np.random.default_rng(seed))
+            policy = SmoothRandomPolicy(TASK.spec.action, np.random.default_rng(seed))
             for _ in range(TASK.spec.max_episode_steps):
-                outcome = world.step(wander.decide().action)
+                outcome = world.step(policy.act().action)
             blocks = world.truth().state[3:].reshape(len(COLOURS), 7)[:, :3]
             parked = [i for i in range(len(COLOURS)) if i not in on_show(blocks)]
 
         assert not outcome.terminated
-        assert np.abs(blocks[parked] - starts.PARKED_M[parked]).max() < 0.001
+        assert np.abs(blocks[parked] - initial_states.PARKED_M[parked]).max() < 0.001
 
 
 def test_a_held_block_stays_in_the_hand_that_does_nothing() -> None:
     start, seed = next(
         (start, seed)
         for seed in range(100)
-        if (start := starts.scatter(np.random.default_rng(seed))).gripper.target_m < start.gripper.finger_m
+        if (start := initial_states.scatter(np.random.default_rng(seed))).gripper.target_m < start.gripper.finger_m
         and shown(start)[:, 2].min() > 0.1
     )
     with closing(begin(seed)) as world:

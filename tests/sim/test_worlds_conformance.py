@@ -3,7 +3,7 @@ from collections.abc import Callable
 import pytest
 
 from freerein_sim.worlds import blocks, conformance, grid
-from freerein_sim.worlds.world import Task
+from freerein_sim.worlds.world import TaskDefinition
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 CHECKED = (
@@ -19,12 +19,12 @@ CHECKED = (
 
 @pytest.mark.parametrize("task", [TASKS[name] for name in CHECKED], ids=CHECKED)
 @pytest.mark.parametrize("check", conformance.CHECKS, ids=[check.__name__ for check in conformance.CHECKS])
-def test_our_worlds_conform(check: Callable[[Task], None], task: Task) -> None:
+def test_our_worlds_conform(check: Callable[[TaskDefinition], None], task: TaskDefinition) -> None:
     check(task)
 
 
 def test_a_check_names_what_a_world_does_wrong() -> None:
-    mislabelled = Task("wrong", "blocks", "", grid.SPEC, TASKS["blocks"].make)
+    mislabelled = TaskDefinition("wrong", "blocks", "", grid.SPEC, TASKS["blocks"].make)
 
     with pytest.raises(AssertionError, match=r"The world's spec is the task's\."):
         conformance.describes_itself(mislabelled)

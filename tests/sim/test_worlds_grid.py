@@ -2,35 +2,35 @@ import numpy as np
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
-from freerein_sim.worlds.grid import CELL_PX, COLOURS, FIELD, PICK_UP, SPEC, Grid
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.grid import CELL_PX, COLOURS, FIELD, PICK_UP, SPEC, GridWorld
 
 UP, DOWN, LEFT, RIGHT = (np.array([choice]) for choice in range(4))
 PICK = np.array([PICK_UP])
 
 
-def place(world: Grid, *, agent: tuple[int, int], recipe: tuple[int, ...]) -> None:
+def place(world: GridWorld, *, agent: tuple[int, int], recipe: tuple[int, ...]) -> None:
     """Puts the agent somewhere and the object of colour i into row i, column 5."""
     objects = [coordinate for row in range(len(COLOURS)) for coordinate in (row, 5)]
     padded = recipe + (-1,) * (len(COLOURS) - len(recipe))
     world.restore(np.array([1, *agent, *objects, *padded, *[-1] * 5], np.int8).tobytes())
 
 
-def cell(world: Grid, row: int, column: int) -> list[int]:
+def cell(world: GridWorld, row: int, column: int) -> list[int]:
     red, green, blue = world.render("top", height=33, width=30)[row * CELL_PX, column * CELL_PX]
     return [int(red), int(green), int(blue)]
 
 
-def show(seed: int, skills: tuple[str, ...]) -> Demonstration:
-    world, rng = Grid(indicator=True), np.random.default_rng(seed)
+def show(seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
+    world, rng = GridWorld(indicator=True), np.random.default_rng(seed)
     world.reset(rng, recipe=skills)
-    return demonstrate(
+    return record_episode(
         world, world.expert(skills, rng), skills=skills, cameras=("top",), height=33, width=30, max_steps=50
     )
 
 
 def test_moves_go_one_cell_and_stop_at_the_edge() -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     place(world, agent=(0, 0), recipe=(0,))
 
     places = []
@@ -42,7 +42,7 @@ def test_moves_go_one_cell_and_stop_at_the_edge() -> None:
 
 
 def test_pick_up_takes_only_what_lies_under_the_agent() -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     place(world, agent=(0, 4), recipe=(0, 1))
 
     world.step(PICK)
@@ -55,7 +55,7 @@ def test_pick_up_takes_only_what_lies_under_the_agent() -> None:
 
 
 def test_the_indicator_shows_the_next_object_of_the_recipe_and_goes_dark_at_the_end() -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     place(world, agent=(1, 4), recipe=(1, 0))
     red, green = (cell(world, row, 5) for row in range(2))
 
@@ -70,7 +70,7 @@ def test_the_indicator_shows_the_next_object_of_the_recipe_and_goes_dark_at_the_
 
 
 def test_the_wrong_order_ends_the_episode_without_success() -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     place(world, agent=(1, 5), recipe=(0, 1))
 
     outcomes = [world.step(action).terminated for action in (PICK, UP, PICK)]
@@ -82,7 +82,7 @@ def test_the_wrong_order_ends_the_episode_without_success() -> None:
 def test_without_the_indicator_the_recipe_cannot_be_seen() -> None:
     images = []
     for recipe in ((0, 1), (3,)):
-        world = Grid(indicator=False)
+        world = GridWorld(indicator=False)
         place(world, agent=(9, 9), recipe=recipe)
         images.append(world.render("top", height=33, width=30))
 
@@ -90,7 +90,7 @@ def test_without_the_indicator_the_recipe_cannot_be_seen() -> None:
 
 
 def test_every_object_lies_on_the_field_whatever_the_recipe() -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     world.reset(np.random.default_rng(0), recipe=("pick-blue",))
 
     assert (world.truth().state >= 0).all()
@@ -98,7 +98,7 @@ def test_every_object_lies_on_the_field_whatever_the_recipe() -> None:
 
 def test_the_expert_walks_shortest_paths_and_labels_them_by_the_object_it_goes_for() -> None:
     skills = ("pick-yellow", "pick-red")
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     world.reset(np.random.default_rng(3), recipe=skills)
     agent, objects = np.split(world.truth().state, [2])
     yellow, red = objects.reshape(-1, 2)[[COLOURS.index("yellow"), COLOURS.index("red")]]
@@ -119,7 +119,7 @@ def test_the_expert_always_finishes_five_skills_in_fifty_steps() -> None:
 
 def test_a_recipe_names_each_skill_once() -> None:
     with pytest.raises(InvalidInput, match="each skill once"):
-        Grid(indicator=True).reset(np.random.default_rng(0), recipe=("pick-red", "pick-red"))
+        GridWorld(indicator=True).reset(np.random.default_rng(0), recipe=("pick-red", "pick-red"))
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_a_recipe_names_each_skill_once() -> None:
     ],
 )
 def test_a_snapshot_of_an_impossible_state_is_refused(index: int, value: int) -> None:
-    world = Grid(indicator=True)
+    world = GridWorld(indicator=True)
     place(world, agent=(0, 0), recipe=(0,))
     tampered = np.frombuffer(world.snapshot(), np.int8).copy()
     tampered[index] = value

@@ -3,17 +3,17 @@ from pathlib import Path
 import pytest
 
 from freerein.errors import AlreadyExists, InvalidInput
-from freerein_sim.worlds.grid import SPEC, Grid
+from freerein_sim.worlds.grid import SPEC, GridWorld
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.world import Task
+from freerein_sim.worlds.world import TaskDefinition
 
 
 def install(folder: Path, module: str, task: str) -> None:
     """Puts a package that offers one task where Python looks for packages."""
     (folder / f"{module}.py").write_text(
-        "from freerein_sim.worlds.grid import SPEC, Grid\n"
-        "from freerein_sim.worlds.world import Task\n"
-        f"TASKS = (Task({task!r}, 'maze', '', SPEC, Grid),)\n"
+        "from freerein_sim.worlds.grid import SPEC, GridWorld\n"
+        "from freerein_sim.worlds.world import TaskDefinition\n"
+        f"TASKS = (TaskDefinition({task!r}, 'maze', '', SPEC, GridWorld),)\n"
     )
     info = folder / f"{module}-1.0.dist-info"
     info.mkdir()
@@ -45,4 +45,4 @@ def test_two_packages_cannot_offer_one_name(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_task_of_an_illegal_name_cannot_be_made() -> None:
     with pytest.raises(InvalidInput, match="`task` must be"):
-        Task("Grid World", "grid", "", SPEC, lambda: Grid(indicator=True))
+        TaskDefinition("Grid World", "grid", "", SPEC, lambda: GridWorld(indicator=True))

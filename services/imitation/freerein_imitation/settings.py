@@ -1,4 +1,4 @@
-"""What an operator may change of the imitation service."""
+"""Settings of the imitation service."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from freerein.serving.learned import LearnedSettings
 
 
 class ImitationSettings(LearnedSettings):
-    """Settings of the imitation service."""
+    """Settings of the imitation service, from the environment."""
 
     http_port: int = Field(default=8102, ge=0, le=65535)
     grpc_port: int = Field(default=9102, ge=0, le=65535)

@@ -3,22 +3,23 @@
 import os
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
+from freerein.jobs.attempt import AttemptRunner
+from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.types.orchestrator import RunKind
-from freerein_orchestrator.durable import DurableRuns
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.runs.attempts import Attempts
-from freerein_orchestrator.runs.core import Resolved, Runs
-from freerein_orchestrator.runs.records import RunRecords
+from freerein_orchestrator.runs.dbos_queue import DbosQueue
+from freerein_orchestrator.runs.service import Resolved, RunService
 from freerein_orchestrator.settings import OrchestratorSettings
 
 NAME = "orchestrator"
@@ -26,18 +27,23 @@ NAME = "orchestrator"
 
 def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
-    records = RunRecords(settings.data_dir / "runs")
-    attempts = Attempts(
-        records, module="freerein_orchestrator.child", arguments=(str(settings.data_dir), settings.device)
+    folder = settings.data_dir / "runs"
+    store = JobStore(folder, noun="run")
+    runner = AttemptRunner(
+        store,
+        module="freerein_orchestrator.runs.child",
+        arguments=(str(settings.data_dir), settings.device),
+        hidden=("FREEREIN_DATABASE_URL",),  # holds a password
     )
-    durable = DurableRuns(
-        settings.data_dir / "runs",
+    queue = DbosQueue(
+        folder,
+        store=store,
+        attempt=runner.run,
         database_url=settings.database_url.get_secret_value() if settings.database_url else "",
         executor_id=settings.executor_id,
-        attempt=attempts.make,
-        note_end=lambda run_id, state, reason: records.note(run_id, state, reason=reason),
     )
-    runs = Runs(records, durable, resolve=lambda kind, config: resolve(kind, config, settings.data_dir), health=health)
+    resolve_here = partial(resolve, data_dir=settings.data_dir)
+    runs = RunService(store, queue, resolve=resolve_here, health=health)
     return Service(
         name=NAME,
         methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs),

@@ -10,8 +10,7 @@ import torch
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
 from freerein.serving.batcher import Batcher
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
@@ -22,17 +21,14 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward import fit, model
 from freerein_reward.core import (
-    GROUNDING,
-    Finder,
     GoalCache,
+    GroundingCore,
     GroundingModel,
     Inference,
-    Item,
-    Loaded,
-    Model,
-    Output,
-    Preprocess,
-    Rewarder,
+    InferenceItem,
+    InferenceOutput,
+    RewardCore,
+    RewardModel,
 )
 from freerein_reward.settings import RewardSettings
 
@@ -46,31 +42,23 @@ def build(
     metrics: Metrics,
     health: Health,
     *,
-    load: Callable[[Path, str], tuple[Model, Preprocess]] = model.load,
+    load: Callable[[Path, str], RewardModel | GroundingModel] = model.load,
 ) -> Service:
-    """Returns the service.
-
-    Args:
-        settings: What the operator chose.
-        limits: The bounds.
-        metrics: Where the batcher is measured.
-        health: Tells when draining.
-        load: Returns the model of a folder, on a device, and what makes images into what it sees.
-    """
-    torch.set_num_threads(1)  # one model thread: more would fight each other and the fit
+    """Returns the service; `load` loads the model of a folder onto a device."""
+    torch.set_num_threads(1)  # more would compete with the fit
     store = open_store(NAME, settings)
     models = ModelCache(
         store,
-        lambda folder: _warm(Loaded(*load(folder, settings.device))),
+        lambda folder: _warm(load(folder, settings.device)),
         fit_command=f"freerein fit reward DATASET; a grounding model: {_PRETRAIN}",
     )
     grounding = _grounding_folder(store)
     goals = GoalCache(settings.goal_cache_bytes)
-    batcher: Batcher[Item, Output] = Batcher(
+    batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
     )
-    fits = Fits(
-        FitRecords(settings.data_dir / "fits" / NAME),
+    fits = FitService(
+        settings.data_dir / "fits" / NAME,
         module="freerein_reward.fit",
         arguments=(str(settings.data_dir), settings.device, str(grounding)),
         store=store,
@@ -79,17 +67,17 @@ def build(
         health=health,
     )
     cores = (
-        Rewarder(models, batcher, goals, timeout_s=limits.unary_s),
-        Finder(models, batcher, timeout_s=limits.unary_s),
+        RewardCore(models, batcher, goals, timeout_s=limits.unary_s),
+        GroundingCore(models, batcher, timeout_s=limits.unary_s),
     )
     contract = reward_pb2.DESCRIPTOR.services_by_name["RewardService"]
     return learned_service(NAME, contract, *cores, models=models, batchers=(batcher,), fits=fits)
 
 
 def _grounding_folder(store: ModelStore) -> Path | None:
-    """Returns the folder of the grounding model that fits begin from: the version that is active as this starts."""
-    version = store.active_version(GROUNDING)
-    return store.folder(ModelRef(GROUNDING, version)) if version else None
+    """Returns the folder of the grounding model for fits: the version that is active at start."""
+    version = store.active_version(model.GROUNDING)
+    return store.folder(ModelRef(model.GROUNDING, version)) if version else None
 
 
 def _resolve(
@@ -97,21 +85,21 @@ def _resolve(
 ) -> dict[str, Any]:
     if grounding is None:
         raise FailedPrecondition(
-            "A grounding model must be there, from which captions come; there is none.",
+            "A fit needs a grounding model to caption images; there is none.",
             field="dataset",
-            hint=f"Make one: {_PRETRAIN}; then start the service anew.",
+            hint=f"Train one: {_PRETRAIN}; then restart the service.",
         )
     return fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads)
 
 
-def _warm(loaded: Loaded) -> Loaded:
-    """Returns a model after its first, slowest call."""
-    image = np.stack([loaded.preprocess(np.zeros((1, 1, 3), np.uint8))])
-    if isinstance(loaded.model, GroundingModel):
-        loaded.model.ground(image, ("a thing",))
+def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
+    """Returns a model after its first, slow call."""
+    image = loaded.preprocess(np.zeros((1, 1, 3), np.uint8))[None]
+    if isinstance(loaded, GroundingModel):
+        loaded.ground(image, ("a thing",))
     else:
-        loaded.model.embed_images(dict.fromkeys(loaded.model.cameras, image))
-        loaded.model.embed_texts(("a thing",))
+        loaded.embed_images(dict.fromkeys(loaded.cameras, image))
+        loaded.embed_texts(("a thing",))
     return loaded
 
 

@@ -1,8 +1,7 @@
-"""A fit as a process of its own: `python -m freerein_reward.fit FOLDER DATA_DIR DEVICE GROUNDING_FOLDER`.
+"""The child process of a fit: `python -m freerein_reward.fit FOLDER DATA_DIR DEVICE GROUNDING_FOLDER`.
 
-FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. GROUNDING_FOLDER holds
-the version of the grounding model that tells the captions; its name is the version. The exit codes are those of
-`freerein.serving.fit_child.run`.
+FOLDER holds `config.json`; metrics, checkpoints and `model/` are written there. GROUNDING_FOLDER holds a version of the
+grounding model and is named after it. Exit codes are those of `freerein.jobs.child`.
 """
 
 import sys
@@ -12,80 +11,70 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
+from freerein.data.lookup import choose_camera, open_dataset
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
-from freerein.learning.metric_rows import MetricRows
+from freerein.jobs.child import run_child
+from freerein.jobs.metrics import MetricsWriter
+from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_reward.model import REWARD, DualEncoder, load_grounding
-from freerein_reward.relations import rivals
-from freerein_reward.training import RewardConfig, RewardLearner, agreement, describe, design, hold_out
+from freerein_reward.relations import rival_captions
+from freerein_reward.training import RewardConfig, RewardLearner, caption_images, evaluate_reward, network_spec
 
-_MAX_PHRASES = 32  # each is told from each
+_MAX_PHRASES = 32  # captions and time grow with the square
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the whole configuration of a fit.
-
-    Args:
-        data_dir: The data directory.
-        dataset: A dataset's name.
-        values: What was asked for.
-        threads: Of torch, where not asked for.
+    """Returns the complete configuration of a fit; `values` override the defaults.
 
     Raises:
         NotFound: There is no such dataset.
-        InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
+        InvalidInput: The configuration is invalid, or the dataset cannot be learned from.
     """
     config = RewardConfig.from_mapping({"threads": threads, **values})
-    opened = fit_child.open_dataset(data_dir, dataset)
-    cameras = tuple(fit_child.choose_camera(opened, camera) for camera in config.cameras or ("",))
+    opened = open_dataset(data_dir, dataset)
+    cameras = tuple(choose_camera(opened, camera) for camera in config.cameras or ("",))
     distinct = {phrase.strip() for phrase in config.phrases} - {""}
-    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rivals, distinct)):
+    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, distinct)):
         raise InvalidInput(
-            f"`phrases` must be 2 to {_MAX_PHRASES} different noun phrases without words for relations, such as `on`; "
+            f"`phrases` must be 2 to {_MAX_PHRASES} distinct noun phrases without relations such as `on`; "
             f"got {len(config.phrases)}.",
             field="config.phrases",
-            hint="Name every thing that a goal may speak of, such as: a red block.",
+            hint="Name every object of the goal texts, such as: a red block.",
         )
     return asdict(replace(config, cameras=cameras))
 
 
 def main(folder: Path, data_dir: Path, device: str, grounding: Path) -> int:
-    """Fits a model, or goes on fitting it; returns the process's exit code."""
+    """Runs or resumes a fit; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        config = RewardConfig.from_mapping(values)
-        return _fit(folder, fit_child.open_dataset(data_dir, dataset), config, device, grounding)
+    def train(job: Mapping[str, Any]) -> bool:
+        dataset, config = open_dataset(data_dir, job["dataset"]), RewardConfig.from_mapping(job["config"])
+        learner = _learner(folder, dataset, config, device, grounding)
 
-    return fit_child.run(folder, train)
+        def save(fitted: FitResult[DualEncoder], path: Path) -> None:
+            save_model(fitted.network, path, card=_card(dataset, learner, fitted, grounding))
 
+        return fit_and_save(learner, folder, save)
 
-def _fit(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> bool:
-    learner = _learner(folder, dataset, config, device, grounding)
-    with stop_on_sigterm() as stop:
-        fitted = fit(learner, folder, stop=stop)
-    if fitted is None:
-        return False
-    save_model(fitted.network, folder / "model", card=_card(dataset, learner, fitted, grounding))
-    return True
+    return run_child(folder, train)
 
 
 def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> RewardLearner:
-    finder = load_grounding(grounding, device)
+    model = load_grounding(grounding, device)
     captions = folder / f"captions-{grounding.name}.safetensors"
-    spec = design(finder.network.spec, config)  # refuses before anything takes long
-    rows = None if captions.is_file() else MetricRows(folder / "metrics.jsonl", last_step=0)
-    described = describe(
-        dataset, finder, config, captions, on_share=lambda share: rows.append(0, {"captioned": share}) if rows else None
+    spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
+    rows = None if captions.is_file() else MetricsWriter(folder / "metrics.jsonl", last_step=0)
+    images = caption_images(
+        dataset, model, config, captions, on_progress=lambda done: rows.append(0, {"captioned": done}) if rows else None
     )
-    training, validation = hold_out(described, dataset.lengths, share=config.validation_fraction, seed=config.seed)
+    training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
     return RewardLearner(
         config=config,
         spec=spec,
         training=training,
         validation=validation,
-        grounding=finder,
+        grounding=model,
         fingerprint=f"{dataset.fingerprint} {grounding.name}",
         device=choose_device(device),
     )
@@ -101,11 +90,7 @@ def _card(
         "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
         "grounding": grounding.name,
         "config": asdict(learner.config),
-        "figures": {
-            "validation_loss": fitted.validation_loss,
-            "best_step": fitted.best_step,
-            **agreement(fitted.network, learner.validation),
-        },
+        "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
         "supervision": "noun phrases; captions are told from pixels by the grounding model",
     }
 

@@ -1,4 +1,4 @@
-"""What an operator may change of the reward service."""
+"""Operator settings of the reward service."""
 
 from pydantic import Field
 
@@ -9,7 +9,7 @@ class RewardSettings(LearnedSettings):
     """Settings of the reward service.
 
     Attributes:
-        goal_cache_bytes: Memory for embeddings of goal texts; those not asked for the longest make room.
+        goal_cache_bytes: Memory limit of the LRU cache of goal embeddings, in bytes.
     """
 
     http_port: int = Field(default=8103, ge=0, le=65535)

@@ -8,8 +8,7 @@ import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
-from freerein.serving.fit_records import FitRecords
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
@@ -31,15 +30,7 @@ def build(
     *,
     load: Callable[[Path, str], SkillModel] = model.load,
 ) -> Service:
-    """Returns the service.
-
-    Args:
-        settings: Operator settings.
-        limits: Request limits.
-        metrics: Metrics registry of the batcher.
-        health: Health state of the process.
-        load: Loads the model of a folder onto a device.
-    """
+    """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
     store = open_store(NAME, settings)
     models: ModelCache[SkillModel] = ModelCache(
@@ -48,8 +39,8 @@ def build(
         fit_command="freerein fit segmentation DATASET",
     )
     batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
-    fits = Fits(
-        FitRecords(settings.data_dir / "fits" / NAME),
+    fits = FitService(
+        settings.data_dir / "fits" / NAME,
         module="freerein_segmentation.fit",
         arguments=(str(settings.data_dir), settings.device),
         store=store,

@@ -1,7 +1,7 @@
 """The child process of a fit: `python -m freerein_segmentation.fit FOLDER DATA_DIR DEVICE`.
 
 FOLDER holds `config.json`; metrics, checkpoints and `model/` are written there. Exit codes are those of
-`freerein.serving.fit_child.run`.
+`freerein.jobs.child`.
 """
 
 import sys
@@ -11,30 +11,25 @@ from pathlib import Path
 from typing import Any
 
 from freerein.data import Dataset
+from freerein.data.lookup import choose_camera, open_dataset
 from freerein.errors import InvalidInput
+from freerein.jobs.child import run_child
 from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner, network_spec
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the complete configuration of a fit.
-
-    Args:
-        data_dir: The data directory.
-        dataset: Name of the dataset.
-        values: The configuration that was requested.
-        threads: Default number of torch threads.
+    """Returns the complete configuration of a fit; `values` override the defaults.
 
     Raises:
         NotFound: There is no such dataset.
         InvalidInput: The configuration is invalid, or the dataset cannot be learned from.
     """
     config = SegmentationConfig.from_mapping({"threads": threads, **values})
-    opened = fit_child.open_dataset(data_dir, dataset)
-    config = replace(config, camera=fit_child.choose_camera(opened, config.camera))
+    opened = open_dataset(data_dir, dataset)
+    config = replace(config, camera=choose_camera(opened, config.camera))
     if not opened.spec.skills or not all(opened.skills):
         raise InvalidInput(
             f"Each of the dataset's {len(opened)} trajectories must name its skills; some do not.",
@@ -55,8 +50,9 @@ def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads:
 def main(folder: Path, data_dir: Path, device: str) -> int:
     """Runs or resumes a fit; returns the process's exit code."""
 
-    def train(name: str, values: Mapping[str, Any]) -> bool:
-        dataset, config = fit_child.open_dataset(data_dir, name), SegmentationConfig.from_mapping(values)
+    def train(job: Mapping[str, Any]) -> bool:
+        dataset = open_dataset(data_dir, job["dataset"])
+        config = SegmentationConfig.from_mapping(job["config"])
         learner = _learner(dataset, config, device)
 
         def save(fitted: FitResult[SegmentationNetwork], path: Path) -> None:
@@ -64,7 +60,7 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
 
         return fit_and_save(learner, folder, save)
 
-    return fit_child.run(folder, train)
+    return run_child(folder, train)
 
 
 def _learner(dataset: Dataset, config: SegmentationConfig, device: str) -> SegmentationLearner:

@@ -6,10 +6,10 @@ from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein_sim.sessions import Sessions
+from freerein_sim.core import SimCore
 from freerein_sim.settings import SimSettings
-from freerein_sim.stepping import Stepping
-from freerein_sim.workers.pool import Pool
+from freerein_sim.step_stream import StepStream
+from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.worlds.opengl import check_mujoco_gl
 
 NAME = "sim"
@@ -18,14 +18,14 @@ NAME = "sim"
 def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health) -> Service:
     """Returns the service; a MUJOCO_GL that cannot be used ends the process here, not each worker later."""
     check_mujoco_gl()
-    pool = Pool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
-    sessions = Sessions(pool, max_sessions=settings.sim_sessions)
-    stepping = Stepping(sessions.step, sessions.reset, health=health, drain_s=limits.drain_s)
+    pool = WorkerPool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
+    core = SimCore(pool, max_sessions=settings.sim_sessions)
+    step_stream = StepStream(core.step, core.reset, health=health, drain_s=limits.drain_s)
     return Service(
         name=NAME,
-        methods=methods_of(sim_pb2.DESCRIPTOR.services_by_name["SimService"], sessions, stepping),
-        start=sessions.start,
-        close=sessions.close,
+        methods=methods_of(sim_pb2.DESCRIPTOR.services_by_name["SimService"], core, step_stream),
+        start=core.start,
+        close=core.close,
         not_ready=lambda: "" if pool.tasks else "Its workers are starting.",
     )
 

@@ -1,4 +1,4 @@
-"""What an operator may change of the sim service."""
+"""Settings of the sim service."""
 
 import os
 
@@ -11,8 +11,8 @@ class SimSettings(ServiceSettings):
     """Settings of the sim service.
 
     Attributes:
-        sim_workers: Processes that hold the worlds; default, one for each core.
-        sim_sessions: Sessions that may be open at once.
+        sim_workers: Worker processes; default, one per core.
+        sim_sessions: Greatest number of open sessions.
     """
 
     http_port: int = Field(default=8104, ge=0, le=65535)

@@ -1,5 +1,5 @@
-"""The command line: `freerein up`, `doctor`, and a verb for everything that a service does.
+"""The command line `freerein`.
 
-One module per group of verbs; `supervisor` is what `up`, `demo` and the end-to-end tests run services with. Modules are
-imported by the verb that needs them, so that `freerein --help` answers at once.
+`commands` holds the commands, `services` runs services as child processes, `doctor` and `demo` are rooms of their own.
+Slow imports are inside the functions that need them, so that `freerein --help` is fast.
 """

@@ -1,19 +1,18 @@
-"""`freerein`: run services, record demonstrations, train, run, label, look after datasets and models."""
+"""`freerein`: the command line."""
 
 import typer
 
-from freerein.cli import act, dataset, fit, models, reward, runs, segment, sim
+from freerein.cli.commands import act, dataset, fit, models, reward, runs, segment, sim, up
 from freerein.cli.demo import demo
 from freerein.cli.doctor import doctor
-from freerein.cli.up import up
 
 app = typer.Typer(
-    help="Serves learned robot skills. `freerein demo` shows all of it; `freerein doctor` says what is missing.",
-    epilog="Exit codes: 0 done, 1 refused or something is wrong, 2 no such command, 130 Ctrl-C, or 0 of `up`.",
+    help="Serve learned robot skills. `freerein demo` shows everything; `freerein doctor` checks the machine.",
+    epilog="Exit codes: 0 success, 1 error, 2 invalid command line, 130 Ctrl-C (0 for `up`).",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.command()(up)
+app.command()(up.up)
 app.command()(doctor)
 app.command()(demo)
 app.command()(segment.segment)
@@ -27,7 +26,7 @@ app.add_typer(models.app, name="models")
 
 
 def main() -> None:
-    """Runs one verb."""
+    """Runs the command line."""
     app(prog_name="freerein")
 
 

@@ -1,27 +1,39 @@
-"""The command line's connections to services."""
+"""Connections of the command line to services."""
 
+import asyncio
 import os
+from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
-from freerein.clients.channel import Channel
-from freerein.clients.client import Client
+from freerein.clients.channel import Channel, Client
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)
+T = TypeVar("T")
 
 
 def connect(client: type[C], service: str) -> C:
-    """Returns a client of a service, where the environment says that it is, or where `freerein up` puts it.
+    """Returns a client of a service at its address in the environment, by default that of `freerein up`.
 
     Raises:
-        InvalidInput: There is no such service, or its address is none.
+        InvalidInput: The service or its address is invalid.
     """
     return client(channel_to(address(service, os.environ), CliSettings()))
 
 
+def call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
+    """Returns what a coroutine function does with a connected client; raises as `connect` and the function."""
+
+    async def connected() -> T:
+        async with connect(client, service) as opened:
+            return await use(opened)
+
+    return asyncio.run(connected())
+
+
 def channel_to(target: str, settings: CliSettings) -> Channel:
-    """Returns a channel to the service at `target`, `host:port`."""
+    """Returns a channel to `host:port`."""
     return Channel(
         target,
         token=settings.token_text,

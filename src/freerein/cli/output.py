@@ -1,4 +1,4 @@
-"""How verbs speak: tables and bars for people, a JSON document per line for programs, errors on stderr, exit code 1."""
+"""Output of commands: tables and progress bars, or JSON lines; errors on stderr with exit code 1."""
 
 import functools
 import json
@@ -13,14 +13,14 @@ from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 P = ParamSpec("P")
 
-_ENDLESS = 1000
+_UNLIMITED_WIDTH = 1000
 
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
 
 
-def verb(run: Callable[P, None]) -> Callable[P, None]:
-    """Decorates a verb: an error of ours is printed as a sentence and how to mend it, and the exit code is 1."""
+def command(run: Callable[P, None]) -> Callable[P, None]:
+    """Decorates a command: prints a `ServiceError` or `OSError` with its hint and exits with code 1."""
 
     @functools.wraps(run)
     def reporting(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -31,9 +31,9 @@ def verb(run: Callable[P, None]) -> Callable[P, None]:
             print_error(error, as_json=as_json)
             raise typer.Exit(1) from None
         except BrokenPipeError:
-            raise  # nobody reads on, as with `| head`
+            raise  # the reader of a pipe is gone, as with `| head`
         except OSError as error:
-            sentence = f"A file or a port was to be used; the system refused: {error}."
+            sentence = f"A file or port must be usable; got {error}."
             print_error(FailedPrecondition(sentence, hint="`freerein doctor` may say more."), as_json=as_json)
             raise typer.Exit(1) from None
 
@@ -41,7 +41,7 @@ def verb(run: Callable[P, None]) -> Callable[P, None]:
 
 
 def print_json(document: Mapping[str, object]) -> None:
-    """Prints a document on a line of its own, at once."""
+    """Prints a document as one line, flushed."""
     sys.stdout.write(json.dumps(document) + "\n")
     sys.stdout.flush()
 
@@ -63,7 +63,7 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
 
 
 def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Prints plain text in columns, whole: wrapped on a terminal, on one line for each row elsewhere."""
+    """Prints a table: wrapped on a terminal, one line per row elsewhere."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -74,13 +74,13 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     table.columns[0].no_wrap = True
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    console = Console(width=None if sys.stdout.isatty() else _ENDLESS)
+    console = Console(width=None if sys.stdout.isatty() else _UNLIMITED_WIDTH)
     console.print(table)
 
 
 @contextmanager
 def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[[int], None]]:
-    """Yields what moves a bar on stderr, to a count; nothing is shown where nobody looks."""
+    """Yields a function that moves a progress bar on stderr; the bar is hidden where stderr is no terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

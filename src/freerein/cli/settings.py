@@ -1,4 +1,4 @@
-"""What an operator may change of the command line, read from the environment by each verb."""
+"""Settings of the command line, read from the environment by each command."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
 class CliSettings(BaseSettings):
-    """Settings of the command line. Each is an environment variable `FREEREIN_<NAME>`, the same as the services'.
+    """Settings of the command line: environment variables `FREEREIN_<NAME>`, shared with the services.
 
     Attributes:
-        data_dir: Where datasets, models, fits and logs lie.
+        data_dir: Folder of datasets, models, fits, runs and logs.
         token: Bearer token sent to services; unset for none.
-        tls_cert: PEM file with the certificates that services' certificates must descend from; unset for no TLS.
+        tls_cert: PEM file of the root certificates of the services; unset for no TLS.
     """
 
     model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
@@ -23,5 +23,5 @@ class CliSettings(BaseSettings):
 
     @property
     def token_text(self) -> str:
-        """The token, empty for none."""
+        """The token; empty for none."""
         return self.token.get_secret_value() if self.token else ""

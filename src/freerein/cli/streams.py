@@ -1,4 +1,4 @@
-"""Streams that outlive a restart of their service."""
+"""Streams that survive a restart of their service."""
 
 import asyncio
 import time
@@ -10,19 +10,19 @@ from freerein.errors import Unavailable, WorkerLost
 
 T = TypeVar("T")
 
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 _RETRY_S = 0.5
 
 
-async def unbroken(
-    open_stream: Callable[[], AsyncGenerator[T, None]], *, patience_s: float = PATIENCE_S
+async def reconnecting(
+    open_stream: Callable[[], AsyncGenerator[T, None]], *, timeout_s: float = TIMEOUT_S
 ) -> AsyncGenerator[T, None]:
-    """Yields what a stream yields; opens it again when the service goes away in the middle.
+    """Yields the items of a stream; opens it again when the service goes away.
 
     Args:
-        open_stream: Opens it where the last one broke off.
-        patience_s: How long the service may be away, in seconds. A stream that was open for longer than that, however
-            quiet, shows that it was there.
+        open_stream: Opens the stream where it broke off.
+        timeout_s: How long the service may be away. A stream that was open for longer, however quiet, shows that it
+            was there.
 
     Raises:
         Unavailable: The service stayed away, or `WorkerLost`.
@@ -38,8 +38,8 @@ async def unbroken(
             return
         except (Unavailable, WorkerLost):
             broken_s = time.monotonic()
-            if broken_s - opened_s > patience_s:
+            if broken_s - opened_s > timeout_s:
                 there_s = broken_s
-            if broken_s - there_s > patience_s:
+            if broken_s - there_s > timeout_s:
                 raise
             await asyncio.sleep(_RETRY_S)

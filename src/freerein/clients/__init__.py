@@ -1,8 +1,7 @@
-"""Calls services: numpy in, numpy out, one asyncio client per gRPC service.
+"""One asyncio client per gRPC service.
 
-A client's methods are the service's calls; they take and return the dataclasses of `freerein.types` and raise the
-errors of `freerein.errors`. `SyncClient` makes any client a blocking one, and `freerein.clients.envs` (extra `envs`)
-makes sessions of the sim service Gymnasium environments.
+Its methods are the service's RPCs; they take and return dataclasses of `freerein.types` and raise `freerein.errors`.
+`SyncClient` wraps any client for blocking use; `freerein.clients.envs` (extra `envs`) has Gymnasium environments.
 """
 
 from freerein.clients.channel import Channel as Channel

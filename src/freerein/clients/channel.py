@@ -1,23 +1,24 @@
-"""The connection to one service: a dataclass goes out as a message, and an answer or an error comes back.
+"""The connection to one service: sends dataclasses as messages and returns responses as dataclasses, or raises.
 
     dataclass -- wire.pack --> message == gRPC ==> message  -- wire.unpack --> dataclass
                                                ==> AioRpcError -- grpc_errors --> ServiceError
 
-It is the one place where a call gets its deadline, its token and its request id.
+Every call gets its deadline, token and request id here.
 """
 
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar, cast
+from types import TracebackType
+from typing import Self, TypeVar, cast
 
 import grpc
 from google.protobuf.message import Message
 from grpc import aio
 
 from freerein import wire
-from freerein.clients import retries
+from freerein.clients import retry_policy
 from freerein.clients.grpc_errors import service_error
 from freerein.errors import Internal, InvalidInput, TooLarge
 
@@ -31,32 +32,32 @@ Received = TypeVar("Received", bound=Message)
 _OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
-    # A service that hangs is noticed 11 s after it last spoke. It is the ping's own timeout, 60 s unless told
-    # otherwise, that counts; and long calls send no data, so pings without data must not be rationed.
+    # A service that hangs is detected 11 s after its last message. The ping's own timeout, 60 s by default, counts;
+    # long calls send no data, so pings without data must not be limited.
     ("grpc.keepalive_time_ms", 10_000),
     ("grpc.keepalive_timeout_ms", 1_000),
     ("grpc.http2.ping_timeout_ms", 1_000),
     ("grpc.http2.max_pings_without_data", 0),
-    # Probes of the bandwidth are pings, too, whose answers queue behind the data that they measure: on a thin line they
-    # would time out. Without them the window is as large as they might have made it.
+    # Bandwidth probes are pings, too, whose answers queue behind data and time out on a slow link. Without them the
+    # window must be set.
     ("grpc.http2.bdp_probe", 0),
     ("grpc.http2.lookahead_bytes", 4 * 2**20),
-    # A service that comes back, here or at another address of the same name, is found within seconds.
+    # A service that restarts, possibly at another address of the same name, is found within seconds.
     ("grpc.initial_reconnect_backoff_ms", 100),
     ("grpc.max_reconnect_backoff_ms", 1_000),
     ("grpc.dns_min_time_between_resolutions_ms", 5_000),
-    # A request that is larger than this buffer would not be retried.
+    # A request larger than this buffer is not retried.
     ("grpc.per_rpc_retry_buffer_size", MAX_MESSAGE_BYTES),
 )
 
 
 class Channel:
-    """A connection to the gRPC door of one service, opened by the first call and bound to that call's event loop.
+    """A gRPC connection to one service, opened by the first call and bound to its event loop.
 
     Args:
         address: `host:port`.
-        token: Sent as Bearer with every call; empty for none.
-        root_certificates: PEM certificates that the service's TLS certificate must descend from; None for no TLS.
+        token: Bearer token; empty for none.
+        root_certificates: PEM root certificates for TLS; None for no TLS.
     """
 
     def __init__(self, address: str, *, token: str = "", root_certificates: bytes | None = None) -> None:
@@ -67,9 +68,9 @@ class Channel:
 
     @property
     def grpc(self) -> aio.Channel:
-        """The gRPC channel; call within a running event loop."""
+        """The gRPC channel; access within a running event loop."""
         if self._grpc is None:
-            options = (*_OPTIONS, ("grpc.service_config", retries.service_config()))
+            options = (*_OPTIONS, ("grpc.service_config", retry_policy.service_config()))
             if self._root_certificates is None:
                 self._grpc = aio.insecure_channel(self.address, options)
             else:
@@ -78,7 +79,7 @@ class Channel:
         return self._grpc
 
     async def close(self) -> None:
-        """Ends the calls in flight and closes the connection."""
+        """Cancels the calls in flight and closes the connection."""
         if self._grpc is not None:
             await self._grpc.close()
 
@@ -90,13 +91,13 @@ class Channel:
         *,
         timeout_s: float,
     ) -> T:
-        """Returns the answer to one request.
+        """Sends one request and returns the response.
 
         Args:
-            method: The call, from a generated stub on `grpc`.
+            method: The method of a generated stub.
             request: The request's dataclass.
-            reply: The answer's dataclass.
-            timeout_s: Deadline, in seconds from now, of all attempts together.
+            reply: The response's dataclass.
+            timeout_s: Deadline of all attempts together, in seconds.
 
         Raises:
             ServiceError: The service refused the request, could not be reached or did not answer in time.
@@ -115,7 +116,7 @@ class Channel:
         *,
         timeout_s: float | None,
     ) -> AsyncGenerator[T, None]:
-        """Returns an iterator over the answers to one request; as `unary`. Closing it ends the call."""
+        """Returns an iterator over the responses to one request; closing it cancels the call. Otherwise as `unary`."""
         call = _Call(f"{_verb(request)} at {self.address}", uuid.uuid4().hex)
         message = cast(Sent, _packed(request))
         return _replies(lambda: method(message, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
@@ -128,7 +129,7 @@ class Channel:
         *,
         timeout_s: float | None,
     ) -> AsyncGenerator[T, None]:
-        """Returns an iterator over the answers to a stream of requests; as `server_stream`."""
+        """Returns an iterator over the responses to a stream of requests; as `server_stream`."""
         call = _Call(f"The stream to {self.address}", uuid.uuid4().hex)
         messages = (cast(Sent, _packed(request)) async for request in requests)
         return _replies(lambda: method(messages, timeout=timeout_s, metadata=self._metadata(call)), reply, call)
@@ -137,16 +138,39 @@ class Channel:
         return (("x-request-id", call.request_id), *self._authorization)
 
 
+class Client:
+    """A client of one gRPC service.
+
+    Args:
+        channel: The connection; clients of one address may share it.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+
+    async def close(self) -> None:
+        """Closes the channel."""
+        await self._channel.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
 @dataclass(frozen=True)
 class _Call:
-    """One call, as its errors tell of it."""
+    """Name and request id of a call, for its errors."""
 
     name: str
     request_id: str
 
     @contextmanager
     def errors(self) -> Iterator[None]:
-        """Raises gRPC's errors as ours."""
+        """Translates gRPC's errors."""
         try:
             yield
         except aio.AioRpcError as error:
@@ -160,7 +184,7 @@ async def _replies(
     reply: type[T],
     call: _Call,
 ) -> AsyncGenerator[T, None]:
-    stream = begin()  # not before somebody iterates: who does not has no call to end
+    stream = begin()  # only when iterated, so that an unused iterator leaves no call open
     try:
         with call.errors():
             async for received in stream:

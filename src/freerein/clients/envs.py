@@ -1,11 +1,10 @@
-"""Gymnasium environments over the sim service: what learns from them sees pixels, and nothing else.
+"""Gymnasium environments over the sim service, with images as the only observations.
 
-An observation is a camera's frame, uint8 (H, W, C); a dict of them by camera where several are asked for. The reward
-is 0.0, for rewards come from reward models.
+An observation is a camera's frame, uint8 (H, W, C), or a dict of frames for several cameras. The reward is 0.0, since
+rewards come from reward models.
 
-Every step is a unary call of the service, not a message on its stream. That costs a third of a millisecond more (1.3
-instead of 1.0 ms for one small world, nothing that can be measured for sixteen rendered ones), and gives each step a
-deadline, and a retry when its reply was lost, which `step_id` makes harmless.
+Every step is a unary call rather than a message on the stream `Connect`: up to 0.3 ms slower (1.3 instead of 1.0 ms for
+one small world), but with a deadline and with retries, which `step_id` makes safe.
 """
 
 from collections.abc import Sequence
@@ -18,38 +17,37 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from freerein.clients.channel import Channel
-from freerein.clients.pixel_session import Observation, Pixels, PixelSession, row, truth_info
+from freerein.clients.env_session import EnvSession, Observation, Pixels, frames_of, truth_info
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.sim import CreateSessionRequest, Frames, StepResponse
 
 LEASE_S = 600.0
-"""Seconds that a learner may spend between two calls; then the service ends the session."""
+"""Default time without a call after which the service ends the session."""
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
-class RemoteEnv(gymnasium.Env[Observation, Any]):
+class SimEnv(gymnasium.Env[Observation, Any]):
     """One environment.
 
-    The service begins the next episode in the step that ends one. That is not seen here: the step returns the last
-    frame of the old episode, and `reset()` returns the first frame of the episode already begun. `reset(seed=...)`
-    begins another one.
+    The service resets in the step that ends an episode. That is hidden here: the step returns the last frame of the old
+    episode, and `reset()` the first frame of the new one; `reset(seed=...)` begins another episode.
 
     Args:
-        task: The task's name.
+        task: Task name.
         address: `host:port` of the sim service.
-        cameras: The cameras to observe; empty for the task's first. One: Box; several: Dict.
-        height: Height of frames, in pixels; 0 means the cameras' own.
-        width: Width of frames, in pixels; 0 means the cameras' own.
-        privileged: For evaluation only: the reward is the oracle's, and `info["truth"]` holds `state` (float64 (S,)),
-            `reward` and `success` of each step, and of resets that began an episode.
-        lease_s: Seconds without a call after which the service ends the session; at most 3600.
+        cameras: Cameras to observe; empty for the task's first. One camera: Box; several: Dict.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
+            `success` of each step, and of resets that begin an episode.
+        lease_s: Time without a call after which the service ends the session, in seconds; at most 3600.
         render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
-        token: The service's token; empty for none.
-        root_certificates: PEM certificates for TLS; None for no TLS.
+        token: Bearer token; empty for none.
+        root_certificates: PEM root certificates for TLS; None for no TLS.
 
     Raises:
-        ServiceError: As every method: the service refused, could not be reached or did not answer in time.
+        ServiceError: As every method: the service refused, was unreachable or did not answer in time.
     """
 
     metadata = _METADATA
@@ -69,7 +67,7 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
         root_certificates: bytes | None = None,
     ) -> None:
         self.render_mode = _checked_render_mode(render_mode)
-        self._session = PixelSession(
+        self._session = EnvSession(
             Channel(address, token=token, root_certificates=root_certificates),
             CreateSessionRequest(task, lease_s=lease_s, height=height, width=width, privileged=privileged),
             cameras=cameras,
@@ -84,28 +82,28 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode; see the class. `options` are not used."""
+        """Begins an episode; `options` are ignored."""
         super().reset(seed=seed)
         begun, info = self._begun, dict[str, Any]()
         if begun is None or seed is not None:
             reply = self._session.reset(seed=seed)
-            begun, info = row(reply.frames, 0), truth_info(reply.truth, 0)
+            begun, info = frames_of(reply.frames, 0), truth_info(reply.truth, 0)
         self._latest, self._begun = begun, None
         return self._session.observation(begun), info
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes one action: float32 (A,) in [-1, 1], or a choice. `info["diverged"]`: the simulation gave up.
+        """Takes one action: float32 (A,) in [-1, 1], or a discrete choice. `info["diverged"]`: the simulation diverged.
 
         Raises:
-            FailedPrecondition: The episode has ended, or none was begun.
+            FailedPrecondition: The episode has ended.
         """
         if self._begun is not None:
             raise FailedPrecondition("`step` needs a running episode; this one has ended.", hint="Call reset() first.")
         reply = self._session.step(np.asarray(action)[np.newaxis])
         terminated, truncated = bool(reply.terminated[0]), bool(reply.truncated[0])
-        self._latest = row(reply.frames, 0)
+        self._latest = frames_of(reply.frames, 0)
         if terminated or truncated:
-            self._latest, self._begun = row(reply.final_frames, 0), self._latest
+            self._latest, self._begun = frames_of(reply.final_frames, 0), self._latest
         observation = self._session.observation(self._latest)
         return observation, float(_reward(reply)[0]), terminated, truncated, _step_info(reply, 0)
 
@@ -114,31 +112,21 @@ class RemoteEnv(gymnasium.Env[Observation, Any]):
         return _rendered(self._session, self._latest) if self.render_mode else None
 
     def close(self) -> None:
-        """Ends the session; closing again does nothing."""
+        """Closes the session; may be called twice."""
         self._session.close()
 
 
-class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
+class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
     """`num_envs` environments of one session, stepped by one call.
 
-    Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next one, and
-    `info["final_obs"]` and `info["final_info"]` hold the end of the old one.
+    Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next episode, and
+    `info["final_obs"]` and `info["final_info"]` hold the last of the old one.
 
-    Args:
-        task: The task's name.
-        address: `host:port` of the sim service.
-        num_envs: Environments.
-        cameras: As `RemoteEnv`; so are all that follow.
-        height: See there.
-        width: See there.
-        privileged: See there; `info["truth"]` of an environment whose episode ended is in `final_info`.
-        lease_s: See there.
-        render_mode: See there; `render()` returns a tuple, a frame for each environment.
-        token: See there.
-        root_certificates: See there.
+    The arguments are those of `SimEnv`, and `num_envs`, N. `info["truth"]` of an environment whose episode ended is in
+    `final_info`; `render()` returns a tuple with a frame of each environment.
 
     Raises:
-        ServiceError: As every method: the service refused, could not be reached or did not answer in time.
+        ServiceError: As every method: the service refused, was unreachable or did not answer in time.
     """
 
     metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -160,7 +148,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
     ) -> None:
         self.render_mode = _checked_render_mode(render_mode)
         self.num_envs = num_envs
-        self._session = PixelSession(
+        self._session = EnvSession(
             Channel(address, token=token, root_certificates=root_certificates),
             CreateSessionRequest(task, num_envs, lease_s=lease_s, height=height, width=width, privileged=privileged),
             cameras=cameras,
@@ -179,8 +167,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
         """Begins episodes in all environments, or where `options["reset_mask"]`, bool (N,), is true.
 
         Args:
-            seed: Environment i draws from `SeedSequence(seed).spawn(N)[i]`; None lets the generators go on.
-            options: None, or the mask.
+            seed: Environment i draws from `SeedSequence(seed).spawn(N)[i]`; None keeps the generators.
+            options: None, or `{"reset_mask": mask}`.
         """
         super().reset(seed=seed)
         envs = _masked(options["reset_mask"], self.num_envs) if options and "reset_mask" in options else ()
@@ -194,7 +182,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
     def step(
         self, actions: npt.ArrayLike
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """Takes one action in each environment: float32 (N, A) in [-1, 1], or choices (N,).
+        """Takes one action in each environment: float32 (N, A) in [-1, 1], or discrete choices (N,).
 
         Returns:
             Observations; rewards, float64 (N,); terminated and truncated, bool (N,); info, with `diverged` bool (N,).
@@ -207,7 +195,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
         for index in range(self.num_envs):
             step_info = _step_info(reply, index)
             if terminated[index] or truncated[index]:
-                final = self._session.observation(row(reply.final_frames, ended))
+                final = self._session.observation(frames_of(reply.final_frames, ended))
                 step_info, ended = {"final_obs": final, "final_info": step_info}, ended + 1
             info = self._add_info(info, step_info, index)
         return self._session.observation(reply.frames), _reward(reply), terminated, truncated, info
@@ -217,7 +205,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[A
         return tuple(_rendered(self._session, self._latest)) if self.render_mode else None
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the session; `close` calls it once."""
+        """Closes the session; called by `close`."""
         self._session.close()
 
 
@@ -239,10 +227,10 @@ def _step_info(reply: StepResponse, index: int) -> dict[str, Any]:
     return {"diverged": bool(reply.diverged[index]), **truth_info(reply.truth, index)}
 
 
-def _rendered(session: PixelSession, latest: Frames | None) -> Pixels:
+def _rendered(session: EnvSession, latest: Frames | None) -> Pixels:
     if latest is None:
         raise FailedPrecondition("`render` needs an episode; none was begun.", hint="Call reset() first.")
-    return session.shown(latest)
+    return session.rgb_frames(latest)
 
 
 def _masked(mask: npt.ArrayLike, num_envs: int) -> tuple[int, ...]:

@@ -1,8 +1,7 @@
-"""gRPC's errors as ours: the inverse of what services do with `freerein.errors` at their gRPC door.
+"""Translates gRPC errors to `freerein.errors`, the inverse of `freerein.serving`.
 
-A service's error is a status whose details (`google.rpc.Status` in the trailing metadata) hold an `ErrorInfo` with the
-error's code, and a `RetryInfo` when another try may help. A status without them was made by gRPC itself, here or
-there: nobody listens, the deadline passed, a message was over the limit.
+A service's error is a `google.rpc.Status` in the trailing metadata with an `ErrorInfo`, and a `RetryInfo` when a retry
+may help. A status without them was raised by gRPC itself: no connection, deadline exceeded, message too large.
 """
 
 from typing import TypeVar
@@ -20,8 +19,8 @@ DOMAIN = "freerein"
 M = TypeVar("M", bound=Message)
 
 _DETAILS_KEY = "grpc-status-details-bin"
-_TOO_LARGE = "larger than max"  # gRPC's words for a message over the limit; the status is that of a full queue
-_BROKEN = "Internal error from Core"  # grpc.aio's words for a stream that ended while it was being written to
+_TOO_LARGE = "larger than max"  # gRPC's message for one over the limit; its status is that of a full queue
+_BROKEN = "Internal error from Core"  # grpc.aio's message for a stream that ended during a write
 _BY_STATUS: dict[grpc.StatusCode, type[ServiceError]] = {
     grpc.StatusCode.CANCELLED: errors.Cancelled,
     grpc.StatusCode.DEADLINE_EXCEEDED: errors.DeadlineExceeded,
@@ -41,16 +40,11 @@ _HINTS: dict[type[ServiceError], str] = {
 
 
 def service_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
-    """Returns the error that a failed call stands for.
-
-    Args:
-        error: What gRPC raised.
-        call: What was called and where, for the errors that gRPC itself makes, such as `Step at 127.0.0.1:9104`.
-    """
+    """Returns the `ServiceError` of a failed call."""
     status = _status(error)
     info = _detail(status, error_details_pb2.ErrorInfo)
     if info is None or info.domain != DOMAIN:
-        return _grpc_made(error, call=call)
+        return _grpc_own_error(error, call=call)
     retry = _detail(status, error_details_pb2.RetryInfo)
     return errors.by_code(info.reason)(
         status.message,
@@ -61,7 +55,7 @@ def service_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
 
 
 def _status(error: aio.AioRpcError) -> status_pb2.Status:
-    """Returns the status in the metadata; an empty one where there is none that can be read."""
+    """Returns the status in the metadata, empty where it is missing or unreadable."""
     value = dict(error.trailing_metadata() or ()).get(_DETAILS_KEY, b"")
     try:
         return status_pb2.Status.FromString(value)
@@ -77,7 +71,7 @@ def _detail(status: status_pb2.Status, kind: type[M]) -> M | None:
         return None
 
 
-def _grpc_made(error: aio.AioRpcError, *, call: str) -> ServiceError:
+def _grpc_own_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
     details = error.details() or error.code().name
     cls = _BY_STATUS.get(error.code(), errors.Internal)
     if _TOO_LARGE in details:

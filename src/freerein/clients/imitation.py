@@ -4,8 +4,7 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from functools import cached_property
 
 from freerein.api.imitation.v1 import imitation_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types.imitation import (
     ActRequest,
     ActResponse,

@@ -1,4 +1,4 @@
-"""Calls what every learned service has: fits, and the models that they make."""
+"""Calls `FitService` and `ModelService`, which every learned service has."""
 
 import uuid
 from collections.abc import AsyncGenerator
@@ -6,13 +6,14 @@ from dataclasses import replace
 from functools import cached_property
 
 from freerein.api.learning.v1 import learning_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types.learning import (
     ActivateModelRequest,
     ActivateModelResponse,
     CancelFitRequest,
     CancelFitResponse,
+    GetFitMetricsRequest,
+    GetFitMetricsResponse,
     GetFitRequest,
     GetFitResponse,
     ListFitsRequest,
@@ -27,14 +28,14 @@ from freerein.types.learning import (
 
 
 class FitClient(Client):
-    """Trains models. Every call raises `freerein.errors.ServiceError` when it fails."""
+    """Fits models. Every call raises `freerein.errors.ServiceError` when it fails."""
 
     @cached_property
     def _stub(self) -> "learning_pb2_grpc.FitServiceAsyncStub":
         return learning_pb2_grpc.FitServiceStub(self._channel.grpc)
 
     async def start_fit(self, request: StartFitRequest, *, timeout_s: float = DEADLINE_S) -> StartFitResponse:
-        """Queues a fit; with an idempotency key of its own where the request has none, so that it may be retried."""
+        """Queues a fit; a request without an idempotency key gets one, so that it may be retried."""
         keyed = replace(request, idempotency_key=request.idempotency_key or uuid.uuid4().hex)
         return await self._channel.unary(self._stub.StartFit, keyed, StartFitResponse, timeout_s=timeout_s)
 
@@ -43,7 +44,7 @@ class FitClient(Client):
         return await self._channel.unary(self._stub.GetFit, request, GetFitResponse, timeout_s=timeout_s)
 
     async def list_fits(self, request: ListFitsRequest, *, timeout_s: float = DEADLINE_S) -> ListFitsResponse:
-        """Returns all fits, newest first."""
+        """Returns one page of the fits, newest first."""
         return await self._channel.unary(self._stub.ListFits, request, ListFitsResponse, timeout_s=timeout_s)
 
     def watch_fit(
@@ -52,13 +53,19 @@ class FitClient(Client):
         """Returns an iterator over the events of a fit, which ends when the fit has ended."""
         return self._channel.server_stream(self._stub.WatchFit, request, WatchFitResponse, timeout_s=timeout_s)
 
+    async def get_fit_metrics(
+        self, request: GetFitMetricsRequest, *, timeout_s: float = DEADLINE_S
+    ) -> GetFitMetricsResponse:
+        """Returns the metrics of a fit from a step on, decimated to a number of rows."""
+        return await self._channel.unary(self._stub.GetFitMetrics, request, GetFitMetricsResponse, timeout_s=timeout_s)
+
     async def cancel_fit(self, request: CancelFitRequest, *, timeout_s: float = DEADLINE_S) -> CancelFitResponse:
-        """Ends a fit."""
+        """Cancels a fit."""
         return await self._channel.unary(self._stub.CancelFit, request, CancelFitResponse, timeout_s=timeout_s)
 
 
 class ModelClient(Client):
-    """Chooses which model answers. Every call raises `freerein.errors.ServiceError` when it fails."""
+    """Lists and activates models. Every call raises `freerein.errors.ServiceError` when it fails."""
 
     @cached_property
     def _stub(self) -> "learning_pb2_grpc.ModelServiceAsyncStub":
@@ -71,5 +78,5 @@ class ModelClient(Client):
     async def activate_model(
         self, request: ActivateModelRequest, *, timeout_s: float = DEADLINE_S
     ) -> ActivateModelResponse:
-        """Makes a version the one that answers."""
+        """Makes a version the active one."""
         return await self._channel.unary(self._stub.ActivateModel, request, ActivateModelResponse, timeout_s=timeout_s)

@@ -3,8 +3,7 @@
 from functools import cached_property
 
 from freerein.api.reward.v1 import reward_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types.reward import (
     DescribeRequest,
     DescribeResponse,

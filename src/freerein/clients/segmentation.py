@@ -3,8 +3,7 @@
 from functools import cached_property
 
 from freerein.api.segmentation.v1 import segmentation_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 
 

@@ -1,4 +1,4 @@
-"""Calls the sim service."""
+"""Client of the sim service."""
 
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator
@@ -6,8 +6,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from freerein.api.sim.v1 import sim_pb2_grpc
-from freerein.clients.channel import DEADLINE_S
-from freerein.clients.client import Client
+from freerein.clients.channel import DEADLINE_S, Client
 from freerein.types.sim import (
     CloseSessionRequest,
     CloseSessionResponse,
@@ -33,7 +32,7 @@ from freerein.types.sim import (
 
 
 class SimClient(Client):
-    """Steps simulated worlds. Every call raises `freerein.errors.ServiceError` when it fails."""
+    """Client of the sim service. Every call raises `freerein.errors.ServiceError` on failure."""
 
     @cached_property
     def _stub(self) -> "sim_pb2_grpc.SimServiceAsyncStub":
@@ -46,7 +45,7 @@ class SimClient(Client):
     async def create_session(
         self, request: CreateSessionRequest, *, timeout_s: float = DEADLINE_S
     ) -> CreateSessionResponse:
-        """Makes a session; with an idempotency key of its own where the request has none, so that it may be retried."""
+        """Creates a session; adds an idempotency key if there is none, so that the call can be retried."""
         keyed = replace(request, idempotency_key=request.idempotency_key or uuid.uuid4().hex)
         return await self._channel.unary(self._stub.CreateSession, keyed, CreateSessionResponse, timeout_s=timeout_s)
 
@@ -61,34 +60,33 @@ class SimClient(Client):
     def connect(
         self, requests: AsyncIterator[ConnectRequest], *, timeout_s: float | None = None
     ) -> AsyncGenerator[ConnectResponse, None]:
-        """Returns an iterator over the replies to a stream of steps and resets: one each, in order.
+        """Returns an iterator over the replies to a stream of steps and resets, one each, in order.
 
-        A refused message is answered by a reply with `error`, and the stream goes on; a reply with `draining` answers
-        nothing. It takes a third of a millisecond less per step than `step` does; but nothing is retried, and a reply
-        has no deadline of its own.
+        A refused message gets a reply with `error`, and the stream goes on; a reply with `draining` is unsolicited. A
+        third of a millisecond faster per step than `step`, but without retries and deadlines.
         """
         return self._channel.stream(self._stub.Connect, requests, ConnectResponse, timeout_s=timeout_s)
 
     async def render(self, request: RenderRequest, *, timeout_s: float = DEADLINE_S) -> RenderResponse:
-        """Returns pixels without stepping."""
+        """Renders without stepping."""
         return await self._channel.unary(self._stub.Render, request, RenderResponse, timeout_s=timeout_s)
 
     async def snapshot(self, request: SnapshotRequest, *, timeout_s: float = DEADLINE_S) -> SnapshotResponse:
-        """Returns the whole state of a session."""
+        """Returns the complete state of a session."""
         return await self._channel.unary(self._stub.Snapshot, request, SnapshotResponse, timeout_s=timeout_s)
 
     async def restore(self, request: RestoreRequest, *, timeout_s: float = DEADLINE_S) -> RestoreResponse:
-        """Puts a session into the state of a snapshot."""
+        """Restores a snapshot."""
         return await self._channel.unary(self._stub.Restore, request, RestoreResponse, timeout_s=timeout_s)
 
     def demonstrate(
         self, request: DemonstrateRequest, *, timeout_s: float | None = None
     ) -> AsyncGenerator[DemonstrateResponse, None]:
-        """Returns an iterator over the trajectories of a scripted behaviour, as they finish."""
+        """Returns an iterator over recorded trajectories of a scripted policy."""
         return self._channel.server_stream(self._stub.Demonstrate, request, DemonstrateResponse, timeout_s=timeout_s)
 
     async def close_session(
         self, request: CloseSessionRequest, *, timeout_s: float = DEADLINE_S
     ) -> CloseSessionResponse:
-        """Ends a session."""
+        """Closes a session."""
         return await self._channel.unary(self._stub.CloseSession, request, CloseSessionResponse, timeout_s=timeout_s)

@@ -1,10 +1,9 @@
-"""A blocking form of any client: its event loop runs in a thread of its own.
+"""A blocking wrapper of any client, with its event loop in a thread of its own.
 
     with SyncClient(SimClient(Channel("127.0.0.1:9104"))) as sim:
         tasks = sim.list_tasks(ListTasksRequest())
 
-A thread, and not a loop that runs only while a call lasts: it also works where a loop runs already, as in notebooks,
-and costs a tenth of a millisecond per call.
+The thread makes it work where a loop is already running, as in notebooks; it costs a tenth of a millisecond per call.
 """
 
 import asyncio
@@ -15,7 +14,7 @@ from concurrent.futures import CancelledError, Future
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from freerein.clients.client import Client
+from freerein.clients.channel import Client
 from freerein.errors import Cancelled, FailedPrecondition
 
 T = TypeVar("T")
@@ -24,13 +23,10 @@ _Started = tuple[asyncio.AbstractEventLoop, asyncio.Event]
 
 
 class SyncClient:
-    """Every method of a client as a plain call, and every asynchronous iterator as an iterator.
-
-    Its attributes are the client's, so they have no types of their own. It may be called from several threads.
+    """A client whose methods block, and whose asynchronous iterators are plain iterators. Thread-safe.
 
     Args:
-        client: The client; nobody else uses it from now on. It is closed with this object, or when this object is
-            no longer referred to, or at exit.
+        client: The client, owned by this object from now on: closed by `close`, on garbage collection, or at exit.
     """
 
     def __init__(self, client: Client) -> None:
@@ -55,7 +51,7 @@ class SyncClient:
         return call
 
     def close(self) -> None:
-        """Closes the client and ends the thread; closing again does nothing."""
+        """Closes the client and ends the thread; may be called twice."""
         self._stop()
 
     def __enter__(self) -> Self:
@@ -75,7 +71,7 @@ class SyncClient:
             return future.result()
         except CancelledError:
             raise Cancelled("The client was closed while it waited for an answer.") from None
-        except BaseException:  # an interrupt of this thread ends the call in the other one
+        except BaseException:  # KeyboardInterrupt here cancels the call there
             future.cancel()
             raise
 
@@ -95,19 +91,19 @@ async def _serve(client: Client, started: "Future[_Started]") -> None:
     started.set_result((asyncio.get_running_loop(), stop))
     await stop.wait()
     await client.close()
-    # gRPC hears of the end of the calls that this ended; a loop closed before would make it complain.
+    # Let cancelled gRPC calls finish: gRPC logs errors if the loop is closed before.
     if unfinished := asyncio.all_tasks() - {asyncio.current_task()}:
         await asyncio.wait(unfinished, timeout=_END_S)
 
 
 def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading.Thread) -> None:
     loop.call_soon_threadsafe(stop.set)
-    if thread is not threading.current_thread():  # the garbage collector may run anywhere
+    if thread is not threading.current_thread():  # the garbage collector may run on any thread
         thread.join()
 
 
 async def _called(method: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> Any:
-    reply = method(*args, **kwargs)  # here, not in the caller's thread: a channel is opened on the running loop
+    reply = method(*args, **kwargs)  # on this thread: a channel opens on the running loop
     return reply if isinstance(reply, AsyncGenerator) else await reply
 
 

@@ -8,11 +8,6 @@ from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 def find_task(sim: SyncClient, name: str, *, field: str = "config.task") -> Task:
     """Asks the sim service for its tasks and returns the one of that name.
 
-    Args:
-        sim: Client of the sim service.
-        name: Name of the task.
-        field: Field of the request or configuration that holds the name, for the error.
-
     Raises:
         NotFound: The sim service has no such task.
     """

@@ -1,4 +1,4 @@
-"""Decoded timesteps of a whole dataset in one raw file, mapped into memory: training reads them at memory speed."""
+"""Decoded timesteps of a whole dataset in one raw file, mapped into memory."""
 
 import os
 import secrets
@@ -18,10 +18,10 @@ D = TypeVar("D", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class StepCache(Generic[D]):
-    """One array over all timesteps of all trajectories, mapped read-only from disk.
+    """The timesteps of all trajectories as one array, mapped read-only from disk.
 
     Attributes:
-        steps: (N, ...), trajectory after trajectory.
+        steps: (N, ...), the trajectories concatenated.
         offsets: int64 (n + 1,); trajectory i is `steps[offsets[i]:offsets[i + 1]]`.
     """
 
@@ -33,7 +33,7 @@ class StepCache(Generic[D]):
         return len(self.offsets) - 1
 
     def __getitem__(self, index: int) -> npt.NDArray[D]:
-        """Returns the timesteps (T, ...) of one trajectory, a view without a copy."""
+        """Returns the timesteps (T, ...) of one trajectory, as a view."""
         index = range(len(self))[index]
         return self.steps[self.offsets[index] : self.offsets[index + 1]]
 
@@ -50,17 +50,17 @@ def open_or_build(
     lengths: npt.NDArray[np.int64],
     parts: Iterable[npt.NDArray[D]],
 ) -> StepCache[D]:
-    """Returns the cache in a file, which is built first where it does not exist.
+    """Returns the cache of a file, building the file if it does not exist.
 
     Args:
-        path: `cache/<state of the data>/<what>.raw`; other states of the data are deleted once this one is built.
-        dtype: Of one number.
-        shape: Of one timestep.
-        lengths: int64 (n,), the timesteps of each trajectory.
-        parts: The trajectories, (T, *shape) each; drawn from only to build.
+        path: `cache/<fingerprint>/<name>.raw`; folders of other fingerprints are deleted after a build.
+        dtype: Of the array.
+        shape: Shape of one timestep.
+        lengths: int64 (n,), timesteps of each trajectory.
+        parts: The trajectories, (T, *shape) each; iterated only to build.
 
     Raises:
-        InvalidInput: There is no timestep to cache.
+        InvalidInput: The dataset is empty.
         FailedPrecondition: The disk is too small.
     """
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -68,12 +68,12 @@ def open_or_build(
         raise InvalidInput("A dataset must hold a trajectory before it can be cached; it is empty.")
     if not path.is_file():
         _build(path, parts, size=int(offsets[-1]) * int(np.prod(shape)) * dtype.itemsize)
-        _delete_other_states(path.parent)
+        _delete_other_fingerprints(path.parent)
     return StepCache(np.memmap(path, dtype, mode="r", shape=(int(offsets[-1]), *shape)), offsets)
 
 
 def _build(path: Path, parts: Iterable[npt.NDArray[D]], *, size: int) -> None:
-    """Writes beside the file and renames, so that a cache is whole or absent, whoever else builds it meanwhile."""
+    """Writes to a temporary file and renames it, so that concurrent builds are safe."""
     path.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(path.parent).free
     if free < size:
@@ -92,7 +92,7 @@ def _build(path: Path, parts: Iterable[npt.NDArray[D]], *, size: int) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def _delete_other_states(current: Path) -> None:
+def _delete_other_fingerprints(current: Path) -> None:
     for state in current.parent.iterdir():
         if state != current:
             shutil.rmtree(state)

@@ -1,13 +1,12 @@
-"""Predicted skills beside a dataset: what a segmentation model says is executed at each timestep. Learners may read it.
+"""Per-timestep skill labels that a segmentation model predicted, beside a dataset. Learners may read them.
 
     <root>/labels/chunk-000/file-000.parquet    the labels of data/chunk-000/file-000.parquet
-    <root>/labels/info.json                     skills and model, written last: where it is, all labels are
+    <root>/labels/info.json                     skills and model; written last, so that it marks the labels complete
 
-These are guesses made from images, actions and tags; what is true lies elsewhere, and this module does not know where.
+Ground truth lies elsewhere; this module does not know where.
 """
 
 import hashlib
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -15,26 +14,24 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from freerein.atomic_files import write_atomic
 from freerein.data import layout
-from freerein.data.rows import refusing_corruption
+from freerein.data.trajectory_file import read_labels, write_labels
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 
 _FOLDER, _INFO = "labels", "labels/info.json"
-_MEND = "Label the dataset first: freerein segment NAME --save."
+_HINT = "Label the dataset first: freerein segment NAME --save."
 
 
 @dataclass(frozen=True)
 class LabelsInfo:
-    """What the labels of a dataset are.
+    """Describes the predicted labels of a dataset.
 
     Attributes:
-        skills: What they are indices into.
-        model: The segmentation model that made them, name and version.
+        skills: Skill names; labels are indices into them.
+        model: Name and version of the segmentation model.
     """
 
     skills: tuple[str, ...]
@@ -42,24 +39,22 @@ class LabelsInfo:
 
 
 def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
-    """Writes the labels of a trajectory, int64 (T,), durably; they count once `finish` was called."""
-    sink = io.BytesIO()
-    pq.write_table(pa.table({"label": pa.array(values, pa.int64())}), sink, write_page_checksum=True)
-    write_atomic(layout.trajectory_path(root / _FOLDER, index), sink.getvalue())
+    """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""
+    write_labels(layout.trajectory_path(root / _FOLDER, index), values)
 
 
 def finish(root: Path, info: LabelsInfo) -> None:
-    """Says what the labels are, now that those of every trajectory are saved."""
+    """Marks the labels complete, once those of every trajectory are saved."""
     write_atomic(root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
 
 
 def discard(root: Path) -> None:
-    """Makes the labels not count any more, before others are written over them."""
+    """Marks the labels incomplete, before they are overwritten."""
     (root / _INFO).unlink(missing_ok=True)
 
 
 def info(root: Path) -> LabelsInfo:
-    """Returns what the labels of a dataset are.
+    """Returns the description of the labels.
 
     Raises:
         FailedPrecondition: The dataset was not labelled.
@@ -67,19 +62,19 @@ def info(root: Path) -> LabelsInfo:
     """
     path = root / _INFO
     if not path.is_file():
-        raise FailedPrecondition("A dataset must have a skill for every timestep; this one has none.", hint=_MEND)
+        raise FailedPrecondition("A dataset must have a skill for every timestep; this one has none.", hint=_HINT)
     try:
         document = json.loads(path.read_bytes())
         model = ModelRef(str(document["model"]["name"]), str(document["model"]["version"]))
         return LabelsInfo(tuple(str(skill) for skill in document["skills"]), model)
     except (ValueError, KeyError, TypeError) as error:
         raise InvalidInput(
-            "The description of a dataset's labels must be JSON of ours; it is not.", hint=_MEND
+            "The description of a dataset's labels must be JSON of ours; it is not.", hint=_HINT
         ) from error
 
 
 def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
-    """Returns the skill at each timestep of a trajectory.
+    """Returns the predicted skill at each timestep of a trajectory.
 
     Returns:
         int64 (T,), indices into the `skills` of `info`.
@@ -90,11 +85,8 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
     """
     path = layout.trajectory_path(root / _FOLDER, index)
     if not path.is_file():
-        raise FailedPrecondition(f"Trajectory {index} must have a skill for every timestep; it has none.", hint=_MEND)
-    with refusing_corruption(f"The labels of trajectory {index}"), path.open("rb") as file:
-        table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
-        values: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
-        return values
+        raise FailedPrecondition(f"Trajectory {index} must have a skill for every timestep; it has none.", hint=_HINT)
+    return read_labels(path, index=index)
 
 
 def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], ...]:
@@ -106,7 +98,7 @@ def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[
 
     Raises:
         FailedPrecondition: The dataset was not labelled, or has grown since.
-        InvalidInput: Labels are corrupt, or no indices into the skills.
+        InvalidInput: Labels are corrupt or out of range.
     """
     skills = info(root).skills
     found = tuple(labels(root, index) for index in range(len(lengths)))
@@ -114,15 +106,15 @@ def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[
         if len(values) != length:
             raise FailedPrecondition(
                 f"Trajectory {index} must have a skill for each of its {length} timesteps; it has {len(values)}.",
-                hint=_MEND,
+                hint=_HINT,
             )
         if not np.all((values >= 0) & (values < len(skills))):
-            raise InvalidInput(f"The labels of trajectory {index} must be in [0, {len(skills)}).", hint=_MEND)
+            raise InvalidInput(f"The labels of trajectory {index} must be in [0, {len(skills)}).", hint=_HINT)
     return found
 
 
 def fingerprint(values: Sequence[npt.NDArray[np.int64]]) -> str:
-    """Returns the sha256, in hexadecimal, over labels: what was learned from them depends on it."""
+    """Returns the sha256 over labels, in hexadecimal."""
     digest = hashlib.sha256()
     for each in values:
         digest.update(len(each).to_bytes(8, "little") + each.astype("<i8").tobytes())

@@ -1,13 +1,15 @@
-"""Where things lie in a dataset, and how LeRobotDataset v3.0 describes them. Nothing here touches file contents."""
+"""The on-disk format of a dataset, LeRobotDataset v3.0: its spec, file paths and columns. Opens no data file."""
 
+import json
 import re
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
-from freerein.data.spec import DatasetSpec
-from freerein.types.common import check_name
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec, check_name
 
 CODEBASE_VERSION = "v3.0"
 CHUNK_SIZE = 1000
@@ -17,9 +19,10 @@ TASKS_FILE = "meta/tasks.parquet"
 EPISODES_FILE = "meta/episodes/chunk-000/file-000.parquet"
 STATS_FILE = "meta/stats.json"
 INFO_FILE = "meta/info.json"
+TEACHERS_FILE = "teachers.json"
 CAMERA_PREFIX = "observation.images."
 
-_BOOKKEEPING = {
+_INDEX_COLUMNS = {
     "timestamp": "float32",
     "frame_index": "int64",
     "episode_index": "int64",
@@ -31,13 +34,113 @@ _FILE = re.compile(r"file-(\d{3,})\.parquet")
 
 
 @dataclass(frozen=True)
-class DataFile:
-    """A finished data file.
+class DatasetSpec:
+    """Properties that all trajectories of a dataset share.
 
     Attributes:
-        chunk: Number of its folder.
-        file: Its number in the folder.
-        size: Its length in bytes.
+        fps: Timesteps per second, a positive integer as LeRobot requires; see `integer_fps`.
+        cameras: Frame size (H, W, C) in pixels by camera name, C = 1 or 3.
+        action: Size of a continuous action, or number of choices of a discrete one.
+        robot_type: Name of the robot.
+        skills: Skill names; labels are indices into them. May be empty.
+        task: Goal text of trajectories without one of their own.
+    """
+
+    fps: int
+    cameras: dict[str, tuple[int, int, int]]
+    action: ActionSpec
+    robot_type: str
+    skills: tuple[str, ...] = ()
+    task: str = ""
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput where a value is out of range."""
+        if self.fps < 1:
+            raise InvalidInput(f"`fps` must be a positive integer; got {self.fps}.", field="fps")
+        if not self.cameras:
+            raise InvalidInput("`cameras` must name at least one camera; got none.", field="cameras")
+        for name, (height, width, channels) in self.cameras.items():
+            check_name(name, field="cameras")
+            if height < 1 or width < 1 or channels not in (1, 3):
+                raise InvalidInput(
+                    f"A camera's frames must be (H, W, C) with C = 1 or 3; got ({height}, {width}, {channels}).",
+                    field="cameras",
+                )
+        if len(set(self.skills)) != len(self.skills) or "" in self.skills:
+            raise InvalidInput(
+                "`skills` must be different, non-empty names; got a repeated or empty one.", field="skills"
+            )
+        if self.action.size < 1 or (self.action.choices and self.action.size != 1):
+            raise InvalidInput(
+                "An action must have at least one number, and exactly one when it is discrete; "
+                f"got {self.action.size} with {self.action.choices} choices.",
+                field="action",
+            )
+
+    @property
+    def action_dtype(self) -> np.dtype[np.float32] | np.dtype[np.int64]:
+        """float32 for continuous actions, int64 for discrete ones."""
+        return np.dtype(np.int64) if self.action.choices else np.dtype(np.float32)
+
+
+def integer_fps(control_dt_s: float) -> int:
+    """Returns the timesteps per second of a control period, rounded to an integer.
+
+    Raises:
+        InvalidInput: The period is not between 0 (excluded) and 2 seconds.
+    """
+    if not 0 < control_dt_s < 2:
+        raise InvalidInput(
+            f"`control_dt_s` must be above 0 and below 2 seconds; got {control_dt_s}.",
+            field="control_dt_s",
+            hint="A dataset needs a rate of at least one timestep per second.",
+        )
+    return round(1 / control_dt_s)
+
+
+def dumps(spec: DatasetSpec) -> str:
+    """Returns a spec as JSON."""
+    return json.dumps(asdict(spec), indent=2)
+
+
+def loads(text: str | bytes) -> DatasetSpec:
+    """Parses JSON of `dumps`.
+
+    Raises:
+        InvalidInput: The text is not a spec.
+    """
+    try:
+        document = json.loads(text)
+        action = document["action"]
+        return DatasetSpec(
+            fps=int(document["fps"]),
+            cameras={name: (int(h), int(w), int(c)) for name, (h, w, c) in document["cameras"].items()},
+            action=ActionSpec(
+                size=int(action["size"]),
+                choices=int(action["choices"]),
+                names=tuple(action["names"]),
+                unit=str(action["unit"]),
+                scale=tuple(action["scale"]),
+            ),
+            robot_type=str(document["robot_type"]),
+            skills=tuple(document["skills"]),
+            task=str(document["task"]),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InvalidInput(
+            "The dataset's description must be the JSON that freerein wrote; it cannot be read.",
+            hint="Delete the dataset's meta folder: it is rebuilt from the data files.",
+        ) from None
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """A complete data file.
+
+    Attributes:
+        chunk: Number of the folder.
+        file: Number in the folder.
+        size: Bytes.
     """
 
     chunk: int
@@ -46,12 +149,12 @@ class DataFile:
 
     @property
     def index(self) -> int:
-        """The trajectory that it holds, in a dataset written by freerein."""
+        """Index of its trajectory, in a dataset written by freerein."""
         return self.chunk * CHUNK_SIZE + self.file
 
 
 def dataset_path(data_dir: Path, name: str) -> Path:
-    """Returns where the dataset of a name lies: the only way from a request's text to the file system.
+    """Returns the path of a dataset; the only way from a request's text to the file system.
 
     Raises:
         InvalidInput: `name` does not match `^[a-z0-9][a-z0-9._-]{0,63}$`.
@@ -70,7 +173,7 @@ def trajectory_path(folder: Path, index: int) -> Path:
 
 
 def numbered_files(folder: Path) -> list[DataFile]:
-    """Returns the finished files below a folder such as `data`, in order; unfinished and foreign ones are not seen."""
+    """Returns the complete files below a folder such as `data`, in order; ignores all other files."""
     if not folder.is_dir():
         return []
     found = [
@@ -89,14 +192,14 @@ def camera_key(camera: str) -> str:
 
 
 def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
-    """Returns `info.json`'s description of every column of a data file."""
+    """Returns the `features` of `info.json`: every column of a data file."""
     described: dict[str, dict[str, object]] = {
         camera_key(camera): {"dtype": "image", "shape": list(size), "names": ["height", "width", "channels"]}
         for camera, size in spec.cameras.items()
     }
     names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
     described["action"] = {"dtype": str(spec.action_dtype), "shape": [spec.action.size], "names": names}
-    for name, dtype in _BOOKKEEPING.items():
+    for name, dtype in _INDEX_COLUMNS.items():
         described[name] = {"dtype": dtype, "shape": [1], "names": None}
     return described
 
@@ -121,9 +224,9 @@ def info(spec: DatasetSpec, *, trajectories: int, frames: int, tasks: int) -> di
 
 
 def data_schema(spec: DatasetSpec) -> pa.Schema:
-    """Returns the columns of a data file; an image is a struct of encoded bytes and an unused path."""
+    """Returns the schema of a data file; an image is a struct of encoded bytes and an unused path."""
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     number = pa.from_numpy_dtype(spec.action_dtype)
     action = number if spec.action.size == 1 else pa.list_(number, spec.action.size)
-    bookkeeping = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _BOOKKEEPING.items()]
-    return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *bookkeeping])
+    index_columns = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _INDEX_COLUMNS.items()]
+    return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *index_columns])

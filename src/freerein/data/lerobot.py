@@ -1,4 +1,4 @@
-"""Datasets that other tools wrote as LeRobotDataset v3: any with images stored as images, and an action."""
+"""Reads the metadata of LeRobotDataset v3 datasets of other tools, with images stored as images, and an action."""
 
 import json
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from freerein.data import layout
-from freerein.data.rows import refusing_corruption
-from freerein.data.spec import DatasetSpec
+from freerein.data.layout import DatasetSpec
+from freerein.data.trajectory_file import corrupt_as_invalid
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec
 
@@ -19,13 +19,13 @@ _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_in
 
 
 @dataclass(frozen=True)
-class Foreign:
-    """A dataset that another tool wrote.
+class LeRobotMeta:
+    """Metadata of a dataset that another tool wrote.
 
     Attributes:
-        spec: What its trajectories have in common.
+        spec: Properties that its trajectories share.
         episodes: One row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks` and `skills`.
-        camera_keys: By camera, the column that holds its frames.
+        camera_keys: Column of the frames, by camera.
     """
 
     spec: DatasetSpec
@@ -33,12 +33,12 @@ class Foreign:
     camera_keys: dict[str, str]
 
 
-def read(root: Path) -> Foreign:
-    """Returns what the dataset in a folder says of itself.
+def read(root: Path) -> LeRobotMeta:
+    """Returns the metadata of the dataset in a folder.
 
     Raises:
         NotFound: There is no dataset.
-        InvalidInput: It is no LeRobotDataset v3 that can be read here: video, an action of another kind, corrupt.
+        InvalidInput: It is not a supported LeRobotDataset v3: other version, video, unsupported action, or corrupt.
     """
     info = _read_json(root / layout.INFO_FILE)
     if info is None:
@@ -60,7 +60,7 @@ def read(root: Path) -> Foreign:
             "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
         ) from None
-    return Foreign(spec, episodes, keys)
+    return LeRobotMeta(spec, episodes, keys)
 
 
 def _check_layout(info: dict[str, Any]) -> None:
@@ -106,7 +106,7 @@ def _action(feature: dict[str, Any], root: Path) -> ActionSpec:
 
 
 def _choices(root: Path) -> int:
-    """Returns how many different discrete actions there are: one more than the largest that occurs."""
+    """Returns the number of discrete actions: one more than the largest that occurs."""
     stats = _read_json(root / layout.STATS_FILE) or {}
     return int(np.max(stats["action"]["max"])) + 1
 
@@ -120,7 +120,7 @@ def _flat_names(names: object, size: int) -> tuple[str, ...]:
 
 def _task(root: Path) -> str:
     """Returns the task's text; empty when the trajectories are of several tasks."""
-    with refusing_corruption("`tasks.parquet`"):
+    with corrupt_as_invalid("`tasks.parquet`"):
         table = pq.read_table(root / layout.TASKS_FILE, use_threads=False)
         texts = next(column for column in table.columns if pa.types.is_string(column.type)).to_pylist()
     return str(texts[0]) if len(texts) == 1 else ""
@@ -128,14 +128,14 @@ def _task(root: Path) -> str:
 
 def _episodes(root: Path) -> pa.Table:
     folder = root / "meta" / "episodes"
-    with refusing_corruption("`meta/episodes`"):
+    with corrupt_as_invalid("`meta/episodes`"):
         paths = [layout.numbered(folder, chunk=f.chunk, file=f.file) for f in layout.numbered_files(folder)]
         tables = [_with_lists(pq.read_table(path, use_threads=False)) for path in paths]
         return pa.concat_tables(tables).sort_by("episode_index")
 
 
 def _with_lists(table: pa.Table) -> pa.Table:
-    """Returns the columns that are read here; without a column of tasks or of skills, they are unknown."""
+    """Returns the columns used here; tasks and skills are empty lists where their column is missing."""
     chosen, strings = table.select(_EPISODE_COLUMNS), pa.list_(pa.string())
     for name in ("tasks", "skills"):
         is_there = name in table.column_names
@@ -145,5 +145,5 @@ def _with_lists(table: pa.Table) -> pa.Table:
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:
-    with refusing_corruption(f"`{path.name}`"):
+    with corrupt_as_invalid(f"`{path.name}`"):
         return dict(json.loads(path.read_text())) if path.is_file() else None

@@ -1,27 +1,64 @@
-"""The folder `meta/`: written last, read first, and never believed against the data files."""
+"""`meta/`: the dataset's index, the episodes table in it, and the lock of its writer.
 
-import contextlib
+The table has one row per trajectory. Beside LeRobot's columns it has the skills, and the data file's size and sha256:
+the size tells on open which rows still describe their file; the hash identifies the contents. The data files are
+authoritative: `meta/` is rebuilt where it differs from them.
+"""
+
+import fcntl
+import hashlib
 import io
 import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from freerein.atomic_files import write_atomic
-from freerein.data import episodes, layout
-from freerein.data.episodes import Row
-from freerein.data.lock import WriterLock
-from freerein.data.spec import DatasetSpec, dumps, loads
+from freerein.data import layout, statistics
+from freerein.data.layout import DatasetSpec, dumps, loads
+from freerein.data.statistics import STATISTICS, FeatureStatistics
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import FailedPrecondition, InvalidInput
 
+Row: TypeAlias = dict[str, Any]
+
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)
+_INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index", "data/bytes")
+
+
+class WriterLock:
+    """Held by the one process that may write to a dataset; the kernel frees it when that process dies.
+
+    Raises:
+        FailedPrecondition: Another process holds it.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._descriptor = os.open(root / "writer.lock", os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._descriptor)
+            raise FailedPrecondition(
+                "A dataset has one writer at a time; this one is being written by another.",
+                hint="Close the other writer, or write to another dataset.",
+            ) from None
+
+    def close(self) -> None:
+        """Releases the lock; may be called once."""
+        os.close(self._descriptor)
 
 
 def read_spec(root: Path) -> DatasetSpec | None:
-    """Returns a dataset's spec, from the first data file if `meta/` is lost; None when freerein did not write it.
+    """Returns the spec, from the first data file if `meta/` is lost; None when freerein did not write the dataset.
 
     Raises:
         InvalidInput: The spec is corrupt, or `meta/` is lost and the first data file is corrupt.
@@ -36,15 +73,15 @@ def read_spec(root: Path) -> DatasetSpec | None:
             footer = read_footer(file, index=0)
     except InvalidInput:
         if (root / layout.INFO_FILE).is_file():
-            return None  # another tool's: its own `meta/` is all there is
+            return None  # written by another tool: only its own `meta/` describes it
         raise
     return footer.spec if footer else None
 
 
 def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
-    """Returns the episodes table as the data files say, and whether `meta/` says the same.
+    """Returns the episodes table of the data files, and whether `meta/` agrees with it.
 
-    Rows are taken from `meta/` as long as their file has the size recorded there; the rest is read from the files.
+    Rows of `meta/` are used as long as their file has the recorded size; the rest is read from the files.
 
     Raises:
         InvalidInput: A data file is missing or corrupt.
@@ -57,40 +94,39 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
             hint="Restore the missing file from a copy.",
         )
     stored = read_episodes(root, spec)
-    believed = _believed(stored, files)
-    table = stored.slice(0, believed)
-    frames, rows = episodes.frame_count(table), list[Row]()
-    for index in range(believed, len(files)):
+    valid = _valid_rows(stored, files)
+    table = stored.slice(0, valid)
+    frames, rows = frame_count(table), list[Row]()
+    for index in range(valid, len(files)):
         data = layout.trajectory_path(root / "data", index).read_bytes()
-        rows.append(episodes.describe(data, index=index, first_frame=frames))
+        rows.append(describe(data, index=index, first_frame=frames))
         frames += rows[-1]["length"]
-    table = episodes.extended(table, rows)
-    is_fresh = believed == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
-    return table, is_fresh and all((root / name).is_file() for name in _FILES)
+    is_current = valid == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
+    return extended(table, rows), is_current and all((root / name).is_file() for name in _FILES)
 
 
-def load_mended(root: Path, spec: DatasetSpec) -> pa.Table:
-    """Returns the episodes table as the data files say, and rewrites `meta/` where it says otherwise.
+def load_and_repair(root: Path, spec: DatasetSpec) -> pa.Table:
+    """Returns the episodes table of the data files, and rewrites `meta/` where it differs.
 
-    A reader that may not write, or that reads beside a writer at work, gets the same table and leaves `meta/` alone.
+    A reader without write access, or beside a writer, gets the same table and leaves `meta/` alone.
 
     Raises:
         InvalidInput: A data file is missing or corrupt.
     """
-    table, is_fresh = load(root, spec)
-    if not is_fresh:
-        with contextlib.suppress(FailedPrecondition, OSError), WriterLock(root):
+    table, is_current = load(root, spec)
+    if not is_current:
+        with suppress(FailedPrecondition, OSError), closing(WriterLock(root)):
             if len(layout.numbered_files(root / "data")) == len(table):  # no writer came and went meanwhile
                 save(root, spec, table)
     return table
 
 
 def save(root: Path, spec: DatasetSpec, table: pa.Table) -> None:
-    """Writes all of `meta/`, the counts last: they commit the rest."""
-    combined = episodes.dataset_statistics(table, spec)
+    """Writes all of `meta/`, `info.json` last: it commits the rest."""
+    combined = _dataset_statistics(table, spec)
     stats = {feature: {name: each[name].tolist() for name in each} for feature, each in combined.items()}
-    tasks = list(episodes.task_indices(table)) or [spec.task]
-    counts = layout.info(spec, trajectories=table.num_rows, frames=episodes.frame_count(table), tasks=len(tasks))
+    tasks = list(task_indices(table)) or [spec.task]
+    counts = layout.info(spec, trajectories=table.num_rows, frames=frame_count(table), tasks=len(tasks))
     write_atomic(root / layout.SPEC_FILE, dumps(spec).encode())
     write_atomic(root / layout.TASKS_FILE, _parquet(_tasks(tasks)))
     write_atomic(root / layout.EPISODES_FILE, _parquet(table))
@@ -99,8 +135,8 @@ def save(root: Path, spec: DatasetSpec, table: pa.Table) -> None:
 
 
 def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
-    """Returns the episodes table as it stands in `meta/`; empty when there is none that can be read."""
-    schema = episodes.schema(spec)
+    """Returns the episodes table of `meta/`; empty when it is missing or cannot be read."""
+    schema = episodes_schema(spec)
     try:
         data = pa.BufferReader((root / layout.EPISODES_FILE).read_bytes())
         table = pq.ParquetFile(data).read(use_threads=False)
@@ -110,7 +146,7 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
 
 
 def read_counts(root: Path) -> tuple[int, int] | None:
-    """Returns the numbers of trajectories and frames as they stand in `info.json`; None when it cannot be read."""
+    """Returns the numbers of trajectories and frames in `info.json`; None when it cannot be read."""
     try:
         info = json.loads((root / layout.INFO_FILE).read_text())
         return int(info["total_episodes"]), int(info["total_frames"])
@@ -118,8 +154,88 @@ def read_counts(root: Path) -> tuple[int, int] | None:
         return None
 
 
-def _believed(stored: pa.Table, files: list[layout.DataFile]) -> int:
-    """How many leading rows still have the file that they describe."""
+def episodes_schema(spec: DatasetSpec) -> pa.Schema:
+    """Returns the columns of the episodes table."""
+    integers = [(name, pa.int64()) for name in ("episode_index", *_INTEGERS)]
+    statistics_ = [
+        (f"stats/{feature}/{name}", _statistic_type(str(described["dtype"]), name))
+        for feature, described in layout.features(spec).items()
+        for name in STATISTICS
+    ]
+    own_place = [("meta/episodes/chunk_index", pa.int64()), ("meta/episodes/file_index", pa.int64())]
+    lists = [("tasks", pa.list_(pa.string())), ("skills", pa.list_(pa.string()))]
+    return pa.schema([*integers, *lists, ("data/sha256", pa.string()), *statistics_, *own_place])
+
+
+def describe(data: bytes, *, index: int, first_frame: int) -> Row:
+    """Returns the episodes row of a data file, from the file alone.
+
+    Args:
+        data: The file's bytes.
+        index: Index of the trajectory in the dataset.
+        first_frame: Index of its first frame in the dataset.
+
+    Raises:
+        InvalidInput: The file is corrupt, or freerein did not write it.
+    """
+    footer = read_footer(io.BytesIO(data), index=index)
+    if footer is None:
+        raise InvalidInput(
+            f"Trajectory {index} must have been written by freerein like the others of its dataset; it was not.",
+            hint="Move data files of other tools into a dataset of their own.",
+        )
+    return {
+        "episode_index": index,
+        "length": footer.length,
+        "data/chunk_index": index // layout.CHUNK_SIZE,
+        "data/file_index": index % layout.CHUNK_SIZE,
+        "dataset_from_index": first_frame,
+        "dataset_to_index": first_frame + footer.length,
+        "data/bytes": len(data),
+        "tasks": [footer.goal_text or footer.spec.task],
+        "skills": list(footer.skills),
+        "data/sha256": hashlib.sha256(data).hexdigest(),
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+        **{
+            f"stats/{feature}/{name}": values.tolist()
+            for feature, each in footer.statistics.items()
+            for name, values in each.items()
+        },
+    }
+
+
+def extended(table: pa.Table, rows: Iterable[Row]) -> pa.Table:
+    """Returns a table with rows appended."""
+    return pa.concat_tables([table, pa.Table.from_pylist(list(rows), schema=table.schema)]).combine_chunks()
+
+
+def task_indices(table: pa.Table) -> dict[str, int]:
+    """Returns the index of each distinct goal text, in order of first appearance."""
+    return {text: number for number, text in enumerate(dict.fromkeys(text for (text,) in table["tasks"].to_pylist()))}
+
+
+def frame_count(table: pa.Table) -> int:
+    """Returns the total number of timesteps."""
+    return int(pc.sum(table["length"]).as_py() or 0)
+
+
+def save_teachers(root: Path, teachers: Sequence[Mapping[str, Any]]) -> None:
+    """Writes `teachers.json`: cards of the policies that acted in the trajectories.
+
+    A learner reads `supervision`, what the policy was trained with, and `privileged`, whether it saw true state.
+    """
+    write_atomic(root / layout.TEACHERS_FILE, json.dumps(list(teachers), indent=2).encode() + b"\n")
+
+
+def read_teachers(root: Path) -> list[dict[str, Any]]:
+    """Returns the cards of the policies that acted; empty for demonstrations."""
+    path = root / layout.TEACHERS_FILE
+    return list(json.loads(path.read_bytes())) if path.is_file() else []
+
+
+def _valid_rows(stored: pa.Table, files: list[layout.DataFile]) -> int:
+    """Returns the number of leading rows whose file has the recorded size."""
     sizes = stored["data/bytes"].to_numpy()[: len(files)]
     changed = np.flatnonzero(sizes != np.array([file.size for file in files[: len(sizes)]], np.int64))
     return int(changed[0]) if len(changed) else len(sizes)
@@ -143,3 +259,30 @@ def _parquet(table: pa.Table) -> bytes:
     sink = io.BytesIO()
     pq.write_table(table, sink)
     return sink.getvalue()
+
+
+def _dataset_statistics(table: pa.Table, spec: DatasetSpec) -> dict[str, FeatureStatistics]:
+    """Returns the statistics over all trajectories, by feature; empty for an empty dataset."""
+    if table.num_rows == 0:
+        return {}
+    return {
+        feature: statistics.combined({name: _stacked(table[f"stats/{feature}/{name}"]) for name in STATISTICS})
+        for feature in layout.features(spec)
+    }
+
+
+def _statistic_type(dtype: str, name: str) -> pa.DataType:
+    """Statistics of images are (C, 1, 1), of other features (D,), counts (1,)."""
+    if name == "count":
+        return pa.list_(pa.int64())
+    return pa.list_(pa.list_(pa.list_(pa.float64()))) if dtype == "image" else pa.list_(pa.float64())
+
+
+def _stacked(column: pa.ChunkedArray) -> npt.NDArray[np.float64]:
+    """Returns n nested lists of one shape as an array (n, ...)."""
+    shape = np.shape(column[0].as_py())
+    flat = pa.concat_arrays(column.chunks)
+    while pa.types.is_nested(flat.type):
+        flat = flat.flatten()
+    values: npt.NDArray[np.float64] = flat.to_numpy(zero_copy_only=False).astype(np.float64)
+    return values.reshape(len(column), *shape)

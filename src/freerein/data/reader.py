@@ -1,4 +1,4 @@
-"""What learners read. Ground truth cannot be reached from here: no module imported below knows where it lies."""
+"""`Dataset`, what learners read. Ground truth cannot be reached: no module imported here knows where it lies."""
 
 import hashlib
 from collections.abc import Iterator
@@ -12,27 +12,26 @@ import pyarrow as pa
 
 from freerein.data import layout, lerobot, meta
 from freerein.data.cache import ActionCache, FrameCache, open_or_build
-from freerein.data.rows import Actions, decode_actions, decode_frames, read_rows
+from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, read_rows
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
 
 
 class Dataset:
-    """A dataset as it stood when it was opened: `len(dataset)` trajectories, `dataset[i]` one of them.
+    """Read-only sequence of the trajectories that a dataset held when it was opened.
 
-    Opening compares `data/` with `meta/` and rewrites `meta/` when a crash left it behind. Any LeRobotDataset v3 with
-    images stored as images, and an action, opens too.
+    Opening compares `meta/` with `data/` and rewrites it where a crash left it out of date. Also opens any
+    LeRobotDataset v3 with images stored as images, and an action.
 
     Attributes:
-        spec: What the trajectories have in common.
-        lengths: int64 (n,), the timesteps of each trajectory.
-        skills: The set of skills of each trajectory, sorted; empty where unknown.
-        goal_texts: What was to be done in each trajectory, in words: the spec's `task` where it does not say it itself;
-            empty where unknown.
+        spec: Properties that the trajectories share.
+        lengths: int64 (n,), timesteps of each trajectory.
+        skills: Skills that occur in each trajectory, sorted; empty where unknown.
+        goal_texts: Goal text of each trajectory, the spec's `task` by default; empty where unknown.
 
     Raises:
         NotFound: There is no dataset in `root`.
-        InvalidInput: A file of it is missing or corrupt, or its features cannot be read here.
+        InvalidInput: A file is missing or corrupt, or the features are not supported.
     """
 
     def __init__(self, root: Path) -> None:
@@ -42,7 +41,7 @@ class Dataset:
             foreign = lerobot.read(root)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
         else:
-            self.spec, table = spec, meta.load_mended(root, spec)
+            self.spec, table = spec, meta.load_and_repair(root, spec)
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
@@ -59,11 +58,11 @@ class Dataset:
         return len(self.lengths)
 
     def __getitem__(self, index: int) -> Trajectory:
-        """Returns one trajectory, decoded; a negative index counts from the end.
+        """Returns one decoded trajectory; a negative index counts from the end.
 
         Raises:
             IndexError: There is no such trajectory.
-            InvalidInput: Its file is corrupt, or is not what the dataset's spec says.
+            InvalidInput: Its file is corrupt, or does not match the spec.
         """
         index = range(len(self))[index]
         rows = self._rows(index, [*self._keys.values(), "action"])
@@ -84,16 +83,15 @@ class Dataset:
 
     @cached_property
     def fingerprint(self) -> str:
-        """The sha256, in hexadecimal, over the sha256 of every data file: a copy has the same, a change another.
+        """The sha256, in hexadecimal, over the sha256 of every data file.
 
-        The writer has recorded the hashes, so that this reads no data file; `verify` holds them against the files. Of a
-        dataset of another tool every data file is read once.
+        Reads no data file of a dataset that freerein wrote: the writer recorded the hashes, and `verify` checks them.
         """
         hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
     def cached_frames(self, camera: str) -> FrameCache:
-        """Returns the frames of one camera of all trajectories, decoded once and mapped into memory.
+        """Returns one camera's frames of all trajectories, decoded once and mapped into memory.
 
         Raises:
             InvalidInput: The dataset is empty or has no such camera; or as `dataset[i]`.

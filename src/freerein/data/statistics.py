@@ -10,7 +10,7 @@ FeatureStatistics = dict[str, npt.NDArray[np.float64]]
 
 
 def of_values(values: npt.NDArray[np.generic]) -> FeatureStatistics:
-    """Returns the statistics of each of D numbers.
+    """Returns the statistics of each column.
 
     Args:
         values: (T, D), T >= 1.
@@ -29,7 +29,7 @@ def of_values(values: npt.NDArray[np.generic]) -> FeatureStatistics:
 
 
 def of_frames(frames: npt.NDArray[np.uint8]) -> FeatureStatistics:
-    """Returns the exact statistics of each channel, pixels scaled to [0, 1].
+    """Returns the exact statistics of each channel, with pixels scaled to [0, 1].
 
     Args:
         frames: uint8 (T, H, W, C), T >= 1.
@@ -43,10 +43,10 @@ def of_frames(frames: npt.NDArray[np.uint8]) -> FeatureStatistics:
 
 
 def combined(parts: FeatureStatistics) -> FeatureStatistics:
-    """Returns the statistics of several trajectories together.
+    """Combines the statistics of several trajectories.
 
     Args:
-        parts: As of one trajectory, but with a leading axis over trajectories: (n, ...), `count` (n, 1).
+        parts: Statistics of each trajectory, stacked along a leading axis: (n, ...), `count` (n, 1).
     """
     total = parts["count"].sum()
     weights = parts["count"].reshape(-1, *(1,) * (parts["mean"].ndim - 1)) / total
@@ -62,7 +62,7 @@ def combined(parts: FeatureStatistics) -> FeatureStatistics:
 
 
 def _histogram(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
-    """Counts the 256 values of (T, H, W) frame by frame: bincount widens its input to int64."""
+    """Counts the 256 values of (T, H, W), frame by frame because bincount copies its input to int64."""
     counts = np.zeros(256, np.int64)
     for frame in plane:
         counts += np.bincount(frame.ravel(), minlength=256)

@@ -1,38 +1,47 @@
-"""One trajectory as one parquet file that describes itself: `meta/` can be rebuilt from such files alone.
+"""One trajectory as one parquet file, and the rows of a trajectory in any LeRobot data file.
 
-The columns are LeRobot's. What LeRobot keeps elsewhere (the dataset's spec, the trajectory's goal text, skills and
-statistics) also stands in the file's footer, under the key `freerein`.
+The columns are LeRobot's. What LeRobot stores elsewhere (spec, goal text, skills, statistics) is repeated in the file's
+footer under the key `freerein`, so that `meta/` can be rebuilt from the data files alone.
 """
 
 import io
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from pathlib import Path
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from freerein import images
+from freerein.atomic_files import write_atomic
 from freerein.data import layout, statistics
-from freerein.data.rows import refusing_corruption
-from freerein.data.spec import DatasetSpec, dumps, loads
+from freerein.data.layout import DatasetSpec, dumps, loads
 from freerein.data.statistics import FeatureStatistics
-from freerein.types.common import Trajectory
+from freerein.errors import InvalidInput
+from freerein.types.common import Image, Trajectory
+
+Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
+"""float32 (T, A) in [-1, 1] where continuous, int64 (T, 1) where discrete."""
 
 _FOOTER_KEY = b"freerein"
 
 
 @dataclass(frozen=True)
-class Footer:
-    """What a data file says of itself.
+class TrajectoryFooter:
+    """What a data file's footer says of its trajectory.
 
     Attributes:
         spec: The dataset's spec.
         length: Timesteps, T.
-        skills: The set of skills that occur, sorted.
-        goal_text: What was to be done, in words; empty where the spec says it.
+        skills: Skills that occur, sorted.
+        goal_text: Goal text; empty where it is the spec's task.
         statistics: By feature.
     """
 
@@ -47,11 +56,11 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     """Returns a trajectory as a parquet file.
 
     Args:
-        trajectory: As the spec says; not checked here.
+        trajectory: Must match the spec; not checked here.
         spec: The dataset's spec.
-        index: Number of the trajectory in the dataset.
-        first_frame: Number of its first frame in the dataset.
-        task_index: Number of its goal text among those of the dataset.
+        index: Index of the trajectory in the dataset.
+        first_frame: Index of its first frame in the dataset.
+        task_index: Index of its goal text in the dataset.
     """
     numbers = _numbers(trajectory, spec, index, first_frame, task_index)
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
@@ -77,19 +86,19 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     return sink.getvalue()
 
 
-def read_footer(file: BinaryIO, *, index: int) -> Footer | None:
-    """Returns what the data file of trajectory `index` says of itself, None when freerein did not write it.
+def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
+    """Returns the footer of a trajectory's data file; None when freerein did not write the file.
 
     Raises:
         InvalidInput: The file is truncated or corrupt.
     """
-    with refusing_corruption(f"Trajectory {index}"):
+    with corrupt_as_invalid(f"Trajectory {index}"):
         metadata = pq.read_metadata(file)
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
         if text is None:
             return None
         described = json.loads(text)
-        return Footer(
+        return TrajectoryFooter(
             spec=loads(json.dumps(described["spec"])),
             length=metadata.num_rows,
             skills=tuple(described["skills"]),
@@ -98,10 +107,120 @@ def read_footer(file: BinaryIO, *, index: int) -> Footer | None:
         )
 
 
+def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
+    """Returns the rows of one trajectory; the file may hold others.
+
+    Args:
+        path: The data file.
+        index: Index of the trajectory in the dataset.
+        columns: Columns to read; `episode_index` is added.
+
+    Raises:
+        InvalidInput: The file is missing, truncated or corrupt, or lacks a column.
+    """
+    with corrupt_as_invalid(f"Trajectory {index}"), path.open("rb") as file:
+        parquet = pq.ParquetFile(file, page_checksum_verification=True)
+        groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
+        table = parquet.read_row_groups(groups, columns=[*columns, "episode_index"], use_threads=False)
+        return table.filter(pc.equal(table["episode_index"], index)).combine_chunks()
+
+
+def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+    """Returns the frames of one camera.
+
+    Args:
+        rows: From `read_rows`.
+        camera_key: Name of the column.
+        size: Required frame size (H, W, C).
+
+    Returns:
+        uint8 (T, H, W, C).
+
+    Raises:
+        InvalidInput: A frame is missing, corrupt or of another size.
+    """
+    frames = np.empty((len(rows), *size), np.uint8)
+    for t, record in enumerate(rows[camera_key].to_pylist()):
+        if record is None or record["bytes"] is None:
+            raise InvalidInput(
+                f"Every frame must be stored in the data file; frame {t} is not.",
+                hint="Export the dataset again with its images embedded.",
+            )
+        pixels = images.decode(Image(images.sniff(record["bytes"]), 0, 0, record["bytes"]), field="frames")
+        if pixels.shape != size:
+            raise InvalidInput(
+                f"Every frame must have the size that the dataset declares, {size}; frame {t} has {pixels.shape}.",
+                hint="Scale the frames to one size and record the dataset again.",
+            )
+        frames[t] = pixels
+    return frames
+
+
+def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
+    """Returns the actions, float32 (T, A) or int64 (T, 1).
+
+    Args:
+        rows: From `read_rows`.
+        spec: The dataset's spec.
+
+    Raises:
+        InvalidInput: A timestep has no action, or one of another size.
+    """
+    column = pa.concat_arrays(rows["action"].chunks) if rows["action"].num_chunks else pa.array([], pa.float32())
+    flat = column.flatten() if pa.types.is_nested(column.type) else column
+    if flat.null_count or len(flat) != len(rows) * spec.action.size:
+        raise InvalidInput(
+            f"Every timestep must have an action of {spec.action.size} numbers; the data file holds "
+            f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
+            hint="Record the trajectory again.",
+        )
+    actions: Actions = flat.to_numpy(zero_copy_only=False).astype(spec.action_dtype)
+    return actions.reshape(len(rows), spec.action.size)
+
+
+def write_labels(path: Path, labels: npt.NDArray[np.int64]) -> None:
+    """Writes per-timestep labels, int64 (T,), durably."""
+    sink = io.BytesIO()
+    pq.write_table(pa.table({"label": pa.array(labels, pa.int64())}), sink, write_page_checksum=True)
+    write_atomic(path, sink.getvalue())
+
+
+def read_labels(path: Path, *, index: int) -> npt.NDArray[np.int64]:
+    """Returns the per-timestep labels of trajectory `index`, int64 (T,).
+
+    Raises:
+        InvalidInput: The file is corrupt.
+    """
+    with corrupt_as_invalid(f"The labels of trajectory {index}"), path.open("rb") as file:
+        table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
+        labels: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
+        return labels
+
+
+@contextmanager
+def corrupt_as_invalid(subject: str) -> Iterator[None]:
+    """Raises InvalidInput where the body fails to read a parquet or JSON file."""
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+        raise InvalidInput(
+            f"{subject} must be a whole file with the contents that LeRobot's format names; "
+            "it is missing, truncated or corrupt.",
+            hint="Run `freerein dataset verify` to see which files are broken, and restore those from a copy.",
+        ) from None
+
+
+def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
+    """Returns whether a row group may hold rows of a trajectory, by its statistics where it has them."""
+    position = parquet.schema.names.index("episode_index")
+    bounds = parquet.metadata.row_group(group).column(position).statistics
+    return bounds is None or not bounds.has_min_max or bool(bounds.min <= index <= bounds.max)
+
+
 def _numbers(
     trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int, task_index: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Every column but the images: (T, A) actions, and the (T, 1) that LeRobot wants beside them."""
+    """Returns every column but the images: actions (T, A), and LeRobot's index columns (T, 1)."""
     t = np.arange(len(trajectory.actions))
     columns: dict[str, npt.NDArray[Any]] = {
         "timestamp": (t / spec.fps).astype(np.float32),
@@ -126,7 +245,7 @@ def _image_column(frames: npt.NDArray[np.uint8]) -> pa.Array:
 
 
 def _png(pixels: npt.NDArray[np.uint8]) -> bytes:
-    """Compresses at level 1: recording must keep up with the simulator."""
+    """Encodes at compression level 1: recording must keep up with the simulator."""
     buffer = io.BytesIO()
     PIL.Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""What records datasets: `append` returns once the trajectory is on disk, so a crash loses at most the open one."""
+"""Records datasets. `append` returns once the trajectory is on disk, so a crash loses at most the open one."""
 
 import tempfile
 from pathlib import Path
@@ -10,31 +10,29 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
-from freerein.data import episodes, layout, meta, truth
-from freerein.data.episodes import Row
-from freerein.data.lock import WriterLock
-from freerein.data.rows import Actions
-from freerein.data.spec import DatasetSpec
-from freerein.data.trajectory_file import encode
+from freerein.data import layout, meta, truth
+from freerein.data.layout import DatasetSpec
+from freerein.data.meta import Row, WriterLock
+from freerein.data.trajectory_file import Actions, encode
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import MAX_TEXT, Trajectory
 
 
 def create(root: Path, spec: DatasetSpec) -> "Writer":
-    """Makes an empty dataset, whole or not at all, and returns its writer.
+    """Creates an empty dataset atomically and returns its writer.
 
     Args:
-        root: Where; must be absent or an empty folder.
-        spec: What its trajectories will have in common.
+        root: The dataset's folder; must not exist, or be empty.
+        spec: Properties that its trajectories share.
 
     Raises:
-        AlreadyExists: There is something in `root`.
+        AlreadyExists: `root` is not empty.
     """
     root.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".new-dataset-", dir=root.parent) as folder:
         staging = Path(folder) / root.name
         (staging / "data").mkdir(parents=True)
-        meta.save(staging, spec, episodes.schema(spec).empty_table())
+        meta.save(staging, spec, meta.episodes_schema(spec).empty_table())
         try:
             staging.rename(root)
         except OSError:  # a folder in use, or a file
@@ -47,11 +45,11 @@ def create(root: Path, spec: DatasetSpec) -> "Writer":
 
 
 def open_writer(root: Path) -> "Writer":
-    """Returns the writer of a dataset, after mending what a crash left behind.
+    """Returns the writer of a dataset, after repairing what a crash left.
 
     Raises:
         NotFound: There is no dataset in `root` that freerein wrote.
-        FailedPrecondition: Another writer is at work.
+        FailedPrecondition: The dataset has another writer.
         InvalidInput: A data file is missing or corrupt.
     """
     spec = meta.read_spec(root) if root.is_dir() else None
@@ -64,13 +62,12 @@ def open_writer(root: Path) -> "Writer":
 
 
 class Writer:
-    """The one writer of a dataset, from `create` or `open_writer`; use it as a context manager.
+    """The only writer of a dataset, from `create` or `open_writer`; a context manager.
 
-    `meta/` is written on `close` and once per folder of data files; until then readers take the newest trajectories
-    from the data files themselves.
+    `meta/` is written on `close` and after every 1000 trajectories; readers take newer trajectories from their files.
 
     Attributes:
-        spec: What the trajectories have in common.
+        spec: Properties that the trajectories share.
     """
 
     def __init__(self, root: Path, spec: DatasetSpec) -> None:
@@ -78,13 +75,13 @@ class Writer:
         self._root = root
         self._lock = WriterLock(root)
         try:
-            self._table = _mended(root, spec)
+            self._table = _repaired(root, spec)
         except BaseException:
-            self._lock.release()
+            self._lock.close()
             raise
         self._rows: list[Row] = []
-        self._frames = episodes.frame_count(self._table)
-        self._tasks = episodes.task_indices(self._table)
+        self._frames = meta.frame_count(self._table)
+        self._tasks = meta.task_indices(self._table)
         self._is_open = True
 
     def __len__(self) -> int:
@@ -95,14 +92,14 @@ class Writer:
         """Writes one trajectory durably.
 
         Args:
-            trajectory: As the spec says: every camera, and T >= 1 timesteps.
-            labels: Ground truth for evaluation, int64 (T,) of indices into the spec's skills; written beside the data.
+            trajectory: Matches the spec: every camera, T >= 1 timesteps.
+            labels: Ground truth for evaluation, int64 (T,), indices into the spec's skills; stored in `truth/`.
 
         Returns:
-            The trajectory's number in the dataset.
+            Index of the trajectory in the dataset.
 
         Raises:
-            InvalidInput: The trajectory or the labels are not as the spec says.
+            InvalidInput: The trajectory or the labels do not match the spec.
             FailedPrecondition: The writer is closed.
         """
         if not self._is_open:
@@ -117,7 +114,7 @@ class Writer:
             _check_labels(labels, self.spec, length=len(trajectory.actions))
             truth.save(self._root, index, labels)  # before the data: what is on disk has all its labels
         write_atomic(layout.trajectory_path(self._root / "data", index), data)
-        self._rows.append(episodes.describe(data, index=index, first_frame=self._frames))
+        self._rows.append(meta.describe(data, index=index, first_frame=self._frames))
         self._frames += len(trajectory.actions)
         self._tasks[task] = number
         if len(self._rows) == layout.CHUNK_SIZE:
@@ -125,14 +122,14 @@ class Writer:
         return index
 
     def close(self) -> None:
-        """Writes `meta/` and lets another writer in; a second call does nothing."""
+        """Writes `meta/` and releases the lock; a second call does nothing."""
         if self._is_open:
             self._is_open = False
             try:
                 if self._rows:
                     self._save_meta()
             finally:
-                self._lock.release()
+                self._lock.close()
 
     def __enter__(self) -> Self:
         return self
@@ -143,23 +140,20 @@ class Writer:
         self.close()
 
     def _save_meta(self) -> None:
-        self._table, self._rows = episodes.extended(self._table, self._rows), []
+        self._table, self._rows = meta.extended(self._table, self._rows), []
         meta.save(self._root, self.spec, self._table)
 
 
-def _mended(root: Path, spec: DatasetSpec) -> pa.Table:
-    """Returns the episodes table, and undoes what a killed writer left.
-
-    That is unfinished files, labels whose trajectory was never finished, and a `meta/` behind `data/`.
-    """
+def _repaired(root: Path, spec: DatasetSpec) -> pa.Table:
+    """Deletes unfinished files and orphaned labels, brings `meta/` up to date, and returns the episodes table."""
     for folder in ("data", "meta", "truth"):
         for unfinished in (root / folder).rglob(f"*{TEMP_SUFFIX}"):
             unfinished.unlink()
-    table, is_fresh = meta.load(root, spec)
+    table, is_current = meta.load(root, spec)
     for orphan in truth.labelled(root):
         if orphan >= len(table):
             truth.discard(root, orphan)
-    if not is_fresh:
+    if not is_current:
         meta.save(root, spec, table)
     return table
 

@@ -9,13 +9,11 @@ resume. It never depends on clocks, interruptions or logging. Tested on the CPU;
 deterministic, which cuDNN's LSTM does not promise.
 """
 
+import json
 import math
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import Generic, Literal, Protocol
 
 import numpy as np
@@ -23,11 +21,12 @@ import numpy.typing as npt
 import torch
 
 from freerein.errors import FailedPrecondition
+from freerein.jobs.child import stop_on_sigterm
+from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
 from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON
 from freerein.learning.fit_config import FitConfig
-from freerein.learning.metric_rows import MetricRows
 from freerein.learning.train_state import BestWeights, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
 
 _MAX_SAVE_FAILURES = 3
@@ -45,8 +44,8 @@ class Learner(Protocol[N]):
         """Number of training items."""
 
     @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on: the configuration, the fingerprint of the data."""
+    def fingerprint(self) -> str:
+        """Fingerprint of the training data."""
 
     def init(self, generator: torch.Generator) -> TrainState[N]:
         """Returns the initial state."""
@@ -91,17 +90,6 @@ class FitResult(Generic[N]):
     def figures(self) -> dict[str, JSON]:
         """The figures that every model card holds."""
         return {"validation_loss": self.validation_loss, "best_step": self.best_step}
-
-
-@contextmanager
-def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
-    """Yields what tells whether SIGTERM has come, for `fit(stop=...)`; on the main thread only."""
-    asked = Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    try:
-        yield asked.is_set
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def fit_and_save(
@@ -149,7 +137,7 @@ def fit(
     progress = _start(learner)
     checkpointer = _Checkpointer(folder / "checkpoints", _identity(learner, progress.state), on_event)
     progress = checkpointer.resume(progress)
-    rows = MetricRows(folder / "metrics.jsonl", last_step=progress.state.step)
+    rows = MetricsWriter(folder / "metrics.jsonl", last_step=progress.state.step)
     while progress.state.step < config.steps and not stop():
         progress = _advance(learner, progress, rows, on_event)
         if progress.state.step % config.checkpoint_every == 0:
@@ -171,12 +159,14 @@ def _start(learner: Learner[N]) -> FitLoopState[N]:
 
 
 def _identity(learner: Learner[N], state: TrainState[N]) -> dict[str, JSON]:
-    device = next(state.network.parameters()).device
-    return {**learner.identity, "torch": torch.__version__, "device": str(device)}
+    """Returns what the result depends on, as it comes back from a checkpoint."""
+    config = json.loads(json.dumps(asdict(learner.config)))
+    device = str(next(state.network.parameters()).device)
+    return {"config": config, "data": learner.fingerprint, "torch": torch.__version__, "device": device}
 
 
 def _advance(
-    learner: Learner[N], progress: FitLoopState[N], rows: MetricRows, on_event: Callable[[FitEvent], None]
+    learner: Learner[N], progress: FitLoopState[N], rows: MetricsWriter, on_event: Callable[[FitEvent], None]
 ) -> FitLoopState[N]:
     """Makes one optimiser step; logs and evaluates when due."""
     config = learner.config

@@ -1,6 +1,6 @@
-"""What a service is made of: two doors over one core, limits, auth, health, batching, models, fits, drain.
+"""The parts of a service: REST API and gRPC server over one core, limits, auth, health, batching, models.
 
-    core object --methods--> rest (FastAPI) | rpc (grpc.aio) --lifecycle--> a process
+    core object --methods--> rest (FastAPI) | grpc_server (grpc.aio) --lifecycle--> a process
 
-A service gives a core object whose coroutines are named like the RPCs of its `.proto`; both doors are made from that.
+The core has one coroutine per RPC of the service's `.proto`, of the same name; REST and gRPC are generated from it.
 """

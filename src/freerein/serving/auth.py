@@ -1,4 +1,4 @@
-"""The bearer token: one for all, compared in constant time, checked by every door but the health checks."""
+"""Bearer token authentication, for REST and gRPC."""
 
 import hmac
 
@@ -8,18 +8,18 @@ _SCHEME = "bearer "
 
 
 def check(authorization: str, token: str) -> None:
-    """Lets a call through whose `Authorization` header carries the token.
+    """Checks the bearer token of a call in constant time.
 
     Args:
-        authorization: The header's value, empty when absent.
-        token: What is expected; empty when the service asks for none.
+        authorization: Value of the `Authorization` header, empty when absent.
+        token: Expected token; empty when the service needs none.
 
     Raises:
-        Unauthenticated: It does not.
+        Unauthenticated: The token is missing or wrong.
     """
     given = authorization[len(_SCHEME) :] if authorization[: len(_SCHEME)].lower() == _SCHEME else ""
     if token and not hmac.compare_digest(given.encode(), token.encode()):
         raise Unauthenticated(
-            "A bearer token is expected; got none, or another one.",
+            "The call must carry the service's bearer token; it carries none, or another one.",
             hint="Send the header Authorization: Bearer <the service's FREEREIN_TOKEN>.",
         )

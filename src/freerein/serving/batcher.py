@@ -1,7 +1,6 @@
-"""One thread that runs the model, and items that wait for it: batches without waiting.
+"""Dynamic batching without a waiting window, on one model thread.
 
-A lone item runs at once. What arrives while the model is busy forms the next batch, so the batch grows with the load
-and nobody waits for a window to close.
+A lone item runs at once. Items that arrive while the model is busy form the next batch, so batches grow with the load.
 """
 
 import asyncio
@@ -21,18 +20,18 @@ I = TypeVar("I")  # noqa: E741  # item
 O = TypeVar("O")  # noqa: E741  # output
 
 _FAULTS_UNTIL_NOT_READY = 5
-_LAST_BATCH_S = 1.0
+_CLOSE_TIMEOUT_S = 1.0
 
 
 @dataclass(frozen=True)
 class BatchResult(Generic[O]):
-    """What came of an item.
+    """The model's output for one item, and how it was computed.
 
     Attributes:
-        output: The model's answer.
-        queue_ns: How long it waited.
-        infer_ns: How long its batch took.
-        batch_size: How many items were in it.
+        output: The output.
+        queue_ns: Nanoseconds in the queue.
+        infer_ns: Nanoseconds of the model call.
+        batch_size: Items in the model call.
     """
 
     output: O
@@ -42,7 +41,7 @@ class BatchResult(Generic[O]):
 
 
 @dataclass(eq=False)
-class _Waiting(Generic[I, O]):
+class _QueuedItem(Generic[I, O]):
     item: I
     key: Hashable
     deadline: float
@@ -51,152 +50,152 @@ class _Waiting(Generic[I, O]):
 
 
 class Batcher(Generic[I, O]):
-    """Runs items through a model in batches, on a thread of its own.
+    """Runs items through a model in batches, on its own thread.
 
     Args:
-        call: The model: for a sequence of items the outputs in order, a `ServiceError` in place of an output for an
-            item that fails alone. Called on the batcher's thread only.
-        queue: How many items may wait.
-        batch: How many items may share a call.
-        metrics: Where the queue and the batches are measured.
+        call: The model: returns the outputs of a sequence of items in order, a `ServiceError` in place of the output
+            of an item that fails alone. Called on the batcher's thread only.
+        queue: Largest number of queued items.
+        batch: Largest number of items in one model call.
+        metrics: Measures queue length and batch sizes.
     """
 
     def __init__(
         self, call: Callable[[Sequence[I]], Sequence[O | ServiceError]], *, queue: int, batch: int, metrics: Metrics
     ) -> None:
         self._call = call
-        self._queue = queue
-        self._batch = batch
+        self._max_queue = queue
+        self._max_batch = batch
         self._metrics = metrics
-        self._waiting: deque[_Waiting[I, O]] = deque()
-        self._lock = threading.Lock()  # held for `_waiting` and `_closed`
-        self._bell = threading.Lock()  # free when the thread is to look; it wakes sooner than at a Condition
+        self._queue: deque[_QueuedItem[I, O]] = deque()
+        self._lock = threading.Lock()  # guards `_queue` and `_closed`
+        self._wake = threading.Lock()  # released to wake the thread: lower latency than a Condition
         self._closed = False
         self._faults = 0
-        metrics.queued.set_function(lambda: len(self._waiting))
+        metrics.queued.set_function(lambda: len(self._queue))
         self._thread = threading.Thread(target=self._work, name="model", daemon=True)
         self._thread.start()
 
     def not_ready(self) -> str:
-        """Returns why the model cannot answer, empty when it can: its last five calls all failed."""
+        """Returns why the model cannot answer, empty when it can: not after five failed calls in a row."""
         return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY else ""
 
     async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> BatchResult[O]:
-        """Returns what the model made of an item. Cancelled, it is dropped before it reaches the model.
+        """Returns the model's output for an item. A cancelled item is removed from the queue.
 
         Args:
             item: The item.
             key: Only items of equal keys share a batch.
-            timeout_s: Dropped when not begun within this time, in seconds.
+            timeout_s: Longest time in the queue, in seconds.
 
         Raises:
             Overloaded: The queue is full.
-            DeadlineExceeded: The time was up before the model could begin.
+            DeadlineExceeded: The item was still queued after `timeout_s`.
             ModelFault: The model raised on this item.
             Unavailable: The batcher is closed.
-            ServiceError: Whatever the model returned in the item's place.
+            ServiceError: Whatever the model returned in place of the item's output.
         """
         future: asyncio.Future[BatchResult[O]] = asyncio.get_running_loop().create_future()
-        waiting = _Waiting(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
+        queued = _QueuedItem(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
         with self._lock:
             if self._closed:
-                raise _closed()
-            if len(self._waiting) >= self._queue:
+                raise _closed_error()
+            if len(self._queue) >= self._max_queue:
                 raise Overloaded(
-                    f"At most {self._queue} items may wait for the model; the queue is full.",
+                    f"At most {self._max_queue} items may wait for the model; the queue is full.",
                     hint="Try again after Retry-After, or send less at once.",
                 )
-            self._waiting.append(waiting)
-            self._ring()
+            self._queue.append(queued)
+            self._wake_thread()
         try:
             return await future
         except asyncio.CancelledError:
-            self._withdraw(waiting)
+            self._remove(queued)
             raise
 
     def close(self) -> None:
-        """Ends the thread after the batch in work, or leaves it behind when that hangs; what waits is refused."""
+        """Refuses queued items and ends the thread after its current batch; abandons a thread that hangs."""
         with self._lock:
             self._closed = True
-            for waiting in self._waiting:
-                _settle(waiting.future, _closed())
-            self._waiting.clear()
-            self._ring()
-        self._thread.join(_LAST_BATCH_S)
+            for queued in self._queue:
+                _resolve(queued.future, _closed_error())
+            self._queue.clear()
+            self._wake_thread()
+        self._thread.join(_CLOSE_TIMEOUT_S)
 
-    def _withdraw(self, waiting: "_Waiting[I, O]") -> None:
-        """Frees the place of an item whose caller is gone."""
+    def _remove(self, queued: "_QueuedItem[I, O]") -> None:
         with self._lock:
-            if waiting in self._waiting:
-                self._waiting.remove(waiting)
+            if queued in self._queue:
+                self._queue.remove(queued)
 
-    def _ring(self) -> None:
-        """Wakes the thread, which may be awake; the lock is held."""
-        if self._bell.locked():
-            self._bell.release()
+    def _wake_thread(self) -> None:
+        """Wakes the thread, which may be awake; `_lock` is held."""
+        if self._wake.locked():
+            self._wake.release()
 
     def _work(self) -> None:
         while batch := self._next_batch():
-            begun_ns = time.perf_counter_ns()
-            outputs = self._run([waiting.item for waiting in batch])
-            infer_ns = time.perf_counter_ns() - begun_ns
+            started_ns = time.perf_counter_ns()
+            outputs = self._run([queued.item for queued in batch])
+            infer_ns = time.perf_counter_ns() - started_ns
             self._metrics.batches.observe(len(batch))
-            for waiting, output in zip(batch, outputs, strict=True):
+            for queued, output in zip(batch, outputs, strict=True):
                 if isinstance(output, ServiceError):
-                    _settle(waiting.future, output)
+                    _resolve(queued.future, output)
                 else:
-                    _settle(waiting.future, BatchResult(output, begun_ns - waiting.since_ns, infer_ns, len(batch)))
+                    result = BatchResult(output, started_ns - queued.since_ns, infer_ns, len(batch))
+                    _resolve(queued.future, result)
 
-    def _next_batch(self) -> list[_Waiting[I, O]]:
-        """Returns the next items of one key, waiting for them; none when closed."""
+    def _next_batch(self) -> list[_QueuedItem[I, O]]:
+        """Waits for items and returns the next batch; empty when closed."""
         while True:
-            while not self._waiting and not self._closed:
-                self._bell.acquire()
+            while not self._queue and not self._closed:
+                self._wake.acquire()
             with self._lock:
                 if self._closed:
                     return []
                 batch = self._take()
-            if live := [waiting for waiting in batch if _still_wanted(waiting)]:
+            if live := [queued for queued in batch if _is_live(queued)]:
                 return live
 
-    def _take(self) -> list[_Waiting[I, O]]:
-        """Takes the items of the first one's key that stand at the front, up to a batch; the lock is held."""
-        batch: list[_Waiting[I, O]] = []
-        while self._waiting and len(batch) < self._batch and (not batch or self._waiting[0].key == batch[0].key):
-            batch.append(self._waiting.popleft())
+    def _take(self) -> list[_QueuedItem[I, O]]:
+        """Removes up to a batch of items of equal key from the front of the queue; `_lock` is held."""
+        batch: list[_QueuedItem[I, O]] = []
+        while self._queue and len(batch) < self._max_batch and (not batch or self._queue[0].key == batch[0].key):
+            batch.append(self._queue.popleft())
         return batch
 
     def _run(self, items: list[I]) -> Sequence[O | ServiceError]:
-        """Calls the model; when it raises, once more for each item alone, so that only the poisonous one fails."""
+        """Calls the model. When it raises, calls it again for each item alone, so that only the faulty item fails."""
         try:
             outputs = self._call(items)
             if len(outputs) != len(items):
-                raise ValueError(f"the model answered {len(outputs)} items of {len(items)}")
+                raise ValueError(f"the model returned {len(outputs)} outputs for {len(items)} items")
         except Exception:  # whatever a model raises is a fault of the model
             _log.exception("the model failed", extra={"batch_size": len(items)})
             if len(items) > 1:
                 return [self._run([item])[0] for item in items]
             self._faults += 1
-            return [ModelFault("The model failed on this input; the log says more.", hint="Report it.")]
+            return [ModelFault("The model failed on this input; the log holds the cause.", hint="Report it.")]
         self._faults = 0
         return outputs
 
 
-def _closed() -> Unavailable:
+def _closed_error() -> Unavailable:
     return Unavailable("The model must be running; the service is stopping.", hint="Call another replica.")
 
 
-def _still_wanted(waiting: "_Waiting[I, O]") -> bool:
-    if waiting.future.cancelled():
+def _is_live(queued: "_QueuedItem[I, O]") -> bool:
+    if queued.future.cancelled():
         return False
-    if time.monotonic() > waiting.deadline:
-        _settle(waiting.future, DeadlineExceeded("The model could not begin in time.", hint="Send less at once."))
+    if time.monotonic() > queued.deadline:
+        _resolve(queued.future, DeadlineExceeded("The model could not start in time.", hint="Send less at once."))
         return False
     return True
 
 
-def _settle(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
-    """Sets a future of another thread's event loop, unless its caller is gone."""
+def _resolve(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
+    """Completes a future of another thread's event loop, unless that loop is closed."""
     if not future.get_loop().is_closed():
         future.get_loop().call_soon_threadsafe(_set, future, result)
 

@@ -4,7 +4,7 @@ import time
 from collections.abc import Awaitable
 from typing import TypeVar
 
-from freerein.serving.batcher import Done
+from freerein.serving.batcher import BatchResult
 from freerein.types.common import Timing
 
 T = TypeVar("T")
@@ -24,7 +24,7 @@ class CallTimer:
         self._decode_ns += time.perf_counter_ns() - start_ns
         return result
 
-    async def infer(self, work: Awaitable[Done[T]]) -> T:
+    async def infer(self, work: Awaitable[BatchResult[T]]) -> T:
         """Awaits the batcher and returns the model's output."""
         start_ns = time.perf_counter_ns()
         done = await work

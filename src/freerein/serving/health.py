@@ -1,4 +1,4 @@
-"""Whether a service is live, ready or draining, and the event that tells every stream to end."""
+"""Liveness, readiness and graceful shutdown of a service."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -10,10 +10,10 @@ T = TypeVar("T")
 
 
 class Health:
-    """Readiness of one service: open doors, warm models, not draining.
+    """Readiness of one service, and the event that begins its graceful shutdown.
 
     Args:
-        not_ready: Returns why the core is not ready, empty when it is.
+        not_ready: Returns why the service is not ready, empty when it is.
     """
 
     def __init__(self, not_ready: Callable[[], str] = lambda: "") -> None:
@@ -25,26 +25,26 @@ class Health:
         return "It is draining." if self._draining.is_set() else self._not_ready()
 
     def error(self) -> Unavailable:
-        """Returns what a call is answered while the service is not ready."""
+        """Returns the error of a call to a service that is not ready."""
         return Unavailable(
             f"The service must be ready; it is not: {self.reason()}", hint="Try again, or call another replica."
         )
 
     @property
     def draining(self) -> bool:
-        """Whether the service has been told to stop."""
+        """Whether the graceful shutdown has begun."""
         return self._draining.is_set()
 
     def drain(self) -> None:
-        """Makes the service not ready for good and wakes everything that waits for it."""
+        """Begins the graceful shutdown: the service is not ready from now on, and waiting streams end."""
         self._draining.set()
 
     async def wait_for_drain(self) -> None:
-        """Returns when the service has been told to stop."""
+        """Waits until the graceful shutdown begins."""
         await self._draining.wait()
 
     async def await_or_drain(self, step: Awaitable[T]) -> T | None:
-        """Returns what `step` returns, or None, with `step` cancelled, when draining begins first."""
+        """Returns the result of `step`; cancels it and returns None when the graceful shutdown begins first."""
         work = asyncio.ensure_future(step)
         drain = asyncio.ensure_future(self._draining.wait())
         try:
@@ -55,21 +55,21 @@ class Health:
             drain.cancel()
 
     async def iterate_until_drain(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
-        """Yields what `items` yields, and ends when it ends or draining begins."""
+        """Yields from `items` until they end or the graceful shutdown begins."""
         drain = asyncio.ensure_future(self._draining.wait())
-        following: asyncio.Future[T] | None = None
+        upcoming: asyncio.Future[T] | None = None
         try:
             while not self.draining:
-                following = asyncio.ensure_future(anext(items))
-                await asyncio.wait({following, drain}, return_when=asyncio.FIRST_COMPLETED)
-                if not following.done():
+                upcoming = asyncio.ensure_future(anext(items))
+                await asyncio.wait({upcoming, drain}, return_when=asyncio.FIRST_COMPLETED)
+                if not upcoming.done():
                     return
                 try:
-                    item = following.result()
+                    item = upcoming.result()
                 except StopAsyncIteration:
                     return
                 yield item
         finally:
             drain.cancel()
-            if following is not None:
-                following.cancel()
+            if upcoming is not None:
+                upcoming.cancel()

@@ -1,4 +1,4 @@
-"""What the services whose core is a model have in common: where models lie, what serves them, what fits them."""
+"""What services with learned models have in common: settings, model store, fits."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from pydantic import Field
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.serving.batcher import Batcher
-from freerein.serving.fits import Fits
+from freerein.serving.fits import FitService
 from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
 from freerein.serving.model_cache import ModelCache
@@ -20,12 +20,12 @@ M = TypeVar("M")
 
 
 class LearnedSettings(ServiceSettings):
-    """Settings of a service whose core is a model.
+    """Settings of a learned service.
 
     Attributes:
-        device: Where models run: `auto`, `cpu` or `cuda:N`.
-        train_threads: Threads of a fit that does not say; small networks are as fast on one as on two.
-        shipped_dir: Where the models lie that came with freerein; unset for `models/` of the clone it runs from.
+        device: Device of the models: `auto`, `cpu` or `cuda:N`.
+        train_threads: Default number of threads of a fit; small networks are as fast on one as on two.
+        shipped_dir: Folder of the shipped models; unset for `models/` of the clone.
     """
 
     device: str = Field(default="auto", pattern=r"^(auto|cpu|cuda:\d+)$")
@@ -34,7 +34,7 @@ class LearnedSettings(ServiceSettings):
 
 
 def open_store(name: str, settings: LearnedSettings) -> ModelStore:
-    """Returns the models of a service: its own in the data directory, and those shipped."""
+    """Returns the models of a service: those in the data directory and those shipped."""
     return ModelStore(settings.data_dir / "models" / name, shipped=(settings.shipped_dir or CLONE_MODELS) / name)
 
 
@@ -44,17 +44,17 @@ def learned_service(
     *cores: object,
     models: ModelCache[M],
     batchers: Sequence[Batcher[Any, Any]],
-    fits: Fits,
+    fits: FitService,
 ) -> Service:
-    """Returns a service that answers with models and fits them.
+    """Returns a learned service.
 
     Args:
-        name: Its name.
-        contract: What its cores answer; `FitService` and `ModelService` are added.
-        cores: The cores.
-        models: The models that it answers with.
-        batchers: The threads that run them.
-        fits: Its fits.
+        name: Name of the service.
+        contract: The service that the cores implement; `FitService` and `ModelService` are added.
+        cores: Implementations of its methods.
+        models: The loaded models.
+        batchers: The batchers, closed with the service.
+        fits: The fits.
     """
 
     async def start() -> None:

@@ -1,4 +1,4 @@
-"""The bounds of a service. docs/protocol.md shows them as a table."""
+"""The limits of a service; docs/protocol.md lists them all."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,19 +9,19 @@ from freerein.errors import Overloaded
 
 @dataclass(frozen=True)
 class Limits:
-    """Everything that is bounded, and by how much.
+    """Size, time and concurrency limits.
 
     Attributes:
-        message_bytes: One REST body or gRPC message.
-        buffered_bytes: All REST bodies being received or worked on together.
-        receipt_s: From a connection's first byte wanted to a request's last byte received.
-        write_s: How long a reader may leave a reply unread.
-        unary_s: From request to reply of a unary call; a caller's shorter deadline holds.
+        message_bytes: Bytes of one REST body or gRPC message.
+        buffered_bytes: Bytes of all REST bodies in memory together.
+        receipt_s: Seconds to receive a whole HTTP request.
+        write_s: Seconds that a client may leave a reply unread.
+        unary_s: Seconds from request to reply of a unary call; a caller's shorter deadline takes precedence.
         queue: Items waiting for the model.
         batch: Items in one model call.
-        streams: Streams open at once.
-        concurrent_calls: gRPC calls open at once.
-        drain_s: From SIGTERM to the end of what was in flight.
+        streams: Streams open at once, over REST and over gRPC each.
+        concurrent_calls: gRPC calls in progress at once.
+        drain_s: Seconds from SIGTERM until calls in flight are cut.
     """
 
     message_bytes: int = 64 * 2**20

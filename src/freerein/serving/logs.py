@@ -1,4 +1,4 @@
-"""Structured logs: one JSON object per line on stderr, control characters escaped, long values cut."""
+"""Structured logs: one JSON object per line on stderr, long values truncated."""
 
 import logging
 import sys
@@ -6,16 +6,16 @@ from typing import Any
 
 import structlog
 
-_LONGEST = 2_000
+_MAX_CHARACTERS = 2_000
 
 
 def configure(service: str) -> None:
-    """Sends every log line of this process to stderr as JSON with time, level, service and event."""
+    """Configures logging of this process: JSON lines on stderr with time, level, service and event."""
     shared: list[structlog.typing.Processor] = [
         structlog.contextvars.merge_contextvars,
         structlog.processors.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
-        _cut,
+        _truncate,
     ]
     formatter = structlog.stdlib.ProcessorFormatter(
         foreign_pre_chain=[*shared, structlog.stdlib.ExtraAdder(), structlog.processors.format_exc_info],
@@ -41,8 +41,8 @@ def configure(service: str) -> None:
     )
 
 
-def _cut(_logger: Any, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
+def _truncate(_logger: Any, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
     return {
-        key: value[:_LONGEST] if isinstance(value, str) and key != "exception" else value
+        key: value[:_MAX_CHARACTERS] if isinstance(value, str) and key != "exception" else value
         for key, value in event.items()
     }

@@ -1,9 +1,9 @@
-"""A service's methods: each RPC of its `.proto`, joined to the coroutine of the core that answers it.
+"""The methods of a service: each RPC of its `.proto`, bound to the coroutine of the core that implements it.
 
-Both doors are made from this table, so that they cannot differ. The rule: RPC `ListSkills` is answered by
-`core.list_skills`, takes the dataclass of its request message and returns the dataclass of its response message; over
-REST it is `/v1/list-skills`, by GET for `List`, `Get` and `Watch`, else by POST. There, what a `Watch` call streams is
-server-sent events, the parts of a file are the reply's body, and other streams are gRPC's alone.
+REST and gRPC are both made from this table. RPC `ListSkills` calls `core.list_skills` with the dataclass of its request
+message and returns the dataclass of its response message. Over REST it is `/v1/list-skills`: GET for `List`, `Get` and
+`Watch`, else POST. A `Watch` stream is server-sent events, a stream of file parts is the response body, and other
+streams are gRPC only.
 """
 
 import re
@@ -12,28 +12,27 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
-from google.protobuf.message import Message
 
 from freerein import wire
 from freerein.errors import ServiceError
 
-_READS = ("List", "Get", "Watch")
-_PART = ["data"]
+_READ_PREFIXES = ("List", "Get", "Watch")
+_FILE_PART_FIELDS = ["data"]
 
 RestForm = Literal["reply", "events", "file", "none"]
 
 
 @dataclass(frozen=True)
 class Method:
-    """One RPC and who answers it.
+    """One RPC and its implementation.
 
     Attributes:
         descriptor: The RPC.
-        request: The dataclass taken.
-        response: The dataclass returned, or yielded.
+        request: Dataclass of the request.
+        response: Dataclass of the response, or of each streamed response.
         call: The core's method: a coroutine function `(request) -> response`, for server streaming an async generator
-            function `(request)`, for bidirectional streaming an async generator function `(requests)`, which gets an
-            `InvalidMessage` in place of a message that is none of its requests.
+            function `(request)`, for bidirectional streaming an async generator function `(requests)`, which receives
+            an `InvalidMessage` in place of a message that could not be decoded.
     """
 
     descriptor: MethodDescriptor
@@ -43,63 +42,63 @@ class Method:
 
     @property
     def name(self) -> str:
-        """The RPC's name, such as `ListSkills`."""
+        """Name of the RPC, such as `ListSkills`."""
         return self.descriptor.name
 
     @property
     def path(self) -> str:
         """The REST path, such as `/v1/list-skills`."""
-        return "/v1/" + _words(self.name, "-")
+        return "/v1/" + _split_words(self.name, "-")
 
     @property
     def reads(self) -> bool:
-        """Whether it changes nothing, so that REST serves it by GET."""
-        return self.name.startswith(_READS)
+        """Whether it is read-only, and GET over REST."""
+        return self.name.startswith(_READ_PREFIXES)
 
     @property
     def rest_form(self) -> RestForm:
-        """How REST serves it."""
+        """Its form over REST; `none` for gRPC only."""
         if self.descriptor.client_streaming:
             return "none"
         if not self.descriptor.server_streaming:
             return "reply"
         if self.name.startswith("Watch"):
             return "events"
-        return "file" if [field.name for field in self.descriptor.output_type.fields] == _PART else "none"
+        return "file" if [field.name for field in self.descriptor.output_type.fields] == _FILE_PART_FIELDS else "none"
 
 
 @dataclass(frozen=True, eq=False)
 class InvalidMessage:
-    """A message of a stream that could not be made a dataclass.
+    """A stream message that could not be decoded into its dataclass.
 
     Attributes:
-        error: Why.
-        message: What came; None where the bytes were no such message at all.
+        error: The reason.
+        seq: The `seq` of the numbered part that the message holds; None when it holds none.
     """
 
     error: ServiceError
-    message: Message | None = None
+    seq: int | None = None
 
 
 def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:
-    """Returns the methods of a service, each bound to the method of that name of the first core that has it.
+    """Returns the methods of a service, each bound to the first core that implements it.
 
     Raises:
-        LookupError: None has it: the proto says more than is implemented.
+        LookupError: No core implements an RPC.
     """
     return tuple(
         Method(
             descriptor=descriptor,
             request=wire.dataclass_of(descriptor.input_type),
             response=wire.dataclass_of(descriptor.output_type),
-            call=_find(_words(descriptor.name, "_"), cores),
+            call=_find(_split_words(descriptor.name, "_"), cores),
         )
         for descriptor in service.methods
     )
 
 
 def service_names(methods: Sequence[Method]) -> tuple[str, ...]:
-    """Returns the full names of the services that methods belong to, without repeats."""
+    """Returns the full names of the services of these methods, without duplicates."""
     return tuple(dict.fromkeys(method.descriptor.containing_service.full_name for method in methods))
 
 
@@ -110,5 +109,5 @@ def _find(name: str, cores: Sequence[object]) -> Any:
     raise LookupError(f"no core has a method {name}")
 
 
-def _words(name: str, separator: str) -> str:
+def _split_words(name: str, separator: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", separator, name).lower()

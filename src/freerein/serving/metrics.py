@@ -1,4 +1,4 @@
-"""Prometheus metrics of one service. Labels come from fixed sets, never from a request."""
+"""Prometheus metrics of one service. Label values come from fixed sets, never from a request."""
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
@@ -7,13 +7,13 @@ _BATCH_BUCKETS = (1, 2, 4, 8, 16, 32)
 
 
 class Metrics:
-    """The metrics, on a registry of their own so that two services can live in one test process.
+    """The metrics, on their own registry, so that one process can hold several services.
 
     Attributes:
-        calls: Calls answered, by door, method and code.
-        latency: Seconds from request to reply, by door and method.
-        in_flight: Calls being answered, by door.
-        cancelled: Calls whose caller went away, by door.
+        calls: Completed calls, by protocol (rest | grpc), method and code.
+        latency: Seconds from request to reply, by protocol and method.
+        in_flight: Calls in progress, by protocol.
+        cancelled: Calls whose client disconnected, by protocol.
         queued: Items waiting for the model.
         batches: Items per model call.
     """
@@ -21,18 +21,18 @@ class Metrics:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         self.calls = Counter(
-            "freerein_calls_total", "Calls answered.", ("door", "method", "code"), registry=self.registry
+            "freerein_calls_total", "Completed calls.", ("protocol", "method", "code"), registry=self.registry
         )
         self.latency = Histogram(
             "freerein_call_seconds",
-            "From request to reply.",
-            ("door", "method"),
+            "Seconds from request to reply.",
+            ("protocol", "method"),
             buckets=_LATENCY_BUCKETS_S,
             registry=self.registry,
         )
-        self.in_flight = Gauge("freerein_calls_in_flight", "Calls being answered.", ("door",), registry=self.registry)
+        self.in_flight = Gauge("freerein_calls_in_flight", "Calls in progress.", ("protocol",), registry=self.registry)
         self.cancelled = Counter(
-            "freerein_cancelled_total", "Calls whose caller went away.", ("door",), registry=self.registry
+            "freerein_cancelled_total", "Calls whose client disconnected.", ("protocol",), registry=self.registry
         )
         self.queued = Gauge("freerein_queued_items", "Items waiting for the model.", registry=self.registry)
         self.batches = Histogram(
@@ -40,5 +40,5 @@ class Metrics:
         )
 
     def text(self) -> bytes:
-        """Returns everything in Prometheus' text format."""
+        """Returns all metrics in the Prometheus text format."""
         return generate_latest(self.registry)

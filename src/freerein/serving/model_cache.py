@@ -1,4 +1,4 @@
-"""The models in memory that answer: the core of `ModelService`, and where a learned core gets its model from."""
+"""Models in memory: the core of `ModelService`, and the source of a learned core's models."""
 
 import asyncio
 from collections import OrderedDict
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from freerein.errors import FailedPrecondition
-from freerein.serving.model_store import DEFAULT_NAME, ModelStore, card
+from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,
@@ -23,12 +23,12 @@ _MAX_INACTIVE = 4
 
 
 class ModelCache(Generic[M]):
-    """Models of one learned service, loaded on first use, the active ones before the service is ready.
+    """LRU cache of one learned service's models. Active models are loaded at start and never evicted.
 
     Args:
-        store: Where they lie.
-        load: Returns the model of a folder, warmed up. Called off the event loop.
-        fit_command: What a user types to make a model, for the error when there is none.
+        store: The models on disk.
+        load: Loads and warms up the model of a folder. Called off the event loop.
+        fit_command: The command that fits a model, for the error when there is none.
     """
 
     def __init__(self, store: ModelStore, load: Callable[[Path], M], *, fit_command: str) -> None:
@@ -37,58 +37,58 @@ class ModelCache(Generic[M]):
         self._fit_command = fit_command
         self._loaded: OrderedDict[ModelRef, M] = OrderedDict()
         self._loading = asyncio.Lock()
-        self._warm = False
+        self._started = False
 
     async def start(self) -> None:
         """Loads the active version of every model.
 
         Raises:
-            FailedPrecondition: Its files are missing or changed.
+            FailedPrecondition: Files of a model are missing or changed.
         """
         for name in self._store.names():
             if version := self._store.active_version(name):
                 await self._get(ModelRef(name, version))
-        self._warm = True
+        self._started = True
 
     def not_ready(self) -> str:
-        """Returns why models cannot answer yet, empty when they can. Having none is ready, too."""
-        return "" if self._warm else "Its models are being loaded."
+        """Returns why models cannot answer yet, empty when they can. A service without models is ready."""
+        return "" if self._started else "Its models are being loaded."
 
     async def resolve(self, ref: ModelRef) -> tuple[ModelRef, M]:
-        """Returns the model that a request names, and its whole reference.
+        """Returns the model that a request names, and its full reference.
 
         Raises:
             FailedPrecondition: No version of that name is active.
-            NotFound: There is no such model.
+            NotFound: The model does not exist.
         """
         name = check_name(ref.name or DEFAULT_NAME, field="model.name")
         version = ref.version or self._store.active_version(name)
         if not version:
             raise FailedPrecondition(
-                "A model must have been fitted and be active; there is none of that name.",
+                "The request needs an active model; none of that name is active.",
                 field="model",
                 hint=f"Fit one: {self._fit_command}",
             )
-        whole = ModelRef(name, version)
-        return whole, await self._get(whole)
+        full_ref = ModelRef(name, version)
+        return full_ref, await self._get(full_ref)
 
     async def list_models(self, _request: ListModelsRequest) -> ListModelsResponse:
         """Returns every version of every model."""
         return ListModelsResponse(await asyncio.to_thread(self._store.models))
 
     async def activate_model(self, request: ActivateModelRequest) -> ActivateModelResponse:
-        """Loads a version, then makes it the one that answers, between two batches.
+        """Loads a version, then makes it the active one, between two batches.
 
         Raises:
-            NotFound: There is no such model.
-            FailedPrecondition: Its files changed, or another version is active than expected.
+            NotFound: The model does not exist.
+            FailedPrecondition: Its files changed, or the active version is not the expected one.
         """
         name = check_name(request.name or DEFAULT_NAME, field="name")
         ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)
-        folder = await asyncio.to_thread(self._store.folder, ref)  # it may have been loaded long ago
+        folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
         self._store.activate(ref, expected_current=request.expected_current)
-        return ActivateModelResponse(Model(ref, True, card(folder)))
+        return ActivateModelResponse(Model(ref, True, model_card(folder)))
 
     async def _get(self, ref: ModelRef) -> M:
         if ref not in self._loaded:

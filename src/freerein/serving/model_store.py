@@ -1,7 +1,7 @@
-"""Models on disk: `<root>/<name>/<version>/` with a manifest; `<root>/<name>/active.json` names the one that answers.
+"""Models on disk: `<root>/<name>/<version>/` with a manifest; `<root>/<name>/active.json` names the active version.
 
-A version is the first 12 hexadecimal digits of its manifest's sha256, and the manifest holds the sha256 of every file:
-what a version names can never change. What is published is moved into place whole; what is loaded is checked first.
+The manifest holds the sha256 of every file, and a version is the first 12 hexadecimal digits of the manifest's sha256,
+so a version is immutable. Models are published by one rename, and their files are checked before they are loaded.
 """
 
 import hashlib
@@ -20,15 +20,15 @@ DEFAULT_NAME = "default"
 MANIFEST = "manifest.json"
 CARD = "card.json"
 CLONE_MODELS = Path(__file__).parents[3] / "models"
-"""Where the models lie that came with freerein, unless told otherwise."""
+"""Default folder of the shipped models."""
 
 
 class ModelStore:
     """The models of one service.
 
     Args:
-        root: Where new models are published.
-        shipped: Where models lie that came with freerein; searched after `root`, never written.
+        root: Folder that new models are published to.
+        shipped: Folder of the models shipped with freerein, read-only; searched after `root`.
     """
 
     def __init__(self, root: Path, shipped: Path | None = None) -> None:
@@ -36,15 +36,15 @@ class ModelStore:
         self._roots = (root, shipped) if shipped is not None else (root,)
 
     def publish(self, name: str, folder: Path) -> ModelRef:
-        """Moves a folder of files into the store and returns its name and version. The same files: the same version.
+        """Moves a folder of files into the store and returns its reference. Equal files have equal versions.
 
         Args:
             name: The model's name; empty for the default one.
-            folder: Files, among them `card.json`; gone afterwards.
+            folder: The files, among them `card.json`; moved or removed.
         """
         name = check_name(name or DEFAULT_NAME, field="model_name")
-        theirs = (path for path in sorted(folder.iterdir()) if path.name.removesuffix(TEMP_SUFFIX) != MANIFEST)
-        files = {path.name: _sha256(path) for path in theirs}
+        paths = (path for path in sorted(folder.iterdir()) if path.name.removesuffix(TEMP_SUFFIX) != MANIFEST)
+        files = {path.name: _sha256(path) for path in paths}
         manifest = json.dumps({"files": files}, sort_keys=True).encode()
         version = hashlib.sha256(manifest).hexdigest()[:12]
         write_atomic(folder / MANIFEST, manifest)
@@ -58,11 +58,11 @@ class ModelStore:
         return ModelRef(name, version)
 
     def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:
-        """Makes a version the active one. Its files are not read, which takes a while: whoever loads them checks them.
+        """Makes a version the active one. Its files are checked when they are loaded, not here.
 
         Raises:
-            NotFound: There is no such model.
-            FailedPrecondition: Another version is active than `expected_current`.
+            NotFound: The model does not exist.
+            FailedPrecondition: The active version is not `expected_current`.
         """
         self._find(ref)
         current = self.active_version(ref.name)
@@ -75,7 +75,7 @@ class ModelStore:
         write_atomic(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
 
     def active_version(self, name: str) -> str:
-        """Returns the version that answers for a name, empty when there is none."""
+        """Returns the active version of a name, empty when there is none."""
         for root in self._roots:
             path = root / name / "active.json"
             if path.is_file():
@@ -87,7 +87,7 @@ class ModelStore:
         return tuple(sorted({path.name for root in self._roots for path in _folders(root)}))
 
     def models(self) -> tuple[Model, ...]:
-        """Returns every version of every model, by name, the newest version first."""
+        """Returns every version of every model, sorted by name, newest version first."""
         found: dict[ModelRef, Path] = {}
         for root in self._roots:
             for folder in _folders(root):
@@ -95,13 +95,15 @@ class ModelStore:
                 for path in sorted(versions, key=lambda version: version.stat().st_mtime, reverse=True):
                     found.setdefault(ModelRef(folder.name, path.name), path)
         by_name = sorted(found.items(), key=lambda entry: entry[0].name)  # stable: newest first within a name
-        return tuple(Model(ref, self.active_version(ref.name) == ref.version, card(path)) for ref, path in by_name)
+        return tuple(
+            Model(ref, self.active_version(ref.name) == ref.version, model_card(path)) for ref, path in by_name
+        )
 
     def folder(self, ref: ModelRef) -> Path:
-        """Returns the folder of a version, every file checked against its manifest.
+        """Returns the folder of a version after checking every file against the manifest.
 
         Raises:
-            NotFound: There is no such model.
+            NotFound: The model does not exist.
             FailedPrecondition: A file is missing or changed.
         """
         path = self._find(ref)
@@ -116,14 +118,14 @@ class ModelStore:
             if (path / MANIFEST).is_file():
                 return path
         raise NotFound(
-            "The model must be one of those in the store; there is none of that name and version.",
+            "The model must exist in the store; none has that name and version.",
             field="model",
-            hint="GET /v1/list-models names them.",
+            hint="GET /v1/list-models lists them.",
         )
 
 
-def card(folder: Path) -> dict[str, Any]:
-    """Returns what a model's card says."""
+def model_card(folder: Path) -> dict[str, Any]:
+    """Returns a model's card."""
     return dict(json.loads((folder / CARD).read_bytes()))
 
 
@@ -132,7 +134,7 @@ def _version(path: Path) -> str:
         return str(json.loads(path.read_bytes())["version"])
     except (ValueError, KeyError, TypeError):
         raise FailedPrecondition(
-            f"The record of which version of {path.parent.name} is active must be whole; it is not.",
+            f"The record of the active version of {path.parent.name} must be valid JSON; it is damaged.",
             field="model",
             hint="Delete its active.json and activate a version again.",
         ) from None
@@ -146,7 +148,7 @@ def _check(folder: Path, ref: ModelRef) -> None:
     )
     if not intact:
         raise FailedPrecondition(
-            f"The files of model {ref.name} {ref.version} must be as published; one is missing or changed.",
+            f"The files of model {ref.name} {ref.version} must match its manifest; one is missing or changed.",
             field="model",
             hint="Activate another version, or fit the model again.",
         )

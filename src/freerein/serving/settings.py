@@ -1,4 +1,4 @@
-"""What an operator may change, read once from the environment by `__main__`."""
+"""Settings of every service, read once from the environment by `__main__`."""
 
 import ssl
 from pathlib import Path
@@ -11,17 +11,17 @@ _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 class ServiceSettings(BaseSettings):
-    """Settings that every service has. Each is an environment variable `FREEREIN_<NAME>`.
+    """Settings of every service. Each is an environment variable `FREEREIN_<NAME>`.
 
     Attributes:
-        host: Address that both doors bind.
-        http_port: Port of the REST door; 0 for a free one.
-        grpc_port: Port of the gRPC door; 0 for a free one.
-        token: Bearer token that every call but the health checks must carry; unset for none.
-        tls_cert: PEM file with the certificate chain; with `tls_key`, both doors speak TLS.
+        host: Address to bind.
+        http_port: Port of the REST API; 0 for a free one.
+        grpc_port: Port of the gRPC server; 0 for a free one.
+        token: Bearer token that every call except health checks must carry; unset for none.
+        tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
         tls_key: PEM file with the private key.
-        insecure: Says aloud that a bind beyond loopback needs neither token nor TLS.
-        data_dir: Where datasets, models and fits lie.
+        insecure: Allows a bind beyond loopback without token and TLS.
+        data_dir: Folder of datasets, models, fits and runs.
         receipt_s: Seconds that a client has to send a whole request.
         write_s: Seconds that a client may leave a reply unread.
         queue: Items that may wait for the model.
@@ -42,20 +42,20 @@ class ServiceSettings(BaseSettings):
     queue: int = Field(default=256, ge=1, le=65536)
 
     @model_validator(mode="after")
-    def _refuse_an_open_door(self) -> Self:
+    def _check_exposure(self) -> Self:
         if (self.tls_cert is None) != (self.tls_key is None):
             raise ValueError("FREEREIN_TLS_CERT and FREEREIN_TLS_KEY must be set together")
         if self.host not in _LOOPBACK and not (self.token or self.tls_cert or self.insecure):
             raise ValueError(
                 "a bind beyond loopback needs FREEREIN_TOKEN or FREEREIN_TLS_CERT and FREEREIN_TLS_KEY; "
-                "set FREEREIN_INSECURE=1 to serve without either on a network that you trust"
+                "set FREEREIN_INSECURE=1 to serve without either on a trusted network"
             )
         return self
 
     @model_validator(mode="after")
-    def _refuse_unusable_files(self) -> Self:
+    def _check_files(self) -> Self:
         if self.data_dir.exists() and not self.data_dir.is_dir():
-            raise ValueError("FREEREIN_DATA_DIR must be a folder, or a name for a new one; it is a file")
+            raise ValueError("FREEREIN_DATA_DIR must be a folder, or not exist yet; it is a file")
         if self.tls_cert is not None and self.tls_key is not None:
             try:
                 ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(

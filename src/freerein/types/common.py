@@ -1,4 +1,4 @@
-"""What more than one service speaks of: images, trajectories, cameras, actions, goals, models, timing."""
+"""Types that several services share: images, trajectories, cameras, actions, goals, models, timing."""
 
 import re
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from freerein.errors import InvalidInput
 Encoding = Literal["raw_rgb8", "raw_gray8", "png", "jpeg", "webp"]
 
 MAX_TEXT = 2000
-"""Characters of a goal text, at most."""
+"""Longest goal text, in characters."""
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ID = re.compile(r"[0-9a-f]{32}")
 
 
 def check_name(name: str, *, field: str) -> str:
-    """Returns `name` when it is a legal name of a dataset, model, task, camera or key.
+    """Returns `name` if it is valid for a dataset, model, task, camera or key.
 
     Raises:
         InvalidInput: `name` does not match `^[a-z0-9][a-z0-9._-]{0,63}$`.
@@ -35,14 +35,14 @@ def check_name(name: str, *, field: str) -> str:
 
 
 def check_id(value: str, *, field: str) -> str:
-    """Returns `value` when it is an id that we gave out: 32 lower-case hexadecimal digits.
+    """Returns `value` if it is an id: 32 lower-case hexadecimal digits.
 
     Raises:
-        InvalidInput: It is not.
+        InvalidInput: `value` is not an id.
     """
     if _ID.fullmatch(value) is None:
         raise InvalidInput(
-            f"`{field}` must be an id of 32 hexadecimal digits; got {len(value)} characters that are not one.",
+            f"`{field}` must be an id of 32 hexadecimal digits; got {len(value)} other characters.",
             field=field,
             hint="Use the id that the service returned.",
         )
@@ -51,14 +51,14 @@ def check_id(value: str, *, field: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One encoded image as it crosses a wire; `freerein.images` turns it into pixels.
+    """One encoded image; `freerein.images` decodes it.
 
     Attributes:
-        encoding: How `data` is to be read.
-        height: Rows, in pixels; required for the raw encodings, 0 = "as the data says" for the others.
-        width: Columns, in pixels; as `height`.
+        encoding: Encoding of `data`.
+        height: Height in pixels; required for the raw encodings, 0 for "as in the file" for the others.
+        width: Width in pixels; as `height`.
         data: The encoded bytes; for raw encodings height * width * channels bytes, row by row.
-        camera: Which camera took it; may be empty where only one is meant.
+        camera: Name of the camera; may be empty for a single camera.
     """
 
     encoding: Encoding
@@ -70,13 +70,13 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What a robot saw and did. It never holds ground truth.
+    """Observations and executed actions of a robot. Never holds ground truth.
 
     Attributes:
-        frames: By camera, uint8 (T, H, W, C) with C = 1 or 3, RGB; frame t was seen before action t.
-        actions: float32 (T, A) in [-1, 1] where continuous, int64 (T, 1) where discrete.
-        skills: The set of skills that occur, sorted: the only tag that learners see. Empty when unknown.
-        goal_text: What was to be done, in words; empty when unknown, or where the dataset says it for all.
+        frames: By camera, uint8 (T, H, W, C) with C = 1 or 3, RGB; frame t precedes action t.
+        actions: float32 (T, A) in [-1, 1] if continuous, int64 (T, 1) if discrete.
+        skills: The set of skills that occur, sorted: the only label that learners see. Empty when unknown.
+        goal_text: The goal in words; empty when unknown, or when the dataset has one for all.
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
@@ -87,12 +87,12 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera, of a world or of a robot.
+    """A camera of a world or a robot.
 
     Attributes:
         name: Its name.
-        height: Height of its frames, in pixels; of a world, that rendered when none is asked for.
-        width: Width of its frames, in pixels; as `height`.
+        height: Frame height in pixels; of a world, the default of rendering.
+        width: Frame width in pixels; as `height`.
         channels: 1 or 3.
     """
 
@@ -104,15 +104,14 @@ class Camera:
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What an action is.
+    """The action space.
 
     Attributes:
         size: Numbers per action.
-        choices: How many choices there are when it is discrete (int64, size 1); 0 when it is continuous, float32 in
-            [-1, 1].
-        names: What each number, or each choice, means.
-        unit: The physical unit of each number at scale; empty when the action is discrete.
-        scale: What an action of 1.0 does, in `unit` per control step, for each number.
+        choices: Number of choices of a discrete action (int64, size 1); 0 for a continuous one, float32 in [-1, 1].
+        names: Meaning of each number, or of each choice.
+        unit: Physical unit of `scale`; empty for discrete actions.
+        scale: Effect of an action of 1.0, in `unit` per control step, for each number.
     """
 
     size: int
@@ -124,10 +123,10 @@ class ActionSpec:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a robot observes at one moment.
+    """One observation of a robot.
 
     Attributes:
-        images: One per camera; where the model sees a single one, `camera` may be left empty.
+        images: One per camera; for a model with a single camera, `camera` may be empty.
     """
 
     images: tuple[Image, ...] = ()
@@ -135,12 +134,12 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What a robot is to achieve: exactly one of the three.
+    """The goal of a policy: exactly one of the three forms.
 
     Attributes:
-        images: A goal image, or a sequence of landmarks to reach one after the other.
-        recipe: Skills to execute one after the other.
-        text: What is to be done, in words, 1 to 2000 characters.
+        images: A goal image, or a sequence of landmarks to reach in order.
+        recipe: Skills to execute in order.
+        text: The goal in words, 1 to 2000 characters.
     """
 
     images: tuple[Image, ...] = ()
@@ -150,7 +149,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class ModelRef:
-    """Which model.
+    """Reference to a model.
 
     Attributes:
         name: The model's name; empty for the service's default.
@@ -163,15 +162,15 @@ class ModelRef:
 
 @dataclass(frozen=True)
 class Timing:
-    """Where a reply's time went.
+    """Timing of a reply, in nanoseconds.
 
     Attributes:
-        queue_ns: Waiting for the model.
-        decode_ns: Turning the request's bytes into arrays.
-        infer_ns: In the model.
-        encode_ns: Turning arrays into the reply's bytes, as far as known when it is sent.
-        total_ns: From the first to the last of these.
-        batch_size: How many items shared the model call.
+        queue_ns: Time in the queue of the model.
+        decode_ns: Time to decode the request into arrays.
+        infer_ns: Time in the model.
+        encode_ns: Time to encode the reply, as far as known when it is sent.
+        total_ns: From the start of the first to the end of the last of these.
+        batch_size: Items in the model call.
     """
 
     queue_ns: int = 0
@@ -184,14 +183,14 @@ class Timing:
 
 @dataclass(frozen=True)
 class Error:
-    """A `ServiceError` as it crosses a stream.
+    """A `ServiceError` as a stream message.
 
     Attributes:
         code: The error's code, such as `invalid_input`.
-        detail: One sentence: what was expected, what came.
-        field: The field at fault, or empty.
-        hint: How to mend it.
-        retry_after_s: Seconds to wait before another try; 0 when that cannot help.
+        detail: One sentence: what was expected, what was received.
+        field: The invalid field, or empty.
+        hint: How to fix it.
+        retry_after_s: Seconds to wait before a retry; 0 when a retry cannot help.
     """
 
     code: str = ""
@@ -203,10 +202,10 @@ class Error:
 
 @dataclass(frozen=True)
 class Draining:
-    """Sent on every open stream when the service has been told to stop.
+    """Sent on every open stream when the graceful shutdown begins.
 
     Attributes:
-        deadline_s: Seconds until the stream is closed from the server's side.
+        deadline_s: Seconds until the server closes the stream.
     """
 
     deadline_s: float = 0.0

@@ -1,4 +1,4 @@
-"""What the imitation service takes and returns. In the shapes, K is the horizon and A the numbers per action."""
+"""Requests and replies of the imitation service. In shapes, K is the horizon and A the numbers per action."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,10 +12,10 @@ GoalForm = Literal["images", "recipe", "text"]
 
 @dataclass(frozen=True)
 class GetSpecRequest:
-    """Asks for one model's spec.
+    """Request for a model's spec.
 
     Attributes:
-        model: Which model.
+        model: The model; by default the active version of the default one.
     """
 
     model: ModelRef = ModelRef()
@@ -23,19 +23,19 @@ class GetSpecRequest:
 
 @dataclass(frozen=True)
 class GetSpecResponse:
-    """What a model wants to see and what its actions mean.
+    """A model's spec.
 
     Attributes:
-        model: The model that this is about.
-        cameras: The cameras that an observation must hold, and the size of their images.
-        action: What an action is.
+        model: The model.
+        cameras: Cameras of an observation, with image sizes.
+        action: Meaning of an action.
         horizon: Actions per reply, one for each of the next control steps.
         control_dt_s: Time between two actions, in seconds.
-        goal_form: The form of its goals.
-        skills: The skills that a recipe may name; none where goals are of another form.
-        max_steps_per_goal: Control steps after which a goal is given up, unless the request says otherwise.
-        reached_threshold: A goal counts as reached when `goal_confidence` is at least this; 1 where the policy cannot
-            tell.
+        goal_form: Form of its goals.
+        skills: Skills that a recipe may name; empty for other goal forms.
+        max_steps_per_goal: Control steps after which a goal is abandoned, unless the request says otherwise.
+        reached_threshold: A goal counts as reached from this `goal_confidence` on; 1 where the policy does not predict
+            it.
     """
 
     model: ModelRef
@@ -51,16 +51,16 @@ class GetSpecResponse:
 
 @dataclass(frozen=True, eq=False)
 class ActRequest:
-    """What is seen, what was done, and what is to be achieved.
+    """An observation, the actions executed before it, and the goal.
 
     Attributes:
-        observation: What the robot sees now.
-        goal: What is to be achieved: all of it, in every call.
-        executed_actions: float32 (N, A) or int64 (N, 1): what was executed since the observation before, whatever was
-            proposed; None or N = 0 where nothing was.
-        state: What the reply before returned; empty to begin.
-        max_steps_per_goal: Control steps after which a goal is given up for the next one; 0 for the model's own number.
-        model: Which model.
+        observation: The observation.
+        goal: The whole goal, in every call.
+        executed_actions: Actions executed since the previous observation, whatever was proposed, float32 (N, A) or
+            int64 (N, 1); None or N = 0 for none.
+        state: `state` of the previous reply; empty at the start.
+        max_steps_per_goal: Control steps after which a goal is abandoned for the next one; 0 for the model's own limit.
+        model: The model; by default the active version of the default one.
     """
 
     observation: Observation
@@ -73,19 +73,19 @@ class ActRequest:
 
 @dataclass(frozen=True, eq=False)
 class ActResponse:
-    """What to do next.
+    """The next actions.
 
     Attributes:
-        actions: float32 (K, A) in [-1, 1] or int64 (K, 1); K = 0 when there is nothing more to do: hold.
-        goal_confidence: The probability that this observation reaches the goal that was pursued, in [0, 1]; 0 where the
-            policy cannot tell.
-        goal_index: Goals done with, reached or given up: the index of the one now pursued. It never falls.
-        goal_abandoned: Whether a goal was given up, now or before.
-        state: The policy's memory, for the next call. Opaque; at most 64 KiB.
+        actions: float32 (K, A) in [-1, 1] or int64 (K, 1); K = 0 when all goals are over: hold.
+        goal_confidence: Probability that this observation reaches the current goal, in [0, 1]; 0 where the policy does
+            not predict it.
+        goal_index: Number of goals that are over, reached or abandoned: the index of the current one. It never
+            decreases.
+        goal_abandoned: Whether a goal was abandoned, now or before.
+        state: The policy state, for the next call. Opaque; at most 64 KiB.
         model: The model that answered.
-        timing: Where the time went.
-        goal_reached: Whether every goal is reached. None where the policy cannot tell: one whose goal is a text has no
-            termination head.
+        timing: Durations of this reply.
+        goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
     """
 
     actions: npt.NDArray[Any]
@@ -100,17 +100,17 @@ class ActResponse:
 
 @dataclass(frozen=True, eq=False)
 class Hello:
-    """Who comes, what it will send, and what it takes an action to mean. What differs from the spec is refused.
+    """Model and goal of a stream, and the robot's cameras and actions, which must match the model's spec.
 
     Attributes:
-        goal: What is to be achieved.
-        cameras: The cameras that observations will hold.
-        action: What the robot takes an action to mean.
+        goal: The goal.
+        cameras: Cameras of the robot's observations.
+        action: Meaning of an action for the robot.
         control_dt_s: Time between two actions of the robot, in seconds.
-        model: Which model; the stream keeps the version that it opened with.
-        state: The last state that an earlier stream or `Act` returned, to go on from there; empty to begin.
+        model: The model; the stream keeps its version.
+        state: Last `state` of an earlier stream or `Act`, to continue from; empty at the start.
         max_steps_per_goal: As in `ActRequest`.
-        valid_for_s: How long after its observation an action may be executed, in seconds; 0 for two control steps
+        valid_for_s: Longest age of an observation whose actions may be executed, in seconds; 0 for two control steps
             beyond the chunk.
     """
 
@@ -126,13 +126,13 @@ class Hello:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What the robot sees now, and what it did.
+    """An observation on a control stream.
 
     Attributes:
-        seq: Counts up; gaps are fine.
-        observation: What the robot sees.
+        seq: Sequence number; must increase, gaps are fine.
+        observation: The observation.
         executed_actions: As in `ActRequest`.
-        observation_time_ns: When it was seen, on the robot's clock.
+        observation_time_ns: Time of the observation on the robot's clock.
     """
 
     seq: int
@@ -143,7 +143,7 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class ControlRequest:
-    """One message to a control stream: exactly one of the two. The first is a Hello, and there is no other.
+    """A message to a control stream: either a Hello, which is the first and only one, or an observation.
 
     Attributes:
         hello: Opens the stream.
@@ -156,7 +156,7 @@ class ControlRequest:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """What to do next; it replaces whatever is left of the chunk before.
+    """The next actions; they replace what is left of the previous chunk.
 
     Attributes:
         actions: As in `ActResponse`.
@@ -165,9 +165,9 @@ class Chunk:
         goal_abandoned: As in `ActResponse`.
         state: As in `ActResponse`.
         observation_time_ns: Echoed.
-        valid_until_ns: On the robot's clock: after it the chunk must not be executed, and the robot holds.
-        dropped: Observations of this stream so far that a newer one overtook.
-        timing: Where the time went.
+        valid_until_ns: Time on the robot's clock after which the chunk must not be executed; the robot holds.
+        dropped: Observations of this stream so far that a newer one replaced.
+        timing: Durations of this reply.
         goal_reached: As in `ActResponse`.
     """
 
@@ -185,14 +185,14 @@ class Chunk:
 
 @dataclass(frozen=True, eq=False)
 class ControlResponse:
-    """One message from a control stream: exactly one of `spec`, `chunk`, `error` and `draining`.
+    """A message from a control stream: exactly one of `spec`, `chunk`, `error` and `draining`.
 
     Attributes:
         seq: The `seq` that a chunk or an error answers.
-        spec: Answers the Hello.
-        chunk: What to do next.
-        error: Why an observation was refused.
-        draining: The service has been told to stop: open another stream, elsewhere, with the last state.
+        spec: Answer to the Hello.
+        chunk: The next actions.
+        error: Why an observation was rejected.
+        draining: The service is stopping: open another stream, elsewhere, with the last state.
     """
 
     seq: int = 0

@@ -1,32 +1,31 @@
-"""Fits and models, as every learned service takes and returns them."""
+"""Requests and responses of FitService and ModelService, which every learned service has."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from freerein.types.common import ModelRef
-
-FitState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+from freerein.types.jobs import ENDED, JobState, MetricRow
 
 
 @dataclass(frozen=True)
 class Fit:
-    """One training of one model.
+    """One fit of one model.
 
     Attributes:
         id: 32 hexadecimal digits.
-        state: Where it stands.
-        dataset: The dataset's name.
-        model_name: The name of the model that it makes.
-        config: The whole configuration, defaults filled in.
-        step: Updates made.
+        state: Its state.
+        dataset: Name of the dataset.
+        model_name: Name of the resulting model.
+        config: Resolved configuration, with defaults filled in.
+        step: Updates done.
         steps: Updates planned.
         metrics: The latest metrics, such as `train_loss`.
-        model: The model made, None until there is one.
-        error: Why it failed, else empty.
+        model: The resulting model; None until the fit has succeeded.
+        error: Reason of the failure; empty unless it has failed.
     """
 
     id: str
-    state: FitState
+    state: JobState
     dataset: str
     model_name: str
     config: dict[str, Any]
@@ -38,18 +37,18 @@ class Fit:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will happen to it."""
-        return self.state in ("succeeded", "failed", "cancelled")
+        """Whether it has ended."""
+        return self.state in ENDED
 
 
 @dataclass(frozen=True)
 class StartFitRequest:
-    """What to train, on what.
+    """Requests a fit.
 
     Attributes:
         dataset: Name of a dataset in the data directory.
         model_name: Name for the model; empty for `default`.
-        config: The service's configuration; what is left out has its default.
+        config: Configuration; missing keys have their defaults.
         idempotency_key: The same key and request returns the fit already started; empty for none.
     """
 
@@ -61,14 +60,14 @@ class StartFitRequest:
 
 @dataclass(frozen=True)
 class StartFitResponse:
-    """The fit, queued."""
+    """The queued fit."""
 
     fit: Fit
 
 
 @dataclass(frozen=True)
 class GetFitRequest:
-    """Asks for one fit, by its id."""
+    """Requests one fit by its id."""
 
     id: str
 
@@ -82,23 +81,37 @@ class GetFitResponse:
 
 @dataclass(frozen=True)
 class ListFitsRequest:
-    """Asks for all fits."""
+    """Requests one page of the fits.
+
+    Attributes:
+        page_size: Maximum number of fits, at most 1000; 0 for 100.
+        page_token: `next_page_token` of the previous page; empty for the first page.
+    """
+
+    page_size: int = 0
+    page_token: str = ""
 
 
 @dataclass(frozen=True)
 class ListFitsResponse:
-    """All fits, newest first."""
+    """One page of the fits.
+
+    Attributes:
+        fits: Newest first.
+        next_page_token: `page_token` of the next page; empty on the last page.
+    """
 
     fits: tuple[Fit, ...]
+    next_page_token: str = ""
 
 
 @dataclass(frozen=True)
 class WatchFitRequest:
-    """Asks to follow one fit.
+    """Requests the events of one fit.
 
     Attributes:
-        id: The fit's id.
-        from_sequence: First event wanted; to resume, one more than the last event seen.
+        id: Id of the fit.
+        from_sequence: First event wanted; to resume, the last sequence number seen plus one.
     """
 
     id: str
@@ -107,22 +120,52 @@ class WatchFitRequest:
 
 @dataclass(frozen=True)
 class WatchFitResponse:
-    """One event of a fit: its number, counted from 0 without gaps, and the fit as it stood then."""
+    """One event of a fit: its sequence number, from 0 without gaps, and the fit after it."""
 
     sequence: int
     fit: Fit
 
 
 @dataclass(frozen=True)
+class GetFitMetricsRequest:
+    """Requests the metrics of one fit.
+
+    Attributes:
+        id: Id of the fit.
+        from_step: First step wanted; 0 for all.
+        max_rows: Maximum number of rows, at most 10000; 0 for 1000. More rows are decimated evenly.
+    """
+
+    id: str
+    from_step: int = 0
+    max_rows: int = 0
+
+
+@dataclass(frozen=True)
+class GetFitMetricsResponse:
+    """Metrics of one fit.
+
+    Attributes:
+        rows: In order of steps, evenly spaced over those recorded, always with the first and the last.
+        total_rows: Number of rows recorded from `from_step` on, before decimation.
+        next_step: `from_step` that returns only later rows.
+    """
+
+    rows: tuple[MetricRow, ...]
+    total_rows: int
+    next_step: int
+
+
+@dataclass(frozen=True)
 class CancelFitRequest:
-    """Asks to end one fit, by its id."""
+    """Requests to cancel one fit by its id."""
 
     id: str
 
 
 @dataclass(frozen=True)
 class CancelFitResponse:
-    """The fit, cancelled or already ended."""
+    """The fit, cancelled or ended before."""
 
     fit: Fit
 
@@ -144,7 +187,7 @@ class Model:
 
 @dataclass(frozen=True)
 class ListModelsRequest:
-    """Asks for the models."""
+    """Requests the models."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +199,7 @@ class ListModelsResponse:
 
 @dataclass(frozen=True)
 class ActivateModelRequest:
-    """Asks for another version to answer.
+    """Requests another active version.
 
     Attributes:
         name: The model's name; empty for `default`.
@@ -171,6 +214,6 @@ class ActivateModelRequest:
 
 @dataclass(frozen=True)
 class ActivateModelResponse:
-    """The model that answers now."""
+    """The model that is now active."""
 
     model: Model

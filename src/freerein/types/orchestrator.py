@@ -1,13 +1,12 @@
-"""Runs, as the orchestrator takes and returns them."""
+"""Requests and responses of the orchestrator."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from freerein.types.common import ModelRef
+from freerein.types.jobs import ENDED, JobState, MetricRow
 
 RunKind = Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"]
-RunState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-ENDED: tuple[RunState, ...] = ("succeeded", "failed", "cancelled")
 
 
 @dataclass(frozen=True)
@@ -16,19 +15,19 @@ class Run:
 
     Attributes:
         id: 32 hexadecimal digits.
-        kind: What it does.
-        state: Where it stands.
-        config: The whole configuration, defaults filled in.
-        step: Steps made: iterations, trajectories, episodes or updates, as its kind has it.
+        kind: Its kind.
+        state: Its state.
+        config: Resolved configuration, with defaults filled in.
+        step: Steps done: iterations, trajectories, episodes or updates, depending on the kind.
         steps: Steps planned.
         metrics: The latest metrics, such as `episode_return`.
-        model: The model made, of a run that makes one for a service; None until there is one.
-        error: Why it failed, else empty.
+        model: Model published to a service; None until a run that makes one has succeeded.
+        error: Reason of the failure; empty unless it has failed.
     """
 
     id: str
     kind: RunKind
-    state: RunState
+    state: JobState
     config: dict[str, Any]
     step: int = 0
     steps: int = 0
@@ -38,17 +37,17 @@ class Run:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will happen to it, unless it is resumed."""
+        """Whether it has ended; a failed or cancelled run may be resumed."""
         return self.state in ENDED
 
 
 @dataclass(frozen=True)
 class StartRunRequest:
-    """What to do.
+    """Requests a run.
 
     Attributes:
-        kind: What kind of run.
-        config: The kind's configuration; what is left out has its default.
+        kind: Kind of the run.
+        config: Configuration of the kind; missing keys have their defaults.
         idempotency_key: The same key and request returns the run already started; empty for none.
     """
 
@@ -59,14 +58,14 @@ class StartRunRequest:
 
 @dataclass(frozen=True)
 class StartRunResponse:
-    """The run, queued."""
+    """The queued run."""
 
     run: Run
 
 
 @dataclass(frozen=True)
 class GetRunRequest:
-    """Asks for one run, by its id."""
+    """Requests one run by its id."""
 
     id: str
 
@@ -80,23 +79,37 @@ class GetRunResponse:
 
 @dataclass(frozen=True)
 class ListRunsRequest:
-    """Asks for all runs."""
+    """Requests one page of the runs.
+
+    Attributes:
+        page_size: Maximum number of runs, at most 1000; 0 for 100.
+        page_token: `next_page_token` of the previous page; empty for the first page.
+    """
+
+    page_size: int = 0
+    page_token: str = ""
 
 
 @dataclass(frozen=True)
 class ListRunsResponse:
-    """All runs, newest first."""
+    """One page of the runs.
+
+    Attributes:
+        runs: Newest first.
+        next_page_token: `page_token` of the next page; empty on the last page.
+    """
 
     runs: tuple[Run, ...]
+    next_page_token: str = ""
 
 
 @dataclass(frozen=True)
 class WatchRunRequest:
-    """Asks to follow one run.
+    """Requests the events of one run.
 
     Attributes:
-        id: The run's id.
-        from_sequence: First event wanted; to resume, one more than the last event seen.
+        id: Id of the run.
+        from_sequence: First event wanted; to resume, the last sequence number seen plus one.
     """
 
     id: str
@@ -105,29 +118,59 @@ class WatchRunRequest:
 
 @dataclass(frozen=True)
 class WatchRunResponse:
-    """One event of a run: its number, counted from 0 without gaps, and the run as it stood then."""
+    """One event of a run: its sequence number, from 0 without gaps, and the run after it."""
 
     sequence: int
     run: Run
 
 
 @dataclass(frozen=True)
+class GetMetricsRequest:
+    """Requests the metrics of one run.
+
+    Attributes:
+        id: Id of the run.
+        from_step: First step wanted; 0 for all.
+        max_rows: Maximum number of rows, at most 10000; 0 for 1000. More rows are decimated evenly.
+    """
+
+    id: str
+    from_step: int = 0
+    max_rows: int = 0
+
+
+@dataclass(frozen=True)
+class GetMetricsResponse:
+    """Metrics of one run.
+
+    Attributes:
+        rows: In order of steps, evenly spaced over those recorded, always with the first and the last.
+        total_rows: Number of rows recorded from `from_step` on, before decimation.
+        next_step: `from_step` that returns only later rows.
+    """
+
+    rows: tuple[MetricRow, ...]
+    total_rows: int
+    next_step: int
+
+
+@dataclass(frozen=True)
 class CancelRunRequest:
-    """Asks to end one run, by its id."""
+    """Requests to cancel one run by its id."""
 
     id: str
 
 
 @dataclass(frozen=True)
 class CancelRunResponse:
-    """The run, cancelled or already ended."""
+    """The run, cancelled or ended before."""
 
     run: Run
 
 
 @dataclass(frozen=True)
 class ResumeRunRequest:
-    """Asks to go on with one run, by its id."""
+    """Requests to resume one run by its id."""
 
     id: str
 
@@ -141,11 +184,11 @@ class ResumeRunResponse:
 
 @dataclass(frozen=True)
 class Artifact:
-    """A file that a run left behind.
+    """A file that a run has written.
 
     Attributes:
-        name: Its name.
-        size: In bytes.
+        name: File name.
+        size: Size in bytes.
     """
 
     name: str
@@ -154,25 +197,25 @@ class Artifact:
 
 @dataclass(frozen=True)
 class ListArtifactsRequest:
-    """Asks what a run has left behind, by the run's id."""
+    """Requests the artifacts of one run by its id."""
 
     id: str
 
 
 @dataclass(frozen=True)
 class ListArtifactsResponse:
-    """The files, by name."""
+    """The artifacts, by name."""
 
     artifacts: tuple[Artifact, ...]
 
 
 @dataclass(frozen=True)
 class GetArtifactRequest:
-    """Asks for one of these files.
+    """Requests one artifact.
 
     Attributes:
-        id: The run's id.
-        name: The file's name.
+        id: Id of the run.
+        name: Name of the artifact.
     """
 
     id: str
@@ -181,6 +224,6 @@ class GetArtifactRequest:
 
 @dataclass(frozen=True)
 class GetArtifactResponse:
-    """A part of a file; the parts follow one another."""
+    """One part of an artifact, in order."""
 
     data: bytes

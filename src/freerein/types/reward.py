@@ -1,4 +1,4 @@
-"""What the reward service takes and returns. In the shapes, N is the number of frames."""
+"""Requests and responses of the reward service; N is the number of frames."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,16 +13,16 @@ Mode = Literal["binary", "raw"]
 
 @dataclass(frozen=True, eq=False)
 class RewardRequest:
-    """Frames, as `frames` or as `images`, and what they are to show.
+    """Frames, as `frames` or as `images`, and a goal text.
 
     Attributes:
-        goal_text: What is to be seen.
-        frames: By camera, uint8 (N, H, W, C), C = 1 or 3, of any size; cameras that the model does not see are left
-            aside. Exactly one of `frames` and `images` is given.
-        images: Encoded; those of one camera are in order of time, and every camera has as many.
-        rivals: Texts that the goal text must beat; none for the same sentence with every other relation.
-        mode: `binary`, 1 where the goal text beats its rivals, else 0; or `raw`, the similarity.
-        model: Which model.
+        goal_text: Description of the goal.
+        frames: uint8 (N, H, W, C) by camera, C = 1 or 3, of any size; other cameras than the model's are ignored.
+            Exactly one of `frames` and `images` is given.
+        images: Encoded images; those of one camera in temporal order, the same number for every camera.
+        rivals: Texts that the goal text must beat; empty for the goal text with every other relation.
+        mode: `binary`, 1 where the goal text beats all rivals, else 0; or `raw`, the similarity.
+        model: The model; empty for the default one.
     """
 
     goal_text: str
@@ -38,14 +38,14 @@ class RewardResponse:
     """One reward per frame.
 
     Attributes:
-        rewards: float32 (N,), in the mode asked for.
-        similarities: float32 (N,), the cosine of the frame's embedding and the goal text's.
-        winners: int64 (N,), the index in `texts` of the one that fits best; 0 is the goal text, which wins no tie.
+        rewards: float32 (N,), in the requested mode.
+        similarities: float32 (N,), cosine similarity of frame and goal text.
+        winners: int64 (N,), index in `texts` of the most similar text; 0 is the goal text, which loses ties.
         texts: The goal text, then its rivals.
-        truncated: Whether a text was too long for the model and was cut.
-        unknown_words: How many words of the goal text the model has never seen.
+        truncated: Whether any text was too long for the model and was truncated.
+        unknown_words: Number of words of the goal text outside the model's vocabulary.
         model: The model that answered.
-        timing: Where the time went.
+        timing: Time spent in each stage.
     """
 
     rewards: npt.NDArray[np.float32]
@@ -60,12 +60,12 @@ class RewardResponse:
 
 @dataclass(frozen=True, eq=False)
 class GroundRequest:
-    """An image, and what to find in it.
+    """An image and the phrases to locate in it.
 
     Attributes:
-        image: Of any size.
-        phrases: Noun phrases; each is told from the others.
-        model: Which grounding model.
+        image: The image, of any size.
+        phrases: Distinct noun phrases, which compete with each other.
+        model: The grounding model; empty for the default one.
     """
 
     image: Image
@@ -75,14 +75,14 @@ class GroundRequest:
 
 @dataclass(frozen=True, eq=False)
 class Grounding:
-    """Where a phrase is in an image.
+    """Location of a phrase in an image.
 
     Attributes:
         phrase: The phrase.
-        heatmap: float32 (H, W) in [0, 1], of the image's size: its Grad-CAM.
-        x: The pixel that is meant, counted from the left edge.
-        y: Counted from the upper edge.
-        presence: How sure the model is that the image shows it at all, in [0, 1].
+        heatmap: Grad-CAM, float32 (H, W) in [0, 1], of the image's size.
+        x: Horizontal position in pixels from the left edge.
+        y: Vertical position in pixels from the upper edge.
+        presence: Probability that the image shows the phrase, in [0, 1].
     """
 
     phrase: str
@@ -94,12 +94,12 @@ class Grounding:
 
 @dataclass(frozen=True, eq=False)
 class GroundResponse:
-    """One grounding per phrase, in the request's order.
+    """Groundings in the order of the request's phrases.
 
     Attributes:
-        groundings: The groundings.
+        groundings: One per phrase.
         model: The model that answered.
-        timing: Where the time went.
+        timing: Time spent in each stage.
     """
 
     groundings: tuple[Grounding, ...]
@@ -109,13 +109,13 @@ class GroundResponse:
 
 @dataclass(frozen=True, eq=False)
 class DescribeRequest:
-    """Images, and the things to tell of.
+    """Images and the phrases to caption them with.
 
     Attributes:
-        images: Of any sizes.
-        phrases: Noun phrases.
-        epsilon: How near counts as near: the things' width as a share of the image's; None for 0.1.
-        model: Which grounding model.
+        images: Images of any sizes.
+        phrases: Distinct noun phrases.
+        epsilon: Object width as a fraction of the image width; None for 0.1.
+        model: The grounding model; empty for the default one.
     """
 
     images: tuple[Image, ...]
@@ -126,19 +126,19 @@ class DescribeRequest:
 
 @dataclass(frozen=True)
 class Description:
-    """What can be said of one image: a caption for each ordered pair of phrases that it shows."""
+    """Captions of one image, one for each ordered pair of phrases that it shows."""
 
     captions: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class DescribeResponse:
-    """One description per image, in the request's order.
+    """Descriptions in the order of the request's images.
 
     Attributes:
-        descriptions: The descriptions.
+        descriptions: One per image.
         model: The model that answered.
-        timing: Where the time went.
+        timing: Time spent in each stage.
     """
 
     descriptions: tuple[Description, ...]
@@ -152,7 +152,7 @@ class EmbedGoalRequest:
 
     Attributes:
         goal_text: The text.
-        model: Which reward model.
+        model: The reward model; empty for the default one.
     """
 
     goal_text: str
@@ -164,11 +164,11 @@ class EmbedGoalResponse:
     """A text's embedding.
 
     Attributes:
-        embedding: float32 (D,), of length 1.
-        truncated: Whether the text was too long for the model and was cut.
-        unknown_words: How many words of the text the model has never seen.
+        embedding: float32 (D,), of unit length.
+        truncated: Whether the text was too long for the model and was truncated.
+        unknown_words: Number of words outside the model's vocabulary.
         model: The model that answered.
-        timing: Where the time went.
+        timing: Time spent in each stage.
     """
 
     embedding: npt.NDArray[np.float32]

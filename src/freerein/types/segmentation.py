@@ -1,4 +1,4 @@
-"""What the segmentation service takes and returns."""
+"""Requests and responses of the segmentation service."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,15 +11,15 @@ from freerein.types.common import Image, ModelRef, Timing
 
 @dataclass(frozen=True, eq=False)
 class SegmentRequest:
-    """One trajectory to label: its frames, as `frames` or as `images`, and the actions executed.
+    """One trajectory: its frames, as `frames` or as `images`, and the executed actions.
 
     Attributes:
-        model: Which model.
+        model: The model; empty for the default one.
         frames: uint8 (T, H, W, C), C = 1 or 3. Exactly one of `frames` and `images` is given.
-        images: One encoded image per timestep, all of one size.
-        actions: float32 (T, A) or int64 (T, 1), as the model was trained; None for a model without actions.
-        min_segment: Segments shorter than this many timesteps are merged into their neighbours; 0 and 1 keep all.
-        smoothing: Standard deviation, in timesteps, of the Gaussian that smooths the confidences; 0 for none.
+        images: Encoded images, one per timestep, all of one size.
+        actions: float32 (T, A) or int64 (T, 1), as in training; None for a model without actions.
+        min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+        smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
     """
 
     model: ModelRef = ModelRef()
@@ -53,11 +53,11 @@ class SegmentResponse:
 
     Attributes:
         labels: int64 (T,), indices into `skills`.
-        confidence: float32 (T,), the probability of each label.
+        confidence: float32 (T,), probability of each label.
         segments: In order; together they cover [0, T) without gap or overlap.
         skills: The model's skills.
         model: The model that answered.
-        timing: Where the time went.
+        timing: Time spent in each stage.
     """
 
     labels: npt.NDArray[np.int64]
@@ -70,10 +70,10 @@ class SegmentResponse:
 
 @dataclass(frozen=True)
 class ListSkillsRequest:
-    """Asks for one model's skills.
+    """Names a model.
 
     Attributes:
-        model: Which model.
+        model: The model; empty for the default one.
     """
 
     model: ModelRef = ModelRef()
@@ -81,16 +81,16 @@ class ListSkillsRequest:
 
 @dataclass(frozen=True)
 class ListSkillsResponse:
-    """What a model can label, and what it wants to see.
+    """Skills and expected inputs of a model.
 
     Attributes:
-        skills: Labels are indices into this list.
-        model: The model that this is about.
-        height: Height of the frames it was trained on, in pixels; requests must match.
-        width: Width, in pixels.
-        channels: 1 or 3.
+        skills: The skills; labels are indices into this list.
+        model: The model that was described.
+        height: Frame height in pixels; requests must match.
+        width: Frame width in pixels.
+        channels: Frame channels, 1 or 3.
         action_size: Numbers per action; 0 for a model without actions.
-        action_choices: How many different actions there are when they are discrete; 0 when they are continuous.
+        action_choices: Number of discrete actions; 0 for continuous ones.
     """
 
     skills: tuple[str, ...]

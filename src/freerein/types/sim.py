@@ -1,4 +1,4 @@
-"""What the sim service takes and returns. In the shapes, N is the number of environments of the session."""
+"""Requests and responses of the sim service. N is the number of environments of the session."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -15,16 +15,16 @@ Frames = dict[str, npt.NDArray[np.uint8]]
 
 @dataclass(frozen=True)
 class Task:
-    """A world with a goal and an oracle.
+    """A world with an optional goal and its oracle.
 
     Attributes:
-        name: Its name.
-        world: The world's name.
-        goal_text: What is to be done, in words; empty for a task without a goal.
+        name: Task name.
+        world: World name.
+        goal_text: Goal in words; empty for a task without a goal.
         cameras: The cameras.
-        action: The action.
+        action: Action spec.
         control_dt_s: Time between two actions, in seconds.
-        skills: The skills that its expert can execute.
+        skills: Skills that the expert can execute.
         max_episode_steps: Steps after which an episode is truncated.
         snapshots: Whether Snapshot and Restore work, bit for bit.
     """
@@ -54,17 +54,17 @@ class ListTasksResponse:
 
 @dataclass(frozen=True)
 class CreateSessionRequest:
-    """What a session is to be.
+    """Creates a session.
 
     Attributes:
-        task: The task's name.
-        num_envs: Environments, stepped together; 0 means 1.
-        seed: Environment i draws from SeedSequence(seed).spawn(num_envs)[i]; None for a seed drawn by the server.
-        lease_s: The session ends when no call touched it for this many seconds; 0 means 60.
-        height: Height of frames, in pixels; 0 means the cameras' own.
-        width: Width of frames, in pixels; 0 means the cameras' own.
-        privileged: Whether replies hold `Truth`. For evaluation only.
-        idempotency_key: The same key and request returns the session already made; empty for none.
+        task: Task name.
+        num_envs: Number of environments, stepped together; 0 means 1.
+        seed: Environment i draws from SeedSequence(seed).spawn(num_envs)[i]; None: the server draws a seed.
+        lease_s: Time without a call after which the session ends, in seconds; 0 means 60.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        privileged: Whether replies include `Truth`. For evaluation only.
+        idempotency_key: The same key and request returns the session already created; empty for none.
     """
 
     task: str
@@ -84,9 +84,9 @@ class CreateSessionResponse:
     Attributes:
         session: 32 hexadecimal digits.
         seed: The seed in use.
-        num_envs: Environments.
-        task: What the session's task is.
-        lease_s: Seconds without a call after which it ends.
+        num_envs: Number of environments.
+        task: The session's task.
+        lease_s: Time without a call after which the session ends, in seconds.
     """
 
     session: str
@@ -98,11 +98,11 @@ class CreateSessionResponse:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is true in the simulator: for evaluation, never for learning.
+    """True state and oracle reward, for evaluation only.
 
     Attributes:
-        state: float64 (N, S), the task's state.
-        reward: float32 (N,), the oracle's reward of the last step.
+        state: float64 (N, S), true state.
+        reward: float32 (N,), oracle reward of the last step.
         success: bool (N,), whether the goal holds.
     """
 
@@ -113,13 +113,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class ResetRequest:
-    """Asks for new episodes.
+    """Begins new episodes.
 
     Attributes:
         session: The session.
-        envs: Which environments; empty for all.
-        seed: Seeds the generators anew before the reset; None lets them go on.
-        cameras: The cameras to render; empty for no pixels.
+        envs: Indices of environments; empty for all.
+        seed: Re-seeds the generators before the reset; None keeps them.
+        cameras: Cameras to render; empty for no frames.
     """
 
     session: str
@@ -149,8 +149,8 @@ class StepRequest:
         session: The session.
         step_id: 1 for the session's first step, then one more each time; the last one repeated returns the recorded
             reply.
-        actions: float32 or int64 (N, size), as the task's `ActionSpec` says.
-        cameras: The cameras to render; empty for no pixels.
+        actions: float32 or int64 (N, size), matching the task's `ActionSpec`.
+        cameras: Cameras to render; empty for no frames.
     """
 
     session: str
@@ -161,15 +161,15 @@ class StepRequest:
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """What came of a step. An environment whose episode ended is reset in the same step.
+    """Result of a step. An environment whose episode ended is reset in the same step.
 
     Attributes:
-        step_id: The request's.
+        step_id: `step_id` of the request.
         frames: By camera: uint8 (N, H, W, C); of the new episode where one ended.
-        reward: float32 (N,), always 0: the oracle's reward is in `truth`.
-        terminated: bool (N,), the episode reached an end of its own.
-        truncated: bool (N,), the episode was cut at its longest.
-        diverged: bool (N,), the simulation diverged; then `terminated` is true as well.
+        reward: float32 (N,), always 0: the oracle reward is in `truth`.
+        terminated: bool (N,), whether the episode terminated.
+        truncated: bool (N,), whether the episode was truncated at `max_episode_steps`.
+        diverged: bool (N,), whether the simulation diverged; `terminated` is then true, too.
         final_frames: By camera: uint8 (M, H, W, C), the last frame of each of the M episodes that ended, in order.
         truth: Only in a privileged session; of the state before any reset.
     """
@@ -204,13 +204,13 @@ class ConnectResponse:
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """Asks for pixels.
+    """Renders without stepping.
 
     Attributes:
         session: The session.
-        cameras: The cameras; empty for all of the task.
-        height: Height, in pixels; 0 means the session's.
-        width: Width, in pixels; 0 means the session's.
+        cameras: Cameras; empty for all of the task.
+        height: Frame height in pixels; 0 means the session's.
+        width: Frame width in pixels; 0 means the session's.
     """
 
     session: str
@@ -221,32 +221,32 @@ class RenderRequest:
 
 @dataclass(frozen=True, eq=False)
 class RenderResponse:
-    """The pixels, by camera: uint8 (N, H, W, C)."""
+    """The frames, by camera: uint8 (N, H, W, C)."""
 
     frames: Frames
 
 
 @dataclass(frozen=True)
 class SnapshotRequest:
-    """Asks for a session's state."""
+    """Asks for a session's complete state."""
 
     session: str
 
 
 @dataclass(frozen=True)
 class SnapshotResponse:
-    """A session's state: opaque, and restored on the same build of the same world only."""
+    """A session's state: opaque; can be restored by the same build of the same world only."""
 
     snapshot: bytes
 
 
 @dataclass(frozen=True)
 class RestoreRequest:
-    """Asks to put a session into the state of a snapshot.
+    """Restores a snapshot.
 
     Attributes:
         session: The session; of the snapshot's task and number of environments.
-        snapshot: As Snapshot returned it.
+        snapshot: As returned by Snapshot.
     """
 
     session: str
@@ -255,28 +255,28 @@ class RestoreRequest:
 
 @dataclass(frozen=True)
 class RestoreResponse:
-    """The session is as it was; `step_id` is the last step made before the snapshot."""
+    """The session is restored; `step_id` is the last step before the snapshot."""
 
     step_id: int
 
 
 @dataclass(frozen=True)
 class DemonstrateRequest:
-    """What to demonstrate.
+    """Records trajectories of a scripted policy.
 
     Attributes:
-        task: The task's name.
-        behaviour: Who acts.
-        skills: The skills to choose from; empty for all of the task.
+        task: Task name.
+        behaviour: Scripted policy.
+        skills: Skills to choose from; empty for all of the task.
         min_skills: Fewest different skills in one trajectory; 0 means 1.
         max_skills: Most different skills in one trajectory; 0 means as many as `skills`.
-        count: Trajectories.
+        count: Number of trajectories.
         seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
         first: Index of the first trajectory to send.
-        cameras: The cameras to record; empty for the task's first.
-        height: Height, in pixels; 0 means the camera's own.
-        width: Width, in pixels; 0 means the camera's own.
-        privileged: Whether replies hold `labels`. For evaluation only.
+        cameras: Cameras to record; empty for the task's first.
+        height: Frame height in pixels; 0 means the camera's own.
+        width: Frame width in pixels; 0 means the camera's own.
+        privileged: Whether replies include `labels`. For evaluation only.
     """
 
     task: str
@@ -298,9 +298,9 @@ class DemonstrateResponse:
     """One trajectory.
 
     Attributes:
-        index: Counts from the request's `first`.
-        trajectory: What was seen and done, and which skills occur.
-        labels: int64 (T,), the skill in execution as an index into the task's skills; empty unless privileged.
+        index: Index of the trajectory, counted from the request's `first`.
+        trajectory: Frames, actions and the set of skills.
+        labels: int64 (T,), index of the skill at each timestep, into the task's skills; empty unless privileged.
     """
 
     index: int
@@ -310,11 +310,11 @@ class DemonstrateResponse:
 
 @dataclass(frozen=True)
 class CloseSessionRequest:
-    """Asks to end a session."""
+    """Closes a session."""
 
     session: str
 
 
 @dataclass(frozen=True)
 class CloseSessionResponse:
-    """It is ended."""
+    """The session is closed."""

@@ -1,73 +1,68 @@
-"""A fit as a process of its own: `python -m freerein_imitation.fit FOLDER DATA_DIR DEVICE`.
+"""A fit as a child process: `python -m freerein_imitation.fit FOLDER DATA_DIR DEVICE`.
 
-FOLDER holds `config.json`; metrics and checkpoints are written there, and in the end `model/`. The exit codes are those
-of `freerein.serving.fit_child.run`. The configuration's `policy` says which kind of policy is fitted.
+FOLDER holds `config.json`, and gets metrics, checkpoints and in the end `model/`. The exit codes are those of
+`freerein.jobs.child`. The configuration's `policy` selects the method, a module with three functions:
+`resolve` completes a configuration, `prepare` makes the learner, `save` writes the model.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType, ModuleType
 from typing import Any
 
+import torch
+
+from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput
-from freerein.serving import fit_child
+from freerein.jobs.child import run_child
+from freerein.learning.fit import fit_and_save
 from freerein_imitation.fit import goal_conditioned, language, skills
-from freerein_imitation.fit.source import Source, open_source
-from freerein_imitation.model import GoalConditionedPolicy, LanguagePolicy, SkillsPolicy
+from freerein_imitation.fit.dataset import open_dataset
 
-
-@dataclass(frozen=True)
-class _Kind:
-    """A kind of policy, as a fit knows it.
-
-    Attributes:
-        resolve: Returns the whole configuration of a fit on a dataset.
-        train: Writes the model into the fit's folder and returns True, or returns False when stopped before.
-    """
-
-    resolve: Callable[[Source, Mapping[str, Any]], dict[str, Any]]
-    train: Callable[[Path, Source, Mapping[str, Any], str], bool]
+_METHODS: Mapping[str, ModuleType] = MappingProxyType(
+    {"goal_conditioned": goal_conditioned, "skills": skills, "language": language}
+)
 
 
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-    """Returns the whole configuration of a fit.
+    """Returns the complete configuration of a fit.
 
     Args:
-        data_dir: The data directory.
-        dataset: A dataset's name.
-        values: What was asked for.
-        threads: Of torch, where not asked for.
+        data_dir: Data directory.
+        dataset: Name of the dataset.
+        values: Requested configuration.
+        threads: Threads of torch, unless requested otherwise.
 
     Raises:
         NotFound: There is no such dataset.
-        InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
-        FailedPrecondition: Skills are to be learned, and the dataset is not labelled; or to follow texts, and there is
-            no text tower.
+        InvalidInput: The configuration is invalid, or the dataset cannot be trained on.
+        FailedPrecondition: The dataset has no skill labels, or the text encoder is not installed.
     """
-    kind = _kind(values)
-    return kind.resolve(open_source(data_dir, dataset), {"threads": threads, **values})
+    method, source = _method(values), open_dataset(data_dir, dataset)
+    camera = choose_camera(source.dataset, values.get("camera", ""))
+    return asdict(method.resolve(source, {"threads": threads, **values, "camera": camera}))
 
 
 def main(folder: Path, data_dir: Path, device: str) -> int:
-    """Fits a model, or goes on fitting it; returns the process's exit code."""
+    """Runs a fit, or continues it; returns the process's exit code."""
 
-    def train(dataset: str, values: Mapping[str, Any]) -> bool:
-        return _kind(values).train(folder, open_source(data_dir, dataset), values, device)
+    def train(job: Mapping[str, Any]) -> bool:
+        values: Mapping[str, Any] = job["config"]
+        method, source = _method(values), open_dataset(data_dir, job["dataset"])
+        torch.set_num_threads(values["threads"])
+        learner = method.prepare(source, values, device)
+        return fit_and_save(learner, folder, lambda fitted, model: method.save(model, source, learner, fitted))
 
-    return fit_child.run(folder, train)
+    return run_child(folder, train)
 
 
-def _kind(values: Mapping[str, Any]) -> _Kind:
-    asked = values.get("policy", GoalConditionedPolicy.kind)
-    kinds = {
-        GoalConditionedPolicy.kind: _Kind(goal_conditioned.resolve, goal_conditioned.train),
-        SkillsPolicy.kind: _Kind(skills.resolve, skills.train),
-        LanguagePolicy.kind: _Kind(language.resolve, language.train),
-    }
-    if not isinstance(asked, str) or asked not in kinds:
+def _method(values: Mapping[str, Any]) -> ModuleType:
+    policy = values.get("policy", "goal_conditioned")
+    if not isinstance(policy, str) or policy not in _METHODS:
         raise InvalidInput(
-            f"`policy` must be {' or '.join(kinds)}; got something else.",
+            f"`policy` must be {' or '.join(_METHODS)}; got something else.",
             field="config.policy",
             hint="Leave it out for goal images.",
         )
-    return kinds[asked]
+    return _METHODS[policy]

@@ -1,76 +1,52 @@
-"""A fit of a goal-conditioned policy."""
+"""Fit of a goal-conditioned policy."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from freerein.data import Dataset
-from freerein.learning.fit import FitResult, fit, stop_on_sigterm
+from freerein.learning.fit import FitResult
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving import fit_child
-from freerein_imitation.fit.source import Source, timestep
-from freerein_imitation.model import GoalConditionedNetwork, GoalConditionedPolicy, Handshake
-from freerein_imitation.training import goal_conditioned
-from freerein_imitation.training.exploration import Exploration, hold_out
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
+from freerein_imitation.fit.dataset import FitDataset, fit_entries
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedPolicy
+from freerein_imitation.training.goal_conditioned import (
+    GoalConditionedConfig,
+    GoalConditionedLearner,
+    reached_threshold,
+)
 
 
-def resolve(source: Source, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the whole configuration of a fit on a dataset.
-
-    Raises:
-        InvalidInput: The configuration is wrong, or the dataset cannot be learned from.
-    """
+def resolve(source: FitDataset, values: Mapping[str, Any]) -> GoalConditionedConfig:
+    """Returns the complete configuration of a fit; raises as `freerein_imitation.fit.resolve`."""
     config = GoalConditionedConfig.from_mapping(values)
-    config = replace(config, camera=fit_child.choose_camera(source.dataset, config.camera))
-    choices = source.dataset.spec.action.choices
-    goal_conditioned.design(config, timestep(source.dataset, config.camera), action_choices=choices)
-    return asdict(config)
+    config.network_spec(source.sizes(config.camera))
+    return config
 
 
-def train(folder: Path, source: Source, values: Mapping[str, Any], device: str) -> bool:
-    """Writes the model into the fit's folder and returns True, or returns False when it was stopped before."""
-    learner = _learner(source.dataset, GoalConditionedConfig.from_mapping(values), device)
-    with stop_on_sigterm() as stop:
-        fitted = fit(learner, folder, stop=stop)
-    if fitted is None:
-        return False
-    save_model(fitted.network, folder / "model", card=_card(source.dataset, learner, fitted))
-    return True
-
-
-def _learner(dataset: Dataset, config: GoalConditionedConfig, device: str) -> GoalConditionedLearner:
-    exploration = Exploration(dataset.cached_frames(config.camera), dataset.cached_actions())
-    training, validation = hold_out(
-        exploration, share=config.validation_fraction, seed=config.seed, shortest=config.shortest_slice + 1
+def prepare(source: FitDataset, values: Mapping[str, Any], device: str) -> GoalConditionedLearner:
+    """Returns the learner of a fit."""
+    config = GoalConditionedConfig.from_mapping(values)
+    return GoalConditionedLearner.prepare(
+        config,
+        source.sizes(config.camera),
+        source.trajectories(config.camera),
+        fingerprint=source.dataset.fingerprint,
+        device=choose_device(device),
     )
-    spec = goal_conditioned.design(config, training, action_choices=dataset.spec.action.choices)
-    return GoalConditionedLearner(config, spec, training, validation, dataset.fingerprint, choose_device(device))
 
 
-def _card(
-    dataset: Dataset, learner: GoalConditionedLearner, fitted: FitResult[GoalConditionedNetwork]
-) -> dict[str, Any]:
-    held_out = goal_conditioned.evaluate(fitted.network, learner.validation, config=learner.config)
-    handshake = Handshake(
-        action=dataset.spec.action,
-        control_dt_s=1 / dataset.spec.fps,
-        reached_threshold=goal_conditioned.reached_threshold(fitted.network, learner.validation),
-        max_steps_per_goal=2 * learner.config.longest_slice,
-    )
-    return {
+def save(
+    folder: Path, source: FitDataset, learner: GoalConditionedLearner, fitted: FitResult[GoalConditionedNetwork]
+) -> None:
+    """Writes the fitted model as a folder."""
+    network, config = fitted.network, learner.config
+    losses = learner.validation_losses(network)
+    threshold = reached_threshold(network, learner.validation)
+    figures = {"action_loss": losses.action.item(), "recognizer_loss": losses.recognizer.item()}
+    card = {
         "kind": GoalConditionedPolicy.kind,
-        **handshake.to_card(),
+        **source.control(reached_threshold=threshold, max_steps_per_goal=2 * config.max_goal_steps),
         "command": "freerein fit imitation DATASET",
-        "task": dataset.spec.task,
-        "data": {"trajectories": len(dataset), "fingerprint": dataset.fingerprint},
-        "config": asdict(learner.config),
-        "figures": {
-            "validation_loss": fitted.validation_loss,
-            "best_step": fitted.best_step,
-            "action_loss": held_out.action.item(),
-            "goal_loss": held_out.recognition.item(),
-        },
+        **fit_entries(source, config, fitted, fingerprint=learner.fingerprint, **figures),
         "supervision": "images and executed actions of exploration",
     }
+    save_model(network, folder, card=card)

@@ -1,27 +1,32 @@
-"""The networks of chapter 3 and of sections 2.4 and 4.3, and trained ones as policies: numpy in, numpy out."""
+"""Policy networks, and the policies that serve them: numpy in, numpy out."""
 
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
-from freerein_imitation.model.goal_conditioned_policy import GoalConditionedPolicy
-from freerein_imitation.model.handshake import Handshake
-from freerein_imitation.model.language import LanguageNetwork, LanguageSpec
-from freerein_imitation.model.language_policy import LanguagePolicy
-from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
-from freerein_imitation.model.skills_policy import SkillsPolicy
-from freerein_imitation.model.step import Step
-from freerein_imitation.model.trained import TrainedPolicy, load
+from pathlib import Path
 
-__all__ = [
-    "GoalConditionedNetwork",
-    "GoalConditionedPolicy",
-    "GoalConditionedSpec",
-    "Handshake",
-    "LanguageNetwork",
-    "LanguagePolicy",
-    "LanguageSpec",
-    "SkillsNetwork",
-    "SkillsPolicy",
-    "SkillsSpec",
-    "Step",
-    "TrainedPolicy",
-    "load",
-]
+from freerein.errors import InvalidInput
+from freerein.learning import model_files
+from freerein_imitation.model.goal_conditioned import GoalConditionedPolicy
+from freerein_imitation.model.language import LanguagePolicy
+from freerein_imitation.model.policy import Policy
+from freerein_imitation.model.skills import SkillsPolicy
+
+_CLASSES = (GoalConditionedPolicy, SkillsPolicy, LanguagePolicy)
+
+
+def load(folder: Path, device: str) -> Policy:
+    """Returns the policy in a folder; its card's `kind` selects the class.
+
+    Args:
+        folder: Written by a fit; read as untrusted.
+        device: `auto`, `cpu` or `cuda:N`.
+
+    Raises:
+        InvalidInput: A file is missing or malformed.
+    """
+    kind = model_files.read_card(folder).get("kind")
+    for each in _CLASSES:
+        if kind == each.kind:
+            return each.load(folder, device)
+    raise InvalidInput(
+        f"A policy's card must have `kind` {' or '.join(each.kind for each in _CLASSES)}; got another or none.",
+        hint="Fit the model again, or restore its folder from a copy.",
+    )

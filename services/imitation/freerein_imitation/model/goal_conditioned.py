@@ -1,71 +1,58 @@
-"""The networks of chapter 3: a recurrent goal-conditioned skill policy, its forward model, and a goal recognizer."""
+"""The goal-conditioned skill policy (GSP) of chapter 3: recurrent policy, forward model, goal recognizer."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.errors import InvalidInput
+from freerein.learning import model_files
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
-from freerein_imitation.model import action_code
-from freerein_imitation.model.recognizer import GoalRecognizer
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec, PolicyOutput, TorchPolicy, flat_lstm_state
 
-Memory = tuple[Tensor, Tensor]
-"""What an LSTM remembers: hidden state and cell, float32 (1, B, hidden) each."""
+LSTMState = tuple[Tensor, Tensor]
+"""Hidden state and cell, float32 (1, B, hidden_size) each."""
 
 _FORWARD_HIDDEN = 256
+_MAX_LOGIT = 5.0  # the recognizer's, of two equal images
+_ENCODE_BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class GoalConditionedSpec:
-    """What the networks see and do, and how large they are.
+class GoalConditionedSpec(PolicyNetworkSpec):
+    """Inputs, outputs and sizes of the networks.
 
     Attributes:
-        camera: Which camera's frames they see.
-        action_size: Numbers per action.
-        action_choices: How many different actions there are when they are discrete, else 0.
-        height: Of the frames, in pixels.
-        width: In pixels.
-        channels: 1 or 3.
-        use_previous_action: Whether the policy sees the action executed last, as in the dissertation.
-        forward_model: Whether there is one; only training with forward consistency needs it.
-        features: Image features of the policy.
-        hidden: Units of its LSTM.
-        embedding: Dimensions of the recognizer's embedding.
-
-    Raises:
-        InvalidInput: There are 2 channels.
+        use_previous_action: Whether the policy takes the previous action as input, as in the dissertation.
+        forward_model: Whether there is a forward model, which only forward consistency needs.
+        features: Size of the policy's image features.
+        hidden_size: Units of the LSTM.
+        embedding_size: Size of the recognizer's embeddings.
     """
 
-    camera: str
-    action_size: int = bounded(1, least=1, most=256)
-    action_choices: int = bounded(0, least=0, most=4096)
-    height: int = bounded(64, least=4, most=1024)
-    width: int = bounded(64, least=4, most=1024)
-    channels: int = bounded(3, least=1, most=3)
     use_previous_action: bool = True
     forward_model: bool = False
     features: int = bounded(128, least=8, most=1024)
-    hidden: int = bounded(128, least=8, most=1024)
-    embedding: int = bounded(64, least=2, most=1024)
-
-    def __post_init__(self) -> None:
-        if self.channels == 2:
-            raise InvalidInput("Frames must have 1 or 3 channels; got 2.", hint="Store frames as gray or RGB.")
+    hidden_size: int = bounded(128, least=8, most=1024)
+    embedding_size: int = bounded(64, least=2, most=1024)
 
     @property
     def categories(self) -> int:
         """Categories of each number of an action."""
-        return self.action_choices or action_code.BINS
+        return self.action_choices or action_bins.BINS
 
 
 class GoalConditionedNetwork(nn.Module):
-    """All that is learned from exploration: policy, forward model and recognizer, which share no weight.
+    """Policy, forward model and goal recognizer, which share no weights.
 
     Args:
-        spec: What they see and do.
+        spec: Inputs, outputs and sizes.
     """
 
     def __init__(self, spec: GoalConditionedSpec) -> None:
@@ -73,63 +60,56 @@ class GoalConditionedNetwork(nn.Module):
         self.spec = spec
         self.policy = SkillPolicyNetwork(spec)
         self.forward_model = ForwardModel(spec) if spec.forward_model else None
-        self.recognizer = GoalRecognizer(
-            height=spec.height, width=spec.width, channels=spec.channels, embedding=spec.embedding
-        )
+        self.recognizer = GoalRecognizer(spec)
 
-    def calibrate(self, frames: Tensor) -> None:
-        """Takes the mean image, and the deviation from it, from training frames, uint8 (N, H, W, C)."""
-        self.policy.image.fit_normalisation(frames)
-        self.recognizer.image.fit_normalisation(frames)
+    def fit_normalisation(self, frames: Tensor) -> None:
+        """Sets the encoders' mean image and pixel deviation from training frames, uint8 (N, H, W, C)."""
+        self.policy.encoder.fit_normalisation(frames)
+        self.recognizer.encoder.fit_normalisation(frames)
 
 
 class SkillPolicyNetwork(nn.Module):
-    """The goal-conditioned skill policy pi of eq. 3.4: P(a_t | phi(x_t), phi(x_g), a_{t-1}, h_{t-1}).
+    """The policy pi of eq. 3.4: P(a_t | phi(x_t), phi(x_g), a_{t-1}, h_{t-1}).
 
     Args:
-        spec: What it sees and does.
+        spec: Inputs, outputs and sizes.
     """
 
     def __init__(self, spec: GoalConditionedSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = SpatialEncoder(
+        self.encoder = SpatialEncoder(
             height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
         )
-        previous = spec.action_choices or spec.action_size
-        self.join = nn.Linear(2 * spec.features + previous, spec.hidden)
-        self.lstm = nn.LSTM(spec.hidden, spec.hidden, batch_first=True)
-        self.head = nn.Linear(2 * spec.hidden, spec.action_size * spec.categories)
+        self.input_layer = nn.Linear(2 * spec.features + spec.flat_action_size, spec.hidden_size)
+        self.lstm = nn.LSTM(spec.hidden_size, spec.hidden_size, batch_first=True)
+        self.action_head = nn.Linear(2 * spec.hidden_size, spec.action_size * spec.categories)
 
     def forward(
-        self, seen: Tensor, goal: Tensor, previous: Tensor, memory: Memory | None = None
-    ) -> tuple[Tensor, Memory]:
-        """Returns the scores of every action's categories, and the memory after the last timestep.
+        self, features: Tensor, goal: Tensor, previous: Tensor, state: LSTMState | None = None
+    ) -> tuple[Tensor, LSTMState]:
+        """Returns action logits, float32 (B, T, A, categories), and the LSTM state after the last timestep.
 
         Args:
-            seen: phi(x_t), float32 (B, T, features).
+            features: phi(x_t), float32 (B, T, features).
             goal: phi(x_g), float32 (B, features).
-            previous: a_{t-1}, float32 (B, T, A), zeros where nothing was executed, or int64 (B, T, 1), -1 there.
-            memory: Before the first timestep; None where a goal begins.
-
-        Returns:
-            Scores, float32 (B, T, A, categories), and the memory.
+            previous: a_{t-1}, float32 (B, T, A), zeros for no action, or int64 (B, T, 1), -1 for no action.
+            state: LSTM state before the first timestep; None at the start of a goal.
         """
-        executed = self._executed(previous)
-        joined = torch.cat([seen, goal[:, None].expand_as(seen), executed], dim=2)
-        now = functional.relu(self.join(joined))  # (B, T, hidden)
-        remembered, memory = self.lstm(now, memory)  # (B, T, hidden)
-        scores: Tensor = self.head(torch.cat([now, remembered], dim=2))  # (B, T, A * categories)
-        return scores.view(*scores.shape[:2], self.spec.action_size, self.spec.categories), memory
+        inputs = torch.cat([features, goal[:, None].expand_as(features), self._previous(previous)], dim=2)
+        hidden = functional.relu(self.input_layer(inputs))  # (B, T, hidden_size)
+        recurrent, state = self.lstm(hidden, state)  # (B, T, hidden_size)
+        logits: Tensor = self.action_head(torch.cat([hidden, recurrent], dim=2))  # (B, T, A * categories)
+        return logits.view(*logits.shape[:2], self.spec.action_size, self.spec.categories), state
 
-    def _executed(self, previous: Tensor) -> Tensor:
+    def _previous(self, previous: Tensor) -> Tensor:
         if self.spec.action_choices:
-            previous = action_code.encode(previous, choices=self.spec.action_choices).flatten(2)  # (B, T, choices)
+            previous = action_bins.encode(previous, choices=self.spec.action_choices).flatten(2)  # (B, T, choices)
         return previous if self.spec.use_previous_action else torch.zeros_like(previous)
 
 
 class ForwardModel(nn.Module):
-    """f of eq. 3.4: from phi(x_t) and the code of a_t to phi(x_{t+1}).
+    """f of eq. 3.4: phi(x_{t+1}) from phi(x_t) and the distribution of a_t.
 
     Args:
         spec: The policy's.
@@ -138,15 +118,97 @@ class ForwardModel(nn.Module):
     def __init__(self, spec: GoalConditionedSpec) -> None:
         super().__init__()
         self.hidden = nn.Linear(spec.features + spec.action_size * spec.categories, _FORWARD_HIDDEN)
-        self.change = nn.Linear(_FORWARD_HIDDEN, spec.features)
+        self.residual = nn.Linear(_FORWARD_HIDDEN, spec.features)
 
-    def forward(self, seen: Tensor, action: Tensor) -> Tensor:
-        """Returns what is seen next, float32 (..., features): what is seen now and how it changes.
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        """Returns the next features, float32 (..., features).
 
         Args:
-            seen: phi(x_t), float32 (..., features).
-            action: The code of a_t or a predicted distribution, float32 (..., A, categories).
+            features: phi(x_t), float32 (..., features).
+            action: Target or predicted distribution of a_t, float32 (..., A, categories).
         """
-        joined = torch.cat([seen, action.flatten(-2)], dim=-1)
-        change: Tensor = self.change(functional.relu(self.hidden(joined)))
-        return seen + change
+        inputs = torch.cat([features, action.flatten(-2)], dim=-1)
+        residual: Tensor = self.residual(functional.relu(self.hidden(inputs)))
+        return features + residual
+
+
+class GoalRecognizer(nn.Module):
+    """The goal recognizer of section 3.2 as a metric embedding: images a few actions apart are less than 1 apart.
+
+    The dissertation leaves the network open. In a metric nothing is closer to a goal than the goal's own image.
+
+    Args:
+        spec: The policy's.
+    """
+
+    def __init__(self, spec: GoalConditionedSpec) -> None:
+        super().__init__()
+        size = spec.embedding_size
+        self.encoder = SpatialEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=size)
+        self.projection = nn.Linear(size, size, bias=False)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Returns embeddings, float32 (N, embedding_size), of frames uint8 (N, H, W, C)."""
+        embedding: Tensor = self.projection(self.encoder(frames))
+        return embedding
+
+
+def proximity_logit(observation: Tensor, goal: Tensor) -> Tensor:
+    """Returns the logit that two embeddings (..., embedding_size) are close, float32 (...)."""
+    distance: Tensor = torch.linalg.vector_norm(observation - goal, dim=-1)
+    return _MAX_LOGIT * (1 - distance)
+
+
+class GoalConditionedPolicy(TorchPolicy[GoalConditionedNetwork]):
+    """Follows goal images.
+
+    Args:
+        network: Trained.
+        control: Actions, rate and limits.
+    """
+
+    kind: Literal["goal_conditioned"] = "goal_conditioned"
+
+    def __init__(self, network: GoalConditionedNetwork, control: ControlSpec) -> None:
+        recurrent_size = 2 * network.spec.hidden_size
+        super().__init__(network, network.spec, control, goal_form="images", recurrent_size=recurrent_size)
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> "GoalConditionedPolicy":
+        """Returns the policy in a folder; see `freerein_imitation.model.load`."""
+        network = model_files.load_model(folder, GoalConditionedSpec, GoalConditionedNetwork, device=device)
+        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+    @torch.inference_mode()
+    def encode_goals(self, goals: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """Returns goal embeddings, float32 (N, G), of goal images, uint8 (N, H, W, C)."""
+        batches = [goals[start : start + _ENCODE_BATCH] for start in range(0, len(goals), _ENCODE_BATCH)]
+        embeddings: npt.NDArray[np.float32] = torch.cat([self._encode(batch) for batch in batches]).cpu().numpy()
+        return embeddings
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: npt.NDArray[np.uint8],
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns actions and the probability that the goal is reached; arguments as in `Policy.step`."""
+        goal, features = self._tensor(goals), self._network.spec.features
+        state = self._lstm_state(recurrent)
+        encoded = self._encode(frames)  # (B, G)
+        logits, state = self._network.policy(
+            encoded[:, None, :features], goal[:, :features], self._tensor(previous)[:, None], state
+        )
+        reached = proximity_logit(encoded[:, features:], goal[:, features:]).sigmoid()
+        return PolicyOutput(
+            actions=action_bins.decode(logits, choices=self.spec.action.choices).cpu().numpy(),
+            reached=reached.cpu().numpy(),
+            recurrent=flat_lstm_state(state),
+        )
+
+    def _encode(self, frames: npt.NDArray[np.uint8]) -> Tensor:
+        """Returns the policy's features beside the recognizer's embedding, float32 (N, G)."""
+        tensor = self._tensor(frames)
+        return torch.cat([self._network.policy.encoder(tensor), self._network.recognizer(tensor)], dim=1)

@@ -1,127 +1,204 @@
-"""The language-conditioned policy of section 4.3, into which policies of single tasks are distilled.
+"""The language-conditioned policy of section 4.3, into which single-task policies are distilled.
 
-The text tower is no part of the network: it is frozen, so that what the network sees of a sentence is a code, made
-once. Of that it takes what told the goal texts of training apart, and nothing else: about what they had in common, or
-did not differ in, nothing could be learned, and in a sentence that is new it would be noise.
+The text encoder is frozen and no part of the network, which takes a text embedding. Of that it uses the principal
+components of the training goal texts only: along other directions there was nothing to learn from.
 """
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
+from freerein.learning import model_files
+from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
+from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec, PolicyOutput, TorchPolicy
+from freerein_imitation.model.text_encoder import TextEncoder
 
-MAX_DIRECTIONS = 64
-_LEAST = 1e-2  # of the largest singular value: below it, goal texts do not differ along a direction
+MAX_COMPONENTS = 64
+NEVER_REACHED = 1.0
+"""Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
+
+_LEAST_SINGULAR_VALUE = 1e-2  # as a share of the largest
+_ENCODER_FILE, _ENCODER_KEY = "text_encoder.safetensors", "text_encoder"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LanguageSpec:
-    """What a network does and sees, and how large it is.
+class LanguageSpec(PolicyNetworkSpec):
+    """Inputs, outputs and sizes of a network.
 
     Attributes:
-        camera: Which camera's frames it sees.
-        text_width: Numbers in the text tower's code of a sentence.
-        directions: In which the goal texts of training differ.
-        action_size: Numbers per action.
-        action_choices: How many different actions there are when they are discrete, else 0.
-        height: Of the frames, in pixels.
-        width: In pixels.
-        channels: 1 or 3.
-        features: Image features.
-        words: Features of the sentence.
-        hidden: Units of its two layers.
-
-    Raises:
-        InvalidInput: There are 2 channels.
+        text_size: Size of the text encoder's embeddings.
+        text_components: Principal components of the training goal texts.
+        features: Size of the image features.
+        text_features: Size of the text features.
+        hidden_size: Units of the two hidden layers.
     """
 
-    camera: str
-    text_width: int = bounded(384, least=1, most=4096)
-    directions: int = bounded(1, least=1, most=MAX_DIRECTIONS)
-    action_size: int = bounded(1, least=1, most=256)
-    action_choices: int = bounded(0, least=0, most=4096)
-    height: int = bounded(64, least=4, most=1024)
-    width: int = bounded(64, least=4, most=1024)
-    channels: int = bounded(3, least=1, most=3)
+    text_size: int = bounded(384, least=1, most=4096)
+    text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
     features: int = bounded(128, least=8, most=1024)
-    words: int = bounded(32, least=1, most=1024)
-    hidden: int = bounded(128, least=8, most=1024)
-
-    def __post_init__(self) -> None:
-        if self.channels == 2:
-            raise InvalidInput("Frames must have 1 or 3 channels; got 2.", hint="Store frames as gray or RGB.")
+    text_features: int = bounded(32, least=1, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
 
 
 class LanguageNetwork(nn.Module):
-    """pi(a_t | x_t, sentence): what is seen, as the sentence scales and shifts it (FiLM), two layers and the action's.
+    """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
 
     Args:
-        spec: What it does and sees.
+        spec: Inputs, outputs and sizes.
     """
 
-    usual: Tensor
-    basis: Tensor
+    text_mean: Tensor
+    text_basis: Tensor
 
     def __init__(self, spec: LanguageSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = SpatialEncoder(
+        self.encoder = SpatialEncoder(
             height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
         )
-        self.words = nn.Linear(spec.directions, spec.words)
-        self.modulation = nn.Linear(spec.words, 2 * spec.features)
-        self.join = nn.Linear(spec.features, spec.hidden)
-        self.plan = nn.Linear(spec.hidden, spec.hidden)
-        self.action = nn.Linear(spec.hidden, spec.action_choices or spec.action_size)
-        self.register_buffer("usual", torch.zeros(spec.text_width))
-        self.register_buffer("basis", torch.zeros(spec.text_width, spec.directions))
+        self.text_layer = nn.Linear(spec.text_components, spec.text_features)
+        self.film = nn.Linear(spec.text_features, 2 * spec.features)
+        self.hidden1 = nn.Linear(spec.features, spec.hidden_size)
+        self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
+        self.action_head = nn.Linear(spec.hidden_size, spec.flat_action_size)
+        self.register_buffer("text_mean", torch.zeros(spec.text_size))
+        self.register_buffer("text_basis", torch.zeros(spec.text_size, spec.text_components))
 
     @torch.no_grad()
-    def calibrate(self, frames: Tensor, codes: Tensor) -> None:
-        """Takes the mean image from training frames, and from its goal texts what they differ in.
+    def fit_normalisation(self, frames: Tensor, texts: Tensor) -> None:
+        """Sets the encoder's mean image, and mean and principal components of the goal texts.
 
         Args:
-            frames: uint8 (N, H, W, C).
-            codes: Of the different goal texts, float32 (n, text_width).
+            frames: Training frames, uint8 (N, H, W, C).
+            texts: Embeddings of the distinct goal texts, float32 (n, text_size).
         """
-        self.image.fit_normalisation(frames)
-        self.usual.copy_(codes.mean(dim=0))
-        self.basis.copy_(differences(codes))
+        self.encoder.fit_normalisation(frames)
+        self.text_mean.copy_(texts.mean(dim=0))
+        self.text_basis.copy_(principal_components(texts))
 
-    def forward(self, frames: Tensor, codes: Tensor) -> Tensor:
-        """Returns what to do: float32 (B, A), not clipped; or the scores of each discrete action, (B, 1, choices).
+    def forward(self, frames: Tensor, texts: Tensor) -> Tensor:
+        """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
 
         Args:
             frames: uint8 (B, H, W, C).
-            codes: Of the sentences, float32 (B, text_width).
+            texts: Text embeddings, float32 (B, text_size).
         """
-        sentence = functional.relu(self.words((codes - self.usual) @ self.basis))  # (B, words)
-        scale, shift = self.modulation(sentence).chunk(2, dim=1)  # (B, features) each
-        seen = self.image(frames) * (1 + scale) + shift  # (B, features)
-        planned = functional.relu(self.plan(functional.relu(self.join(seen))))  # (B, hidden)
-        action: Tensor = self.action(planned)  # (B, A or choices)
+        text = functional.relu(self.text_layer((texts - self.text_mean) @ self.text_basis))  # (B, text_features)
+        scale, shift = self.film(text).chunk(2, dim=1)  # (B, features) each
+        features = self.encoder(frames) * (1 + scale) + shift  # (B, features)
+        hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(features))))  # (B, hidden_size)
+        action: Tensor = self.action_head(hidden)  # (B, A or choices)
         return action[:, None] if self.spec.action_choices else action
 
 
-def differences(codes: Tensor) -> Tensor:
-    """Returns the directions in which codes differ, scaled so that what they tell apart is about 1 along each.
+def principal_components(embeddings: Tensor) -> Tensor:
+    """Returns the directions in which embeddings differ, scaled to a mean coordinate of about 1.
 
     Args:
-        codes: float32 (n, W), n >= 1.
+        embeddings: float32 (n, W), n >= 1.
 
     Returns:
-        float32 (W, D), D from 1 to `MAX_DIRECTIONS`; one direction of zeros where there is no difference.
+        float32 (W, D), D from 1 to `MAX_COMPONENTS`; one direction of zeros where nothing differs.
     """
-    apart = codes - codes.mean(dim=0)  # (n, W)
-    _, sizes, directions = torch.linalg.svd(apart, full_matrices=False)  # (D,), (D, W)
-    count = min(MAX_DIRECTIONS, int((sizes > _LEAST * sizes[0]).sum()))
-    if not count or sizes[0] <= torch.finfo(codes.dtype).eps * len(codes):
-        return codes.new_zeros(codes.shape[1], 1)
-    length: Tensor = torch.linalg.vector_norm(apart, dim=1).mean()
+    centred = embeddings - embeddings.mean(dim=0)  # (n, W)
+    _, singular_values, directions = torch.linalg.svd(centred, full_matrices=False)  # (D,), (D, W)
+    count = min(MAX_COMPONENTS, int((singular_values > _LEAST_SINGULAR_VALUE * singular_values[0]).sum()))
+    if not count or singular_values[0] <= torch.finfo(embeddings.dtype).eps * len(embeddings):
+        return embeddings.new_zeros(embeddings.shape[1], 1)
+    length: Tensor = torch.linalg.vector_norm(centred, dim=1).mean()
     basis: Tensor = directions[:count].T * (count**0.5 / length)
     return basis
+
+
+class LanguagePolicy(TorchPolicy[LanguageNetwork]):
+    """Follows a text. It has no termination head and no recurrent state.
+
+    Args:
+        network: Trained.
+        text_encoder: The one that the network was trained with.
+        control: Actions, rate and limits.
+
+    Raises:
+        InvalidInput: The text encoder's embeddings are of another size than the network takes.
+    """
+
+    kind: Literal["language"] = "language"
+
+    def __init__(self, network: LanguageNetwork, text_encoder: TextEncoder, control: ControlSpec) -> None:
+        sizes = network.spec
+        if text_encoder.size != sizes.text_size:
+            raise InvalidInput(
+                f"A policy's text encoder must have embeddings of {sizes.text_size} numbers; got {text_encoder.size}.",
+                hint="Fit the model again, or restore its folder from a copy.",
+            )
+        super().__init__(network, sizes, control, goal_form="text", predicts_reached=False)
+        self._text_encoder = text_encoder
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> "LanguagePolicy":
+        """Returns the policy in a folder; see `freerein_imitation.model.load`.
+
+        Raises:
+            InvalidInput: A file is missing or malformed, or the text encoder's sha256 is not the card's.
+        """
+        card = model_files.read_card(folder)
+        network = model_files.load_model(folder, LanguageSpec, LanguageNetwork, device=device)
+        return cls(network, _load_text_encoder(folder, card), ControlSpec.from_card(card))
+
+    def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
+        """Returns text embeddings, float32 (N, text_size)."""
+        return self._text_encoder(goals)
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: npt.NDArray[np.uint8],
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns actions; arguments as in `Policy.step`. `previous` is not used."""
+        actions = self._network(self._tensor(frames), self._tensor(goals))
+        chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
+        return PolicyOutput(chosen[:, None].cpu().numpy(), np.zeros(len(previous), np.float32), recurrent)
+
+
+def save(network: LanguageNetwork, text_encoder: bytes, folder: Path, *, name: str, card: dict[str, JSON]) -> None:
+    """Writes a policy as a folder that `LanguagePolicy.load` reads.
+
+    Args:
+        network: Trained.
+        text_encoder: The text encoder's file.
+        folder: Created when missing; existing files are overwritten.
+        name: Name of the text encoder.
+        card: What the card holds beside `spec` and `text_encoder`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(folder / _ENCODER_FILE, text_encoder)
+    entry: dict[str, JSON] = {"name": name, "sha256": hashlib.sha256(text_encoder).hexdigest()}
+    model_files.save_model(network, folder, card={**card, _ENCODER_KEY: entry})
+
+
+def _load_text_encoder(folder: Path, card: dict[str, Any]) -> TextEncoder:
+    try:
+        data, expected = (folder / _ENCODER_FILE).read_bytes(), card[_ENCODER_KEY]["sha256"]
+    except (OSError, KeyError, TypeError):
+        data, expected = b"", None
+    if hashlib.sha256(data).hexdigest() != expected:
+        raise InvalidInput(
+            "A language policy's folder must hold the text encoder whose sha256 its card names; it does not.",
+            hint="Fit the model again, or restore its folder from a copy.",
+        )
+    return TextEncoder(data)

@@ -1,148 +1,200 @@
-"""The skill policies of section 2.4 in one recurrent network, told which skill to execute, with an end head.
+"""The skill policies of section 2.4 as one recurrent network that takes a skill, with a termination head.
 
-What it looks at depends on the skill: a few pointers choose, skill by skill, whose place in the frame matters, and the
-differences between pointers are where things are to one another. So what is learned of one skill serves all.
+A few attention heads per skill choose whose position matters; differences between heads are relative positions. What is
+learned of one skill so serves all.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.errors import InvalidInput
+from freerein.learning import model_files
 from freerein.learning.config import bounded
-from freerein_imitation.model import action_code
-from freerein_imitation.model.codebook import MOMENTS, ColourCodebook
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.colour_codebook import MOMENTS, ColourCodebook
+from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec, PolicyOutput, TorchPolicy, flat_lstm_state
 
-Memory = tuple[Tensor, Tensor]
-"""What an LSTM remembers: hidden state and cell, float32 (1, B, memory) each."""
+LSTMState = tuple[Tensor, Tensor]
+"""Hidden state and cell, float32 (1, B, recurrent_size) each."""
 
-_POINTERS = 8
-_GAIN = 10.0  # places are in [-1, 1], and a few hundredths decide whether a gripper fits
-_PRESENT = 0.05
+_HEADS = 8
+_GAIN = 10.0  # positions are in [-1, 1], and a few hundredths decide whether a grasp succeeds
+_PRESENCE_FLOOR = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkillsSpec:
-    """What a network does and sees, and how large it is.
+class SkillsSpec(PolicyNetworkSpec):
+    """Inputs, outputs and sizes of a network.
 
     Attributes:
-        skills: What it can do.
-        camera: Which camera's frames it sees.
-        action_size: Numbers per action.
-        action_choices: How many different actions there are when they are discrete, else 0.
-        height: Of the frames, in pixels.
-        width: In pixels.
-        channels: 1 or 3.
-        colours: Colours that it tells from one another.
-        hidden: Units of its layers.
-        memory: Units of its LSTM.
+        skills: Names of the skills.
+        codebook_size: Colours in the codebook.
+        hidden_size: Units of the hidden layers.
+        recurrent_size: Units of the LSTM.
 
     Raises:
         InvalidInput: There are no skills, or 2 channels.
     """
 
     skills: tuple[str, ...]
-    camera: str
-    action_size: int = bounded(1, least=1, most=256)
-    action_choices: int = bounded(0, least=0, most=4096)
-    height: int = bounded(64, least=4, most=1024)
-    width: int = bounded(64, least=4, most=1024)
-    channels: int = bounded(3, least=1, most=3)
-    colours: int = bounded(32, least=2, most=256)
-    hidden: int = bounded(128, least=8, most=1024)
-    memory: int = bounded(64, least=8, most=1024)
+    codebook_size: int = bounded(32, least=2, most=256)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    recurrent_size: int = bounded(64, least=8, most=1024)
 
     def __post_init__(self) -> None:
-        if not self.skills or self.channels == 2:
-            raise InvalidInput(
-                f"A policy must know at least 1 skill and see 1 or 3 channels; "
-                f"got {len(self.skills)} skills and {self.channels} channels.",
-                hint="Label the dataset with skills, and store frames as gray or RGB.",
-            )
+        super().__post_init__()
+        if not self.skills:
+            raise InvalidInput("A policy must have at least 1 skill; got 0.", hint="Label the dataset with skills.")
 
 
 class SkillsNetwork(nn.Module):
-    """pi(a_t | x_1..x_t, a_{t-1}, skill), and the probability that the skill ends with x_t.
+    """pi(a_t | x_1..x_t, a_{t-1}, skill), and the probability that the skill terminates at x_t.
 
     Args:
-        spec: What it does and sees.
+        spec: Inputs, outputs and sizes.
     """
 
-    usual: Tensor
-    spread: Tensor
+    feature_mean: Tensor
+    feature_std: Tensor
 
     def __init__(self, spec: SkillsSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = ColourCodebook(height=spec.height, width=spec.width, channels=spec.channels, colours=spec.colours)
-        self.pointers = nn.Linear(len(spec.skills), _POINTERS * spec.colours, bias=False)
-        pairs = _POINTERS * (_POINTERS - 1) // 2
-        executed = spec.action_choices or spec.action_size
-        inputs = MOMENTS * (spec.colours + _POINTERS) + 2 * pairs + executed + len(spec.skills)
-        self.join = nn.Linear(inputs, spec.hidden)
-        self.now = nn.Linear(spec.hidden, spec.hidden)
-        self.past = nn.LSTM(spec.hidden, spec.memory, batch_first=True)
-        self.trunk = nn.Linear(spec.memory + spec.hidden, spec.hidden)
-        self.plan = nn.Linear(spec.hidden, spec.hidden)
-        self.action = nn.Linear(spec.hidden, spec.action_choices or spec.action_size)
-        self.end = nn.Linear(spec.hidden, 1)
-        self.register_buffer("usual", torch.zeros(spec.colours * MOMENTS))
-        self.register_buffer("spread", torch.ones(spec.colours * MOMENTS))
+        self.codebook = ColourCodebook(
+            height=spec.height, width=spec.width, channels=spec.channels, size=spec.codebook_size
+        )
+        self.attention = nn.Linear(len(spec.skills), _HEADS * spec.codebook_size, bias=False)
+        pairs = _HEADS * (_HEADS - 1) // 2
+        inputs = MOMENTS * (spec.codebook_size + _HEADS) + 2 * pairs + spec.flat_action_size + len(spec.skills)
+        self.input_layer = nn.Linear(inputs, spec.hidden_size)
+        self.hidden_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
+        self.lstm = nn.LSTM(spec.hidden_size, spec.recurrent_size, batch_first=True)
+        self.trunk = nn.Linear(spec.recurrent_size + spec.hidden_size, spec.hidden_size)
+        self.action_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
+        self.action_head = nn.Linear(spec.hidden_size, spec.flat_action_size)
+        self.termination_head = nn.Linear(spec.hidden_size, 1)
+        self.register_buffer("feature_mean", torch.zeros(spec.codebook_size * MOMENTS))
+        self.register_buffer("feature_std", torch.ones(spec.codebook_size * MOMENTS))
 
     @torch.no_grad()
-    def calibrate(self, places: Tensor, *, generator: torch.Generator) -> None:
-        """Takes what is usual from training frames, and draws pointers that point to different colours.
+    def fit_normalisation(self, moments: Tensor, *, generator: torch.Generator) -> None:
+        """Sets feature mean and deviation from training frames, and draws attention weights to different colours.
 
         Args:
-            places: Where each colour is in these frames, float32 (N, colours, MOMENTS).
+            moments: Colour moments of these frames, float32 (N, colours, MOMENTS).
             generator: On the CPU.
         """
-        flat = places.flatten(1)
-        self.usual.copy_(flat.mean(dim=0))
-        self.spread.copy_(flat.std(dim=0) + 0.01)
-        self.pointers.weight.normal_(generator=generator)
+        flat = moments.flatten(1)
+        self.feature_mean.copy_(flat.mean(dim=0))
+        self.feature_std.copy_(flat.std(dim=0) + 0.01)
+        self.attention.weight.normal_(generator=generator)
 
     def forward(
-        self, places: Tensor, skill: Tensor, previous: Tensor, memory: Memory | None = None
-    ) -> tuple[Tensor, Tensor, Memory]:
-        """Returns what to do, whether the skill ends, and the memory after the last timestep.
+        self, moments: Tensor, skill: Tensor, previous: Tensor, state: LSTMState | None = None
+    ) -> tuple[Tensor, Tensor, LSTMState]:
+        """Returns actions, termination logits, and the LSTM state after the last timestep.
 
         Args:
-            places: Where each colour is, float32 (B, T, colours, MOMENTS): `image` of the frames.
+            moments: Colour moments, float32 (B, T, colours, MOMENTS), from `codebook`.
             skill: One-hot, float32 (B, skills).
-            previous: a_{t-1}, float32 (B, T, A), zeros where nothing was executed, or int64 (B, T, 1), -1 there.
-            memory: Before the first timestep; None where a skill begins.
+            previous: a_{t-1}, float32 (B, T, A), zeros for no action, or int64 (B, T, 1), -1 for no action.
+            state: LSTM state before the first timestep; None at the start of a skill.
 
         Returns:
-            Actions, float32 (B, T, A), not clipped; or the scores of each discrete one, (B, T, 1, choices). The end's
-            logits, float32 (B, T). The memory.
+            Actions, float32 (B, T, A), not clipped, or logits of discrete ones, (B, T, 1, choices); termination
+            logits, float32 (B, T); the LSTM state.
         """
-        doing = skill[:, None].expand(-1, places.shape[1], -1)  # (B, T, skills)
-        joined = [self._usual(places), *self._pointed(places, doing), self._executed(previous), doing]
-        now = functional.relu(self.now(functional.relu(self.join(torch.cat(joined, dim=2)))))  # (B, T, hidden)
-        remembered, memory = self.past(now, memory)  # (B, T, memory)
-        trunk = functional.relu(self.trunk(torch.cat([remembered, now], dim=2)))  # (B, T, hidden)
-        action = self.action(functional.relu(self.plan(trunk)))  # (B, T, A or choices)
-        return action[:, :, None] if self.spec.action_choices else action, self.end(trunk)[..., 0], memory
+        skills = skill[:, None].expand(-1, moments.shape[1], -1)  # (B, T, skills)
+        normalised = (moments.flatten(2) - self.feature_mean) / self.feature_std  # (B, T, colours * MOMENTS)
+        inputs = torch.cat([normalised, *self._attend(moments, skills), self._previous(previous), skills], dim=2)
+        hidden = functional.relu(self.hidden_layer(functional.relu(self.input_layer(inputs))))  # (B, T, hidden_size)
+        recurrent, state = self.lstm(hidden, state)  # (B, T, recurrent_size)
+        trunk = functional.relu(self.trunk(torch.cat([recurrent, hidden], dim=2)))  # (B, T, hidden_size)
+        action = self.action_head(functional.relu(self.action_layer(trunk)))  # (B, T, A or choices)
+        terminations = self.termination_head(trunk)[..., 0]  # (B, T)
+        return action[:, :, None] if self.spec.action_choices else action, terminations, state
 
-    def _usual(self, places: Tensor) -> Tensor:
-        return (places.flatten(2) - self.usual) / self.spread  # (B, T, colours * MOMENTS)
+    def _attend(self, moments: Tensor, skills: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns attended moments, (B, T, heads * MOMENTS), and relative positions of heads, (B, T, pairs * 2).
 
-    def _pointed(self, places: Tensor, doing: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns where the pointers point, (B, T, pointers * MOMENTS), and how far apart that is, (B, T, pairs * 2).
-
-        A colour that is not there is not pointed at: its share enters the softmax.
+        Absent colours get little attention: the logarithm of a colour's mass is added to its logit.
         """
-        scores = self.pointers(doing).unflatten(2, (_POINTERS, -1))  # (B, T, pointers, colours)
-        present = (places[..., 0].clamp(min=0) + _PRESENT).log()  # (B, T, colours)
-        pointed = (scores + present[:, :, None]).softmax(dim=3) @ places  # (B, T, pointers, MOMENTS)
-        one, other = torch.triu_indices(_POINTERS, _POINTERS, offset=1, device=places.device)
-        apart = pointed[:, :, one, 1:3] - pointed[:, :, other, 1:3]  # (B, T, pairs, 2)
-        return _GAIN / 2 * pointed.flatten(2), _GAIN * apart.flatten(2)
+        logits = self.attention(skills).unflatten(2, (_HEADS, -1))  # (B, T, heads, colours)
+        presence = (moments[..., 0].clamp(min=0) + _PRESENCE_FLOOR).log()  # (B, T, colours)
+        attended = (logits + presence[:, :, None]).softmax(dim=3) @ moments  # (B, T, heads, MOMENTS)
+        first, second = torch.triu_indices(_HEADS, _HEADS, offset=1, device=moments.device)
+        relative = attended[:, :, first, 1:3] - attended[:, :, second, 1:3]  # (B, T, pairs, 2)
+        return _GAIN / 2 * attended.flatten(2), _GAIN * relative.flatten(2)
 
-    def _executed(self, previous: Tensor) -> Tensor:
+    def _previous(self, previous: Tensor) -> Tensor:
         if self.spec.action_choices:
-            return action_code.encode(previous, choices=self.spec.action_choices).flatten(2)  # (B, T, choices)
+            return action_bins.encode(previous, choices=self.spec.action_choices).flatten(2)  # (B, T, choices)
         return previous
+
+
+class SkillsPolicy(TorchPolicy[SkillsNetwork]):
+    """Executes skills by name.
+
+    Args:
+        network: Trained.
+        control: Actions, rate and limits.
+    """
+
+    kind: Literal["skills"] = "skills"
+
+    def __init__(self, network: SkillsNetwork, control: ControlSpec) -> None:
+        spec = network.spec
+        size = 2 * spec.recurrent_size
+        super().__init__(network, spec, control, goal_form="recipe", skills=spec.skills, recurrent_size=size)
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> "SkillsPolicy":
+        """Returns the policy in a folder; see `freerein_imitation.model.load`."""
+        network = model_files.load_model(folder, SkillsSpec, SkillsNetwork, device=device)
+        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+    def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
+        """Returns one-hot codes of skill names, float32 (N, skills).
+
+        Raises:
+            InvalidInput: A name is not a skill of this policy.
+        """
+        skills = self.spec.skills
+        unknown = sum(goal not in skills for goal in goals)
+        if unknown:
+            raise InvalidInput(
+                f"Skills must be among {', '.join(skills)}; {unknown} of {len(goals)} are not.",
+                field="goal",
+                hint="GetSpec lists a model's skills.",
+            )
+        return np.eye(len(skills), dtype=np.float32)[[skills.index(goal) for goal in goals]]
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: npt.NDArray[np.uint8],
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns actions and termination probabilities; arguments as in `Policy.step`."""
+        actions, termination, state = self._network(
+            self._network.codebook(self._tensor(frames))[:, None],
+            self._tensor(goals),
+            self._tensor(previous)[:, None],
+            self._lstm_state(recurrent),
+        )
+        chosen = actions.argmax(dim=3) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, 1, A)
+        return PolicyOutput(
+            actions=chosen.cpu().numpy(),
+            reached=termination[:, 0].sigmoid().cpu().numpy(),
+            recurrent=flat_lstm_state(state),
+        )

@@ -1,1 +1,1 @@
-"""How policies learn: to reach goal images, to execute skills, and to do what a sentence says."""
+"""Training of policies, one module per method; what it samples from lies in a module beside it."""

@@ -15,7 +15,7 @@ from freerein.clients import SyncClient
 from freerein.types.common import ActionSpec, Encoding, Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein.types.sim import Task
-from freerein_orchestrator.envs.policy_spec import PolicySpec, check_task
+from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.envs.reward_fns import Frames
 from freerein_orchestrator.rl.policy_files import NetworkPolicy, StoredPolicy
 from freerein_orchestrator.rl.vec_env import Actions, Observations
@@ -61,7 +61,7 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool) -> Poli
     Raises:
         InvalidInput: The task has another camera or other actions.
     """
-    spec = PolicySpec.of_stored(policy)
+    spec = PolicyInterface.of_stored(policy)
     check_task(spec, task)
 
     def start(seed: int) -> BatchPolicy:
@@ -88,7 +88,7 @@ def served_policy(
         ServiceError: The service has no such model, or cannot be reached.
     """
     reply: GetSpecResponse = imitation.get_spec(GetSpecRequest(model))
-    spec = PolicySpec.of_served(reply)
+    spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
     request = ActRequest(Observation(), goal, model=reply.model)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from freerein.learning.metric_rows import MetricRows
+from freerein.jobs.metrics import MetricsWriter
 
 
 def last_step(folder: Path) -> int:
@@ -32,7 +32,7 @@ class MetricsLogger:
     def __init__(self, folder: Path, *, last_step: int, first_step: int = 0, prefix: str = "") -> None:
         self._first_step = first_step
         self._prefix = prefix
-        self._rows = MetricRows(folder / "metrics.jsonl", last_step=first_step + last_step)
+        self._rows = MetricsWriter(folder / "metrics.jsonl", last_step=first_step + last_step)
         self._events: SummaryWriter | None = None
         with suppress(OSError):
             self._events = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step + last_step + 1)

@@ -1,1 +1,1 @@
-"""Runs: what was asked for, what became of it, and the child processes that do the work."""
+"""Runs: `service.py` answers calls, `dbos_queue.py` queues durably, `child.py` is the process of a run."""

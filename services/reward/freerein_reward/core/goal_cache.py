@@ -1,4 +1,4 @@
-"""Embeddings of goal texts, kept: a task asks about the same few texts for thousands of frames."""
+"""LRU cache of goal embeddings, bounded in bytes: a task scores thousands of frames against the same few texts."""
 
 import sys
 import threading
@@ -13,16 +13,16 @@ from freerein.types.common import ModelRef
 from freerein_reward.core.models import RewardModel
 
 _TEXTS_AT_ONCE = 128
-_ENTRY_BYTES = 500  # what Python needs around an embedding and its text, with some to spare
+_ENTRY_BYTES = 500  # upper bound of Python's overhead per entry
 
 
 @dataclass(frozen=True, eq=False)
 class GoalEmbedding:
-    """A text as a model sees it.
+    """The embedding of a text.
 
     Attributes:
-        vector: float32 (D,), of length 1; not finite where the model overflowed.
-        truncated: Whether the text was too long for the model and was cut.
+        vector: float32 (D,), of unit length; not finite where the model overflowed.
+        truncated: Whether the text was too long for the model and was truncated.
     """
 
     vector: npt.NDArray[np.float32]
@@ -30,63 +30,66 @@ class GoalEmbedding:
 
 
 class GoalCache:
-    """The embeddings asked for last, of any model. Any thread may look for one; the model's thread adds them.
+    """Most recently used embeddings of any model. Any thread may read; the model's thread writes.
 
     Args:
-        limit_bytes: How much memory it may take, texts and all.
+        limit_bytes: Memory limit in bytes, texts included.
     """
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
-        self._kept: OrderedDict[tuple[ModelRef, str], GoalEmbedding] = OrderedDict()
+        self._entries: OrderedDict[tuple[ModelRef, str], GoalEmbedding] = OrderedDict()
         self._lock = threading.Lock()
         self.held_bytes = 0
 
     def __len__(self) -> int:
-        """Returns how many embeddings are kept."""
-        return len(self._kept)
+        """Returns the number of entries."""
+        return len(self._entries)
 
     def find(self, ref: ModelRef, text: str) -> GoalEmbedding | None:
-        """Returns the embedding of a text where it is kept."""
+        """Returns the cached embedding of a text, or None."""
         with self._lock:
-            if (ref, text) in self._kept:
-                self._kept.move_to_end((ref, text))
-            return self._kept.get((ref, text))
+            if (ref, text) in self._entries:
+                self._entries.move_to_end((ref, text))
+            return self._entries.get((ref, text))
 
     def embed(self, ref: ModelRef, model: RewardModel, texts: Iterable[str]) -> dict[str, GoalEmbedding]:
-        """Returns the embedding of each text; those not kept are computed together.
+        """Returns the embedding of each text; missing ones are computed in batches.
 
         Args:
-            ref: The model's name and version: another version embeds anew.
+            ref: The model's name and version, part of the key.
             model: The model.
-            texts: Of any number; repeated ones count once.
+            texts: The texts; duplicates are computed once.
         """
-        looked_for = {text: self.find(ref, text) for text in texts}
-        found = {text: embedding for text, embedding in looked_for.items() if embedding is not None}
-        missing = [text for text in looked_for if text not in found]
+        cached = {text: self.find(ref, text) for text in texts}
+        found = {text: embedding for text, embedding in cached.items() if embedding is not None}
+        missing = [text for text in cached if text not in found]
         for start in range(0, len(missing), _TEXTS_AT_ONCE):
             for text, embedding in _embed(model, missing[start : start + _TEXTS_AT_ONCE]):
                 found[text] = embedding
-                self._keep(ref, text, embedding)
+                self._add(ref, text, embedding)
         return found
 
-    def _keep(self, ref: ModelRef, text: str, embedding: GoalEmbedding) -> None:
+    def _add(self, ref: ModelRef, text: str, embedding: GoalEmbedding) -> None:
         if not np.isfinite(embedding.vector).all():
             return
         with self._lock:
-            self._kept[ref, text] = embedding
+            self._entries[ref, text] = embedding
             self.held_bytes += _size(text, embedding)
             while self.held_bytes > self._limit:
-                (_, oldest), dropped = self._kept.popitem(last=False)
+                (_, oldest), dropped = self._entries.popitem(last=False)
                 self.held_bytes -= _size(oldest, dropped)
 
 
 def _embed(model: RewardModel, texts: Sequence[str]) -> Iterator[tuple[str, GoalEmbedding]]:
     vectors, truncated = model.embed_texts(texts)
     if vectors.ndim != 2 or len(vectors) != len(texts) or truncated.shape != (len(texts),):
-        raise ValueError(f"the model answered {vectors.shape} and {truncated.shape} for {len(texts)} texts")
-    for text, vector, cut in zip(texts, vectors, truncated, strict=True):
-        yield text, GoalEmbedding(vector.astype(np.float32, copy=True), bool(cut))  # a view would keep the whole batch
+        raise ValueError(f"the model returned {vectors.shape} and {truncated.shape} for {len(texts)} texts")
+    for text, vector, is_cut in zip(texts, vectors, truncated, strict=True):
+        yield (
+            text,
+            GoalEmbedding(vector.astype(np.float32, copy=True), bool(is_cut)),
+        )  # not a view of the batch
 
 
 def _size(text: str, embedding: GoalEmbedding) -> int:

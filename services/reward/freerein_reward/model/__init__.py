@@ -1,22 +1,22 @@
-"""The dual encoders: their towers, the tokenizer, and trained ones as folders."""
+"""The dual encoder: image encoder, text encoder, tokenizer, inference, loading."""
 
-from freerein_reward.model.dual_encoder import DualEncoder, DualEncoderSpec, channels_last
-from freerein_reward.model.grounding import GroundingModel, Grounds, contrast
-from freerein_reward.model.preprocess import Preprocess
-from freerein_reward.model.similarity import RewardModel
-from freerein_reward.model.trained import GROUNDING, REWARD, load, load_grounding
+from freerein_reward.model.dual_encoder import DualEncoder, channels_last
+from freerein_reward.model.dual_encoder_model import DualEncoderModel, preprocess
+from freerein_reward.model.grounding import GradCamModel, PhraseLocations, contrast_texts
+from freerein_reward.model.loading import GROUNDING, REWARD, load, load_grounding
+from freerein_reward.model.spec import DualEncoderSpec
 
 __all__ = [
     "GROUNDING",
     "REWARD",
     "DualEncoder",
+    "DualEncoderModel",
     "DualEncoderSpec",
-    "GroundingModel",
-    "Grounds",
-    "Preprocess",
-    "RewardModel",
+    "GradCamModel",
+    "PhraseLocations",
     "channels_last",
-    "contrast",
+    "contrast_texts",
     "load",
     "load_grounding",
+    "preprocess",
 ]

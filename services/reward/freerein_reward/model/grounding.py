@@ -1,11 +1,10 @@
-"""Where a noun phrase is in an image: Grad-CAM on the image tower's last convolution (section 4.2).
+"""Phrase grounding: Grad-CAM on the image encoder's last convolution (section 4.2).
 
-The channel weights are the spatial mean of d cos / d A, with the attention and the embedding's length held fixed. The
-shares of attention add up to one, so that this mean is the same for every image: what the values make of a channel, in
-the text's direction. The weighted sum over the channels of a cell is then what that cell says in that direction, and
-no gradient is ever computed. Were the attention not held fixed, the weights would tell how to look elsewhere.
+The channel weights are the spatial mean of d cos / d A with attention weights and embedding norm held fixed. Attention
+weights sum to one, so that this mean does not depend on the image: it is the value projection of each channel in the
+text's direction, and needs no backward pass. (Without fixed attention the gradient would mostly move the attention.)
 
-One thing has one name: a phrase is looked for where none of the others that it is asked beside is hotter.
+Phrases compete: each is located only where its heat exceeds that of all other phrases of the request.
 """
 
 from collections.abc import Sequence
@@ -17,27 +16,26 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein_reward.model.dual_encoder import DualEncoder
-from freerein_reward.model.similarity import RewardModel
+from freerein_reward.model.dual_encoder_model import DualEncoderModel
 
 _IMAGES_AT_ONCE = 64
 _STEEPNESS = 5.0
-_REACH = 0.1
-"""How far from a peak, as a share of the image's side, heat still belongs to it."""
+_PEAK_RADIUS = 0.1
+"""Half-width of the window around a peak, as a fraction of the image."""
 
-_EDGE = 0.3
-"""What share of the peak heat must exceed to pull the place towards it."""
+_PEAK_FLOOR = 0.3
+"""Fraction of the peak below which heat does not count for the centroid."""
 
 
 @dataclass(frozen=True, eq=False)
-class Grounds:
-    """Where P phrases are in N images.
+class PhraseLocations:
+    """Locations of P phrases in N images.
 
     Attributes:
-        heatmaps: float32 (N, P, h, w) in [0, 1]: Grad-CAM, as a share of its peak.
-        x: float64 (N, P), from the left edge, as a share of the width.
-        y: float64 (N, P), from the upper edge, as a share of the height.
-        presence: float64 (N, P) in [0, 1]: how sure the model is that the image shows it at all.
+        heatmaps: float32 (N, P, h, w) in [0, 1], Grad-CAM divided by its peak.
+        x: float64 (N, P), distance from the left edge as a fraction of the width.
+        y: float64 (N, P), distance from the upper edge as a fraction of the height.
+        presence: float64 (N, P) in [0, 1], probability that the image shows the phrase.
     """
 
     heatmaps: npt.NDArray[np.float32]
@@ -46,69 +44,57 @@ class Grounds:
     presence: npt.NDArray[np.float64]
 
 
-class GroundingModel(RewardModel):
-    """Finds things that are named. The network's device is where it computes; arrays are on the CPU.
+class GradCamModel(DualEncoderModel):
+    """Locates phrases with a network trained on single objects.
 
-    As a reward model it is the base one: it has learnt of things, not of how they lie to one another (section 4.2).
-
-    Args:
-        network: Trained on single objects, its `presence_at` calibrated.
+    As a reward model it is the base model of section 4.2, which has not learned relations.
     """
 
-    def __init__(self, network: DualEncoder) -> None:
-        super().__init__(network)
-        self.network = network
-
     @torch.inference_mode()
-    def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Grounds:
-        """Returns where phrases, at least one, are in images uint8 (N, side, side, 3).
-
-        Each phrase is told from the others, and a phrase that comes alone from nothing at all.
-        """
-        channels = self.weigh(phrases)
-        found = []
+    def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> PhraseLocations:
+        """Returns the locations of one or more phrases in images uint8 (N, H, W, 3) of the network's size."""
+        channels = self.channel_weights(phrases)
+        parts = []
         for start in range(0, len(images), _IMAGES_AT_ONCE):
-            part = torch.tensor(
-                images[start : start + _IMAGES_AT_ONCE], device=self._device
-            )  # what is mapped is read-only
-            found.append(self._look(part, channels))
-        heatmaps, places, presence = (torch.cat(each).cpu() for each in zip(*found, strict=True))
-        x, y = places.double().unbind(dim=2)
-        return Grounds(heatmaps.numpy(), x.numpy(), y.numpy(), presence.double().numpy())
+            part = torch.tensor(images[start : start + _IMAGES_AT_ONCE], device=self.network.device)  # may be read-only
+            parts.append(self._locate(part, channels))
+        heatmaps, centroids, presence = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
+        x, y = centroids.double().unbind(dim=2)
+        return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), presence.double().numpy())
 
     @torch.no_grad()
-    def weigh(self, phrases: Sequence[str]) -> Tensor:
-        """Returns what Grad-CAM multiplies each channel of the last map by, for each phrase: float32 (P, C)."""
-        ids = torch.from_numpy(self.network.tokenizer(phrases).ids).to(self._device)
-        pool = self.network.image.attention
-        weights: Tensor = contrast(self.network.embed_texts(ids)) @ pool.out.weight @ pool.value.weight
+    def channel_weights(self, phrases: Sequence[str]) -> Tensor:
+        """Returns Grad-CAM's channel weights for each phrase, float32 (P, C)."""
+        texts = self.network.embed_texts(self.network.tokenize(phrases))
+        pool = self.network.image.attention_pool
+        weights: Tensor = contrast_texts(texts) @ pool.out.weight @ pool.value.weight
         return weights
 
-    def _look(self, images: Tensor, channels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns heatmaps (N, P, h, w), places (N, P, 2) and presence (N, P) of images (N, side, side, 3)."""
-        maps = self.network.image.maps(images)
+    def _locate(self, images: Tensor, channels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns heatmaps (N, P, h, w), centroids (N, P, 2) and presence (N, P) of images (N, H, W, 3)."""
+        maps = self.network.image.feature_maps(images)
         heat = torch.einsum("pc,nchw->nphw", channels, maps).relu()
-        own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # one thing has one name
-        presence = torch.sigmoid(_STEEPNESS * (own.amax(dim=(2, 3)) / self.network.spec.presence_at - 1.0))
-        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), _places(own), presence
+        own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # phrases compete
+        presence = torch.sigmoid(_STEEPNESS * (own.amax(dim=(2, 3)) / self.network.spec.presence_heat - 1.0))
+        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), _centroids(own), presence
 
 
-def contrast(texts: Tensor) -> Tensor:
-    """Returns each text's embedding less the mean of the others', (P, D) of (P, D)."""
+def contrast_texts(texts: Tensor) -> Tensor:
+    """Returns each text embedding minus the mean of the others, (P, D) of (P, D)."""
     others = (texts.sum(dim=0) - texts) / max(1, len(texts) - 1)
     return texts - others
 
 
-def _places(heat: Tensor) -> Tensor:
-    """Returns the centroid of the peak of each heatmap (N, P, h, w) as shares of width and height: (N, P, 2)."""
+def _centroids(heat: Tensor) -> Tensor:
+    """Returns the centroid of each heatmap's peak (N, P, h, w) as fractions of width and height: (N, P, 2)."""
     fine = functional.interpolate(heat, scale_factor=4, mode="bilinear", align_corners=False)  # (N, P, 4 h, 4 w)
     peaks, at = fine.flatten(start_dim=2).max(dim=2)  # (N, P)
     height, width = fine.shape[2:]
     rows = (torch.arange(height, device=heat.device) + 0.5) / height
     columns = (torch.arange(width, device=heat.device) + 0.5) / width
-    near_rows = (rows - rows[at // width][..., None]).abs() <= _REACH  # (N, P, 4 h)
-    near_columns = (columns - columns[at % width][..., None]).abs() <= _REACH
-    core = (fine - _EDGE * peaks[..., None, None]).relu() + 1e-12
+    near_rows = (rows - rows[at // width][..., None]).abs() <= _PEAK_RADIUS  # (N, P, 4 h)
+    near_columns = (columns - columns[at % width][..., None]).abs() <= _PEAK_RADIUS
+    core = (fine - _PEAK_FLOOR * peaks[..., None, None]).relu() + 1e-12
     core = core * near_rows[..., :, None] * near_columns[..., None, :]
     share = core / core.sum(dim=(2, 3), keepdim=True)
     return torch.stack([(share.sum(dim=2) * columns).sum(dim=2), (share.sum(dim=3) * rows).sum(dim=2)], dim=2)

@@ -1,4 +1,4 @@
-"""Words to whole numbers. A word that training has not seen falls into one of a few buckets, by its hash."""
+"""Word-level tokenizer; unknown words are hashed into a few buckets."""
 
 import re
 import zlib
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 MAX_TOKENS = 77
-"""Of a text, its end included: CLIP's."""
+"""Longest token sequence, end-of-text token included, as in CLIP."""
 
 BUCKETS = 16
 END = 1
@@ -21,12 +21,12 @@ _WORD = re.compile(r"[^\W_]+|[^\w\s]|_")
 
 
 class Tokens(NamedTuple):
-    """Texts as numbers.
+    """Tokenized texts.
 
     Attributes:
-        ids: int64 (K, L): each text's tokens, its end, and zeros up to the longest.
-        truncated: bool (K,): whether a text was cut to `MAX_TOKENS`.
-        unknown: int64 (K,): how many words of the whole text are not in the vocabulary.
+        ids: int64 (K, L), tokens, end-of-text token, zero padding.
+        truncated: bool (K,), whether a text was cut to `MAX_TOKENS`.
+        unknown: int64 (K,), number of out-of-vocabulary words of the whole text.
     """
 
     ids: npt.NDArray[np.int64]
@@ -36,21 +36,21 @@ class Tokens(NamedTuple):
 
 @dataclass(frozen=True)
 class Tokenizer:
-    """Splits texts into words, in time linear in their length.
+    """Splits texts into words, in linear time.
 
     Attributes:
-        vocabulary: The words of training, in lower case, in the order of their tokens.
+        vocabulary: Known words, in lower case, in the order of their tokens.
     """
 
     vocabulary: tuple[str, ...]
 
     @property
     def size(self) -> int:
-        """How many different tokens there are."""
+        """Number of different tokens."""
         return _FIRST_WORD + len(self.vocabulary)
 
     def __call__(self, texts: Sequence[str]) -> Tokens:
-        """Returns texts, at least one, as numbers."""
+        """Returns the tokens of one or more texts."""
         index = {word: _FIRST_WORD + place for place, word in enumerate(self.vocabulary)}
         split = [words(text) for text in texts]
         kept = [each[: MAX_TOKENS - 1] for each in split]
@@ -66,7 +66,7 @@ class Tokenizer:
 
 
 def words(text: str) -> list[str]:
-    """Returns a text's words, in lower case, and its other signs one by one."""
+    """Returns a text's words in lower case; punctuation marks are words of their own."""
     return _WORD.findall(text.lower())
 
 

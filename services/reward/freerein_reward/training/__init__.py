@@ -1,23 +1,20 @@
-"""How the two kinds of models are trained: the grounding model on single objects, reward models on its captions."""
+"""Training of the grounding model on synthetic objects, and of reward models on its captions."""
 
-from freerein_reward.training.agreement import agreement
-from freerein_reward.training.calibration import calibrate, measure
-from freerein_reward.training.captions import describe
+from freerein_reward.training.caption_dataset import CaptionDataset, caption_images
 from freerein_reward.training.config import GroundingConfig, RewardConfig
-from freerein_reward.training.described import Described, hold_out
-from freerein_reward.training.grounding import GroundingLearner
-from freerein_reward.training.reward import RewardLearner, design
+from freerein_reward.training.evaluation import calibrate_presence, evaluate_grounding, evaluate_reward
+from freerein_reward.training.grounding_learner import GroundingLearner
+from freerein_reward.training.reward_learner import RewardLearner, network_spec
 
 __all__ = [
-    "Described",
+    "CaptionDataset",
     "GroundingConfig",
     "GroundingLearner",
     "RewardConfig",
     "RewardLearner",
-    "agreement",
-    "calibrate",
-    "describe",
-    "design",
-    "hold_out",
-    "measure",
+    "calibrate_presence",
+    "caption_images",
+    "evaluate_grounding",
+    "evaluate_reward",
+    "network_spec",
 ]

@@ -59,7 +59,7 @@ class Demonstrations:
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class TrajectoryBatch:
     """Concatenated trajectories.
 
     Attributes:
@@ -82,7 +82,7 @@ def gather(
     *,
     spec: ModelSpec,
     device: torch.device,
-) -> Batch:
+) -> TrajectoryBatch:
     """Returns every `spec.stride`-th timestep of some trajectories, as tensors on a device.
 
     Args:
@@ -98,7 +98,7 @@ def gather(
         frames.append(demonstrations.frames[item][timesteps])
         actions.append(demonstrations.actions[item][timesteps])
     tags = [[skill in demonstrations.skills[item] for skill in spec.skills] for item in items]
-    return Batch(
+    return TrajectoryBatch(
         torch.from_numpy(np.concatenate(frames)).to(device),
         torch.from_numpy(np.concatenate(actions)).to(device),
         torch.tensor([len(each) for each in frames], device=device),

@@ -1,7 +1,6 @@
 """The learner of the segmentation network."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -9,15 +8,14 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.checkpoints import JSON
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import sample_frames
 from freerein.types.common import ActionSpec
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.demonstrations import Batch, Demonstrations, gather
+from freerein_segmentation.training.demonstrations import Demonstrations, TrajectoryBatch, gather
 
 State = TrainState[SegmentationNetwork]
 
@@ -27,13 +25,7 @@ _NORMALISATION_FRAMES = 2000
 def network_spec(
     config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the architecture for a dataset.
-
-    Args:
-        config: The configuration.
-        frame: Frame shape H, W, C.
-        action: The dataset's action spec.
-        skills: All skills, in the order of their labels.
+    """Returns the architecture for frames of shape H, W, C and skills in the order of their labels.
 
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
@@ -56,16 +48,7 @@ def network_spec(
 
 @dataclass(frozen=True, eq=False)
 class SegmentationLearner:
-    """A `freerein.learning.fit.Learner` of a segmentation network.
-
-    Attributes:
-        config: The configuration.
-        spec: Architecture of the network.
-        training: Training trajectories.
-        validation: Validation trajectories.
-        fingerprint: Fingerprint of the dataset.
-        device: Device to train on.
-    """
+    """A `freerein.learning.fit.Learner` of a segmentation network."""
 
     config: SegmentationConfig
     spec: ModelSpec
@@ -79,11 +62,6 @@ class SegmentationLearner:
         """Number of training trajectories."""
         return len(self.training)
 
-    @property
-    def identity(self) -> Mapping[str, JSON]:
-        """What the result depends on."""
-        return {"config": asdict(self.config), "data": self.fingerprint}
-
     def init(self, generator: torch.Generator) -> State:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
@@ -94,12 +72,9 @@ class SegmentationLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
-        config = self.config
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        loss = self._losses(state.network, batch).mean()
-        lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
+        return fit_step(state, self._losses(state.network, batch).mean(), self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
@@ -111,6 +86,6 @@ class SegmentationLearner:
             losses.append(self._losses(state.network, batch))
         return torch.cat(losses).mean().item()
 
-    def _losses(self, network: SegmentationNetwork, batch: Batch) -> Tensor:
+    def _losses(self, network: SegmentationNetwork, batch: TrajectoryBatch) -> Tensor:
         scores, mask = network(batch.frames, batch.actions, batch.lengths)
         return OBJECTIVES[self.config.objective](scores, mask, batch.tags)

@@ -1,7 +1,7 @@
-"""Worker processes: each holds many sessions, each session a vector of worlds.
+"""Worker processes, each with many sessions; a session is a vector env.
 
-    Pool -> Worker -> Connection ~~socket~~ host.serve -> Host -> Envs -> worlds
+    WorkerPool -> Worker ~~socket~~ handler.serve -> RequestHandler -> VectorEnv -> worlds
 
-The service's half is asyncio and knows no world; the child's half is synchronous, has one thread and knows no asyncio.
-`framing` is what they say to each other. A child that crashes takes its own sessions with it and nothing else.
+The service's half is asyncio and knows no world; the child's half is synchronous with one thread. `protocol` defines
+their messages. A child that crashes loses its own sessions only.
 """

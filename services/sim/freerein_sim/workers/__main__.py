@@ -6,20 +6,20 @@ import socket
 import sys
 
 from freerein.serving import logs
-from freerein_sim.workers.host import Host, serve
+from freerein_sim.workers.handler import RequestHandler, serve
 from freerein_sim.worlds.tasks import tasks
 
 
 def main() -> None:
-    """Serves the socket until its other end closes: by the service's wish, or because the service is dead."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # sent to the whole group by a terminal: the service decides
+    """Serves the socket until the service closes it or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal signals the whole group; the service stops its workers
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     logs.configure("sim")
     logging.getLogger().setLevel(logging.WARNING)
-    host = Host(tasks())
+    handler = RequestHandler(tasks())
     with socket.socket(fileno=int(sys.argv[1])) as connection:
-        serve(connection, host)
-    host.close()
+        serve(connection, handler)
+    handler.close()
 
 
 if __name__ == "__main__":

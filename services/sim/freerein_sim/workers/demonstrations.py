@@ -1,4 +1,4 @@
-"""Draws demonstrations: who acts, which skills, in which order. Each is made from the seed and its index alone."""
+"""Demonstrations: draws skills and their order, and records the policy. Each depends on the seed and its index only."""
 
 from collections.abc import Sequence
 
@@ -8,24 +8,20 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera, Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_sim.workers.snapshots import generator
-from freerein_sim.worlds.demonstrate import Demonstration, demonstrate
-from freerein_sim.worlds.wander import Wander
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.world import World, WorldSpec, check_view, skill_indices
 
 _MAX_TRIES = 10
 
 
-def draw(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
+def make_demonstration(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
     """Returns trajectory `first` of a request.
 
-    It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails tries again from another start.
-
-    Args:
-        world: A world of the request's task, in any state.
-        request: What to demonstrate.
+    It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
 
     Raises:
-        InvalidInput: The request names what the world does not have, or bounds that cannot be met.
+        InvalidInput: Unknown skill or camera, or impossible bounds.
         FailedPrecondition: The expert failed in every try.
     """
     views = _views(world.spec, request)
@@ -47,19 +43,19 @@ def _act(
     skills: Sequence[str],
     views: Sequence[Camera],
     rng: np.random.Generator,
-) -> Demonstration:
+) -> RecordedEpisode:
     if request.behaviour == "expert":
         number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
         world.reset(rng, recipe=chosen)
-        behaviour = world.expert(chosen, rng)
+        policy = world.expert(chosen, rng)
     else:
         chosen = []
         world.reset(rng)
-        behaviour = Wander(world.spec.action, rng)
-    return demonstrate(
+        policy = SmoothRandomPolicy(world.spec.action, rng)
+    return record_episode(
         world,
-        behaviour,
+        policy,
         skills=chosen,
         cameras=[view.name for view in views],
         height=views[0].height,
@@ -68,7 +64,7 @@ def _act(
     )
 
 
-def _response(spec: WorldSpec, request: DemonstrateRequest, made: Demonstration) -> DemonstrateResponse:
+def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
     executed = made.labels[made.labels >= 0]
     trajectory = Trajectory(made.frames, made.actions, tuple(sorted(spec.skills[i] for i in set(executed.tolist()))))
     if request.privileged and len(executed) == len(made.labels):

@@ -1,36 +1,35 @@
-"""The worker processes of a service: where sessions are placed, and what takes the place of one that dies."""
+"""The worker processes of a service: placement of sessions, and restart of workers that die."""
 
 import asyncio
 import logging
 
 from freerein.errors import WorkerLost
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
-from freerein_sim.workers.connection import worker_lost
-from freerein_sim.workers.worker import Worker
+from freerein_sim.workers.worker import Worker, worker_lost
 
 _LOG = logging.getLogger(__name__)
 
 
-class Pool:
-    """Places for workers. Some hold sessions; others make demonstrations, so that no session waits for one.
+class WorkerPool:
+    """Worker processes for sessions, and others for demonstrations, so that no session waits for one.
 
     Args:
-        workers: Processes that hold sessions.
-        demonstrators: Processes that make demonstrations; they start when the first is asked for.
-        stuck_s: A worker that leaves a call unanswered for so long hangs, and is killed.
+        workers: Number of processes that hold sessions.
+        demonstrators: Number of processes that record demonstrations; started on demand.
+        stuck_s: Time after which a worker that has not answered a call is killed.
 
     Attributes:
-        tasks: The tasks by name, known after `start`.
+        tasks: The tasks by name; empty before `start`.
     """
 
     def __init__(self, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0) -> None:
         self.tasks: dict[str, Task] = {}
-        self._hosts = [_Place(stuck_s) for _ in range(workers)]
+        self._slots = [_WorkerSlot(stuck_s) for _ in range(workers)]
         self._demonstrators = [_Demonstrator(stuck_s) for _ in range(demonstrators)]
 
     @property
     def demonstrators(self) -> int:
-        """How many demonstrations are made at the same time."""
+        """Number of demonstrations recorded in parallel."""
         return len(self._demonstrators)
 
     async def start(self) -> None:
@@ -40,7 +39,7 @@ class Pool:
             WorkerLost: One cannot start.
         """
         try:
-            workers = await asyncio.gather(*(place.fill() for place in self._hosts))
+            workers = await asyncio.gather(*(slot.fill() for slot in self._slots))
         except WorkerLost:
             await self.close()
             raise
@@ -48,32 +47,32 @@ class Pool:
         self.tasks = {task.name: task for task in listed.tasks}
 
     async def place(self, num_envs: int) -> Worker:
-        """Returns the worker with the least load, which `num_envs` is added to; whoever asked subtracts it again.
+        """Returns the worker with the least load and adds `num_envs` to it; the caller subtracts it again.
 
         Raises:
-            WorkerLost: A worker died, and the next one cannot start.
+            WorkerLost: A worker died and cannot be restarted.
         """
-        worker = await min(self._hosts, key=lambda place: place.load).fill()
+        worker = await min(self._slots, key=lambda slot: slot.load).fill()
         worker.load += num_envs
         return worker
 
     async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns the one trajectory at the request's `first`. A caller cancelled before its turn costs nothing.
+        """Returns the trajectory at index `first` of the request; cancelling a queued call drops it.
 
         Raises:
             WorkerLost: Its worker died.
-            ServiceError: The request is refused.
+            ServiceError: The worker refused the request.
         """
         return await min(self._demonstrators, key=lambda each: each.load).make(request)
 
     async def close(self) -> None:
-        """Ends all workers."""
-        hosts, demonstrators = self._hosts, self._demonstrators
-        await asyncio.gather(*(each.close() for each in hosts), *(each.close() for each in demonstrators))
+        """Stops all workers."""
+        slots, demonstrators = self._slots, self._demonstrators
+        await asyncio.gather(*(each.close() for each in slots), *(each.close() for each in demonstrators))
 
 
-class _Place:
-    """A place for one worker. When a worker that has worked dies, the next one is started at once."""
+class _WorkerSlot:
+    """Holds one worker, and starts the next when it dies."""
 
     def __init__(self, stuck_s: float) -> None:
         self._stuck_s = stuck_s
@@ -84,11 +83,11 @@ class _Place:
 
     @property
     def load(self) -> int:
-        """The load of its worker."""
+        """Load of its worker."""
         return 0 if self._worker is None or self._worker.is_lost else self._worker.load
 
     async def fill(self) -> Worker:
-        """Returns its worker, started first when there is none."""
+        """Returns its worker, after starting it if there is none."""
         if self._worker is not None and not self._worker.is_lost:
             return self._worker
         if self._is_closed:
@@ -98,7 +97,7 @@ class _Place:
         return await asyncio.shield(self._filling)
 
     async def close(self) -> None:
-        """Ends its worker; no other takes its place."""
+        """Ends its worker; no other takes its slot."""
         self._is_closed = True
         if self._filling is not None:
             await asyncio.wait([self._filling])
@@ -123,35 +122,35 @@ class _Place:
         try:
             await self.fill()
         except WorkerLost:
-            _LOG.error("a worker died at its start; the next session starts another")
+            _LOG.error("a worker died while starting; the next session starts another")
 
 
 class _Demonstrator:
-    """A place whose worker makes one demonstration at a time: they are long, and many may be asked for at once."""
+    """A worker that records one demonstration at a time."""
 
     def __init__(self, stuck_s: float) -> None:
         self.load = 0
-        self._place = _Place(stuck_s)
+        self._slot = _WorkerSlot(stuck_s)
         self._turn = asyncio.Lock()
         self._making: asyncio.Task[DemonstrateResponse] | None = None
 
     async def make(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns a trajectory, made when those asked for earlier are."""
+        """Returns a trajectory; requests are served in order."""
         self.load += 1
         try:
             await self._turn.acquire()
-            self._making = asyncio.create_task(self._make(request))  # the turn lasts, whoever still waits
+            self._making = asyncio.create_task(self._make(request))  # completed even if the caller is cancelled
             return await asyncio.shield(self._making)
         finally:
             self.load -= 1
 
     async def close(self) -> None:
-        """Ends its worker."""
-        await self._place.close()
+        """Stops its worker."""
+        await self._slot.close()
 
     async def _make(self, request: DemonstrateRequest) -> DemonstrateResponse:
         try:
-            worker = await self._place.fill()
+            worker = await self._slot.fill()
             return await worker.call(request, DemonstrateResponse)
         finally:
             self._turn.release()

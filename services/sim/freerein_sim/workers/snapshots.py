@@ -1,9 +1,8 @@
-"""The state of a vector of environments as bytes that a client keeps, and that are distrusted when they come back.
+"""Snapshots of a vector env as bytes that clients store.
 
-    sha256 of the rest (32) | length of the header (4) | header, JSON | for each environment: its numbers, its world
+    sha256 of the rest (32) | header length (4) | header, JSON | for each environment: counters, generator, world
 
-The hash finds damage, not malice: whoever sends bytes can hash them. So every number is checked as well, and a world
-checks its own part.
+Snapshots are untrusted input: the hash detects damage only, so every number is checked, and a world checks its part.
 """
 
 import hashlib
@@ -25,12 +24,12 @@ _ENV = struct.Struct("<II16s16sBI")  # steps, length of the world's part; PCG64:
 
 @dataclass(frozen=True, eq=False)
 class EnvState:
-    """One environment.
+    """State of one environment.
 
     Attributes:
-        steps: Steps made in its episode.
-        rng: Its generator.
-        world: Its world's own snapshot.
+        steps: Steps made in the episode.
+        rng: Generator.
+        world: Snapshot of the world.
     """
 
     steps: int
@@ -40,13 +39,13 @@ class EnvState:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A vector of environments.
+    """State of a vector env.
 
     Attributes:
-        task: The task's name.
-        fingerprint: Of the worlds that can restore it.
-        step_id: Steps made in all.
-        envs: Each environment.
+        task: Task name.
+        fingerprint: Fingerprint of the worlds.
+        step_id: Total number of steps.
+        envs: State of each environment.
     """
 
     task: str
@@ -56,12 +55,12 @@ class Snapshot:
 
 
 def generator(seed: np.random.SeedSequence) -> np.random.Generator:
-    """Returns a generator of the kind that snapshots hold."""
+    """Returns a generator of the kind that snapshots can hold."""
     return np.random.Generator(np.random.PCG64(seed))
 
 
 def encode(snapshot: Snapshot) -> bytes:
-    """Returns a snapshot as bytes; the generators are only read."""
+    """Encodes a snapshot."""
     about = {
         "format": FORMAT,
         "task": snapshot.task,
@@ -75,11 +74,11 @@ def encode(snapshot: Snapshot) -> bytes:
 
 
 def decode(data: bytes) -> Snapshot:
-    """Returns the snapshot that bytes describe.
+    """Decodes a snapshot.
 
     Raises:
-        InvalidInput: They are damaged, or no snapshot.
-        FailedPrecondition: They are of another format than this build's.
+        InvalidInput: The bytes are damaged, or not a snapshot.
+        FailedPrecondition: The snapshot has another format version.
     """
     if hashlib.sha256(data[_SHA256_BYTES:]).digest() != data[:_SHA256_BYTES]:
         raise _not_a_snapshot("bytes that do not match their hash")

@@ -1,4 +1,7 @@
-"""The service's side: one child process, and the calls that wait for it."""
+"""A worker process as the service sees it: a child process, and calls over a socket pair.
+
+Replies are received into the buffer that they are parsed from.
+"""
 
 import asyncio
 import logging
@@ -6,29 +9,30 @@ import os
 import socket
 import subprocess
 import sys
-from typing import TypeVar
+from typing import TypeVar, cast
 
+from freerein.errors import WorkerLost
+from freerein.types.common import Error
 from freerein.types.sim import ListTasksRequest, ListTasksResponse
-from freerein_sim.workers import framing
-from freerein_sim.workers.connection import Connection, worker_lost
+from freerein_sim.workers import protocol
 
 _LOG = logging.getLogger(__name__)
 _START_S = 60.0
 _EXIT_S = 1.0
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
-"""For BLAS and Mesa, where the operator says nothing. Mesa's 0 is no thread beside the caller's, which is faster."""
+"""Defaults for BLAS and Mesa. 0 means that Mesa renders on the calling thread, which is faster."""
 
 Response = TypeVar("Response")
 
 
 class Worker:
-    """A child process that hosts sessions. When it dies its calls fail, and it stays dead.
+    """A child process that holds sessions. When it dies, its calls raise `WorkerLost`.
 
     Attributes:
-        load: Environments placed on it; whoever places them keeps it.
+        load: Number of environments placed on it, maintained by the caller.
     """
 
-    def __init__(self, process: "subprocess.Popen[bytes]", connection: Connection, *, stuck_s: float) -> None:
+    def __init__(self, process: "subprocess.Popen[bytes]", connection: "Connection", *, stuck_s: float) -> None:
         self.load = 0
         self._process = process
         self._connection = connection
@@ -39,9 +43,6 @@ class Worker:
     async def start(cls, *, stuck_s: float) -> "Worker":
         """Starts a child, and returns when it answers.
 
-        Args:
-            stuck_s: A child that leaves a call unanswered for so long hangs, and is killed.
-
         Raises:
             WorkerLost: It died before it answered.
         """
@@ -50,50 +51,45 @@ class Worker:
             process = _spawn(theirs)
         _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
         worker = cls(process, connection, stuck_s=stuck_s)
-        await worker._call(ListTasksRequest(), ListTasksResponse, within_s=_START_S)
+        await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
         return worker
 
     @property
     def pid(self) -> int:
-        """The id of its process."""
+        """Process id."""
         return self._process.pid
 
     @property
     def is_lost(self) -> bool:
-        """Whether it is dead."""
+        """Whether the process has died."""
         return self._connection.lost.is_set()
 
-    async def call(self, request: object, response: type[Response]) -> Response:
-        """Asks the child. When the caller is cancelled, the child does what was asked all the same.
+    async def call(self, request: object, response: type[Response], *, timeout_s: float | None = None) -> Response:
+        """Sends a request and returns the response. The child completes it even if the caller is cancelled.
 
-        Args:
-            request: A request of `framing.CALLS`.
-            response: What answers it.
+        A child that does not answer within `timeout_s` (None: the worker's `stuck_s`) is killed.
 
         Raises:
-            WorkerLost: The child is dead, or hung and was killed.
-            ServiceError: The child refused.
+            WorkerLost: The child died, or hung and was killed.
+            ServiceError: The child refused the request.
         """
-        return await self._call(request, response, within_s=self._stuck_s)
+        try:
+            async with asyncio.timeout(timeout_s or self._stuck_s):
+                message = await self._connection.ask(request)
+        except TimeoutError:
+            _LOG.error("worker %d hangs and is killed", self._process.pid)
+            self._process.kill()
+            raise worker_lost() from None
+        return protocol.decode(message, response)
 
     async def wait_ended(self) -> None:
         """Returns when the child has exited."""
         await asyncio.shield(self._reaping)
 
     async def close(self) -> None:
-        """Ends the child: it exits when its socket closes, or is killed."""
+        """Stops the child: it exits when its socket closes, or is killed."""
         self._connection.close()
         await self.wait_ended()
-
-    async def _call(self, request: object, response: type[Response], *, within_s: float) -> Response:
-        try:
-            async with asyncio.timeout(within_s):
-                message = await self._connection.ask(request)
-        except TimeoutError:
-            _LOG.error("worker %d hangs and is killed", self._process.pid)
-            self._process.kill()
-            raise worker_lost() from None
-        return framing.decode(message, response)
 
     async def _reap(self) -> None:
         await self._connection.lost.wait()
@@ -103,6 +99,92 @@ class Worker:
             self._process.kill()
             status = await asyncio.to_thread(self._process.wait)
         _LOG.log(logging.ERROR if status else logging.INFO, "worker %d ended with %d", self._process.pid, status)
+
+
+class Connection(asyncio.BufferedProtocol):
+    """The service's end of the socket: calls in flight by number, and the frame being received.
+
+    Attributes:
+        lost: Set when the connection is lost.
+    """
+
+    def __init__(self) -> None:
+        self.lost = asyncio.Event()
+        self._calls: dict[int, asyncio.Future[bytearray]] = {}
+        self._asked = 0
+        self._header: protocol.Header | None = None
+        self._buffer = bytearray(protocol.HEADER_BYTES)
+        self._received = 0
+
+    async def ask(self, request: object) -> bytearray:
+        """Sends a request and returns the bytes of the response.
+
+        Raises:
+            WorkerLost: The connection is lost.
+            ServiceError: The child refused the request.
+        """
+        self._asked += 1
+        number = self._asked
+        frame = protocol.encode(request, call=protocol.call_of(request), number=number)
+        if self.lost.is_set():
+            raise worker_lost()
+        answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
+        self._calls[number] = answer
+        self._transport.writelines(frame)
+        try:
+            return await answer
+        finally:
+            del self._calls[number]
+
+    def close(self) -> None:
+        """Closes this end, on which the child exits."""
+        self._transport.abort()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Stores the transport."""
+        self._transport = cast(asyncio.Transport, transport)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Returns the rest of the buffer of the current header or message."""
+        return memoryview(self._buffer)[self._received :]
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Switches between header and message."""
+        self._received += nbytes
+        while self._received == len(self._buffer):
+            self._received = 0
+            if self._header is None:
+                self._begin_message()
+            else:
+                self._end_message(self._header)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Fails the calls in flight."""
+        self.lost.set()
+        for answer in self._calls.values():
+            if not answer.done():
+                answer.set_exception(worker_lost())
+
+    def _begin_message(self) -> None:
+        self._header = protocol.decode_header(self._buffer)  # asyncio ends a connection whose protocol raises
+        self._buffer = bytearray(self._header.length)
+
+    def _end_message(self, header: protocol.Header) -> None:
+        message, self._buffer, self._header = self._buffer, bytearray(protocol.HEADER_BYTES), None
+        answer = self._calls.get(header.number)
+        if answer is None or answer.done():
+            return  # the caller was cancelled
+        if header.call == protocol.REFUSED:
+            answer.set_exception(protocol.error_from(protocol.decode(message, Error)))
+        else:
+            answer.set_result(message)
+
+
+def worker_lost() -> WorkerLost:
+    """Returns the error for calls of a dead worker."""
+    return WorkerLost(
+        "The process that held the session is gone.", hint="Create the session anew and restore its last snapshot."
+    )
 
 
 def _spawn(connection: socket.socket) -> "subprocess.Popen[bytes]":

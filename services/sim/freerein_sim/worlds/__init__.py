@@ -1,5 +1,5 @@
-"""The worlds: scenes, their scripted experts and their privileged oracles.
+"""Worlds: scenes, scripted experts and privileged oracles; independent of servers, sessions and worker processes.
 
-A world knows nothing of servers, sessions or worker processes. `world.py` says what a world is, `tasks.py` finds the
-tasks that are installed, `demonstrate.py` records an expert, `conformance.py` checks any world, ours or yours.
+`world.py` defines the `World` protocol, `tasks.py` finds installed tasks, `episodes.py` records a policy, and
+`conformance.py` tests any implementation.
 """

@@ -1,10 +1,10 @@
-"""What every world must do, checked for any task; for the worlds of other packages, too.
+"""Conformance tests for any `World`, including those of other packages.
 
     @pytest.mark.parametrize("check", conformance.CHECKS, ids=lambda check: check.__name__)
     def test_my_world_conforms(check):
         check(my_task)
 
-A check raises `AssertionError` with a sentence; it makes its own worlds and closes them.
+A check raises `AssertionError` with a sentence; it makes and closes its own worlds.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,16 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.demonstrate import demonstrate
-from freerein_sim.worlds.wander import Wander
-from freerein_sim.worlds.world import Action, Frame, Task, World
+from freerein_sim.worlds.episodes import record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.world import Action, Frame, TaskDefinition, World
 
 _SEED = 7
 _STEPS = 12
 
 
-def describes_itself(task: Task) -> None:
-    """The spec is coherent, and the world's is the task's."""
+def describes_itself(task: TaskDefinition) -> None:
+    """The spec is consistent, and the world has the task's spec."""
     spec = task.spec
     action = spec.action
     _require(len(spec.cameras) > 0, "A world has at least one camera.")
@@ -40,17 +40,17 @@ def describes_itself(task: Task) -> None:
     _require(task.describe().name == task.name, "A task describes itself.")
 
 
-def tells_the_truth_in_shape(task: Task) -> None:
+def tells_the_truth_in_shape(task: TaskDefinition) -> None:
     """True state is finite float64, one number per name, in every step."""
     with closing(_begin(task)) as world:
-        for _ in _wander(world):
+        for _ in _act_randomly(world):
             truth = world.truth()
             _require(truth.state.dtype == np.float64, "True state is float64.")
             _require(truth.state.shape == (len(task.spec.state_names),), "Each number of the true state has a name.")
-            _require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "Truth is finite.")
+            _require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "GroundTruth is finite.")
 
 
-def starts_unsolved(task: Task) -> None:
+def starts_unsolved(task: TaskDefinition) -> None:
     """No episode begins with its goal reached."""
     with closing(task.make()) as world:
         for child in np.random.SeedSequence(_SEED).spawn(50):
@@ -58,44 +58,44 @@ def starts_unsolved(task: Task) -> None:
             _require(not world.truth().success, "An episode begins with its goal not reached.")
 
 
-def repeats_itself_under_a_seed(task: Task) -> None:
-    """Two worlds with one seed and the same actions agree, bit for bit; another seed gives another start."""
+def repeats_itself_under_a_seed(task: TaskDefinition) -> None:
+    """Equal seeds and actions give equal bits; another seed gives another initial state."""
     with (
         closing(_begin(task)) as first,
         closing(_begin(task)) as second,
         closing(_begin(task, seed=_SEED + 1)) as other,
     ):
         _require(first.fingerprint == second.fingerprint, "Worlds of one task have one fingerprint.")
-        _require(_saw(first) == _saw(second), "Worlds of one seed begin alike.")
-        _require(_saw(first) != _saw(other), "Worlds of different seeds begin differently.")
-        _require(_futures(first) == _futures(second), "Worlds of one seed stay alike.")
+        _require(_observed(first) == _observed(second), "Worlds of one seed begin alike.")
+        _require(_observed(first) != _observed(other), "Worlds of different seeds begin differently.")
+        _require(_continued(first) == _continued(second), "Worlds of one seed stay alike.")
 
 
-def resets_to_the_same_start(task: Task) -> None:
-    """What happened before a reset leaves no trace."""
+def resets_to_the_same_start(task: TaskDefinition) -> None:
+    """A reset does not depend on earlier episodes."""
     with closing(_begin(task)) as used, closing(_begin(task)) as fresh:
-        _futures(used)
+        _continued(used)
         for world in (used, fresh):
             world.reset(np.random.default_rng(_SEED + 2))
-        _require(_saw(used) == _saw(fresh), "A used world resets as a fresh one does.")
-        _require(_futures(used) == _futures(fresh), "A used world goes on as a fresh one does.")
+        _require(_observed(used) == _observed(fresh), "A used world resets as a fresh one does.")
+        _require(_continued(used) == _continued(fresh), "A used world goes on as a fresh one does.")
 
 
-def restores_bit_for_bit(task: Task) -> None:
+def restores_bit_for_bit(task: TaskDefinition) -> None:
     """A snapshot continued in another world gives the same states and frames."""
     if not task.spec.exact_snapshots:
         return
     with closing(_begin(task)) as world, closing(_begin(task, seed=_SEED + 1)) as other:
-        _futures(world)
+        _continued(world)
         snapshot = world.snapshot()
         other.restore(snapshot)
         _require(other.snapshot() == snapshot, "A restored world has the snapshot that it was given.")
-        _require(_saw(world) == _saw(other), "A restored world looks the same.")
-        _require(_futures(world) == _futures(other), "A restored world goes on the same.")
+        _require(_observed(world) == _observed(other), "A restored world looks the same.")
+        _require(_continued(world) == _continued(other), "A restored world goes on the same.")
 
 
-def refuses_broken_snapshots(task: Task) -> None:
-    """Bytes that are no snapshot are refused, and change nothing."""
+def refuses_broken_snapshots(task: TaskDefinition) -> None:
+    """Invalid snapshots are refused and change nothing."""
     if not task.spec.exact_snapshots:
         return
     with closing(_begin(task)) as world:
@@ -105,8 +105,8 @@ def refuses_broken_snapshots(task: Task) -> None:
         _require(world.snapshot() == snapshot, "A refused snapshot changes nothing.")
 
 
-def renders_what_was_asked(task: Task) -> None:
-    """Frames have the camera's size and channels, show something, and share no memory."""
+def renders_what_was_asked(task: TaskDefinition) -> None:
+    """Frames have the requested size and channels, are not uniform, and share no memory."""
     with closing(_begin(task)) as world:
         for camera in task.spec.cameras:
             frame = world.render(camera.name, height=camera.height, width=camera.width)
@@ -118,7 +118,7 @@ def renders_what_was_asked(task: Task) -> None:
             _require(np.array_equal(frame, again), "Looking changes nothing.")
 
 
-def refuses_bad_views(task: Task) -> None:
+def refuses_bad_views(task: TaskDefinition) -> None:
     """Unknown cameras and sizes out of bounds are refused."""
     camera, too_big = task.spec.cameras[0].name, task.spec.max_size + 1
     with closing(_begin(task)) as world:
@@ -127,7 +127,7 @@ def refuses_bad_views(task: Task) -> None:
             _refuses(partial(world.render, camera, height=height, width=width), "A size out of bounds is refused.")
 
 
-def refuses_bad_actions(task: Task) -> None:
+def refuses_bad_actions(task: TaskDefinition) -> None:
     """Actions of the wrong dtype, shape or range are refused, and change nothing."""
     spec = task.spec.action
     dtype = np.int64 if spec.choices else np.float32
@@ -141,13 +141,13 @@ def refuses_bad_actions(task: Task) -> None:
     if not spec.choices:
         bad += [np.full(spec.size, value, dtype) for value in (np.nan, np.inf)]
     with closing(_begin(task)) as world:
-        before = _saw(world)
+        before = _observed(world)
         for action in bad:
             _refuses(partial(world.step, action), "A bad action is refused.")
-        _require(_saw(world) == before, "A refused action changes nothing.")
+        _require(_observed(world) == before, "A refused action changes nothing.")
 
 
-def refuses_unknown_skills(task: Task) -> None:
+def refuses_unknown_skills(task: TaskDefinition) -> None:
     """Skills that the world does not have are refused."""
     with closing(_begin(task)) as world:
         rng = np.random.default_rng(_SEED)
@@ -155,14 +155,14 @@ def refuses_unknown_skills(task: Task) -> None:
         _refuses(partial(world.reset, rng, recipe=("no-such-skill",)), "An unknown skill is in no recipe.")
 
 
-def has_an_expert_that_succeeds(task: Task) -> None:
-    """The expert executes every skill, in order, in time, and the oracle agrees that the goal holds if there is one."""
+def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
+    """The expert executes every skill in order and in time, and the oracle agrees that the goal, if any, holds."""
     spec = task.spec
     with closing(task.make()) as world:
         rng = np.random.default_rng(_SEED)
         world.reset(rng, recipe=spec.skills)
         expert = world.expert(spec.skills, rng)
-        shown = demonstrate(
+        shown = record_episode(
             world, expert, skills=spec.skills, cameras=(), height=1, width=1, max_steps=spec.max_episode_steps
         )
         _require(shown.success, "The expert succeeds.")
@@ -171,17 +171,17 @@ def has_an_expert_that_succeeds(task: Task) -> None:
         _require(not task.goal_text or world.truth().success, "The oracle sees the goal that the expert reached.")
 
 
-def has_an_expert_that_survives_any_state(task: Task) -> None:
-    """After a while at random the expert still acts within the spec, and ends or can be cut off."""
+def has_an_expert_that_survives_any_state(task: TaskDefinition) -> None:
+    """The expert acts within the spec from a random state, too."""
     with closing(_begin(task)) as world:
-        for _ in _wander(world):
+        for _ in _act_randomly(world):
             pass
         expert = world.expert(task.spec.skills, np.random.default_rng(_SEED))
-        demonstrate(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
-        _require(world.expert((), np.random.default_rng(_SEED)).decide() is None, "Nothing asked, nothing done.")
+        record_episode(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
+        _require(world.expert((), np.random.default_rng(_SEED)).act() is None, "Nothing asked, nothing done.")
 
 
-CHECKS: tuple[Callable[[Task], None], ...] = (
+CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     describes_itself,
     tells_the_truth_in_shape,
     starts_unsolved,
@@ -196,7 +196,7 @@ CHECKS: tuple[Callable[[Task], None], ...] = (
     has_an_expert_that_succeeds,
     has_an_expert_that_survives_any_state,
 )
-"""Every check, in the order in which to read their failures."""
+"""All checks, simplest first."""
 
 
 def _require(holds: bool, sentence: str) -> None:
@@ -212,28 +212,28 @@ def _refuses(call: Callable[[], object], sentence: str) -> None:
     raise AssertionError(f"Expected: {sentence}")
 
 
-def _begin(task: Task, *, seed: int = _SEED) -> World:
+def _begin(task: TaskDefinition, *, seed: int = _SEED) -> World:
     world = task.make()
     world.reset(np.random.default_rng(seed))
     return world
 
 
-def _wander(world: World) -> Iterator[Action]:
-    """Steps the world at random, always in the same way, and yields after each step until the episode ends."""
-    wander = Wander(world.spec.action, np.random.default_rng(_SEED))
+def _act_randomly(world: World) -> Iterator[Action]:
+    """Steps the world with a fixed random policy; yields after each step until the episode ends."""
+    policy = SmoothRandomPolicy(world.spec.action, np.random.default_rng(_SEED))
     for _ in range(_STEPS):
-        action = wander.decide().action
-        outcome = world.step(action)
+        action = policy.act().action
+        result = world.step(action)
         yield action
-        if outcome.terminated:
+        if result.terminated:
             return
 
 
-def _saw(world: World) -> tuple[bytes, ...]:
-    """Returns true state and every camera's frame, as bytes to compare."""
+def _observed(world: World) -> tuple[bytes, ...]:
+    """Returns the true state and all cameras' frames as bytes."""
     views: list[Frame] = [world.render(each.name, height=each.height, width=each.width) for each in world.spec.cameras]
     return world.truth().state.tobytes(), *(view.tobytes() for view in views)
 
 
-def _futures(world: World) -> list[tuple[bytes, ...]]:
-    return [_saw(world) for _ in _wander(world)]
+def _continued(world: World) -> list[tuple[bytes, ...]]:
+    return [_observed(world) for _ in _act_randomly(world)]

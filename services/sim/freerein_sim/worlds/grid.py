@@ -1,8 +1,8 @@
-"""The dissertation's two-dimensional grid: walk to coloured objects and pick them up, in an order.
+"""The dissertation's grid world: walk to coloured objects and pick them up in a given order.
 
-The field is 10 x 10 cells; below it lies one more row, whose leftmost cell, the indicator, shows the colour of the
-object that is to be picked up next. Every cell is 3 x 3 pixels: an image of 33 x 30. All five objects lie on the field
-in every episode, so the scene does not tell which skills occur.
+The field has 10 x 10 cells. The leftmost cell of one more row below it, the indicator, shows the colour of the next
+object to pick up. A cell is 3 x 3 pixels, an image 33 x 30. All five objects lie on the field in every episode, so that
+the scene does not reveal which skills occur.
 """
 
 import hashlib
@@ -17,13 +17,13 @@ from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.world import (
     Action,
-    Decision,
     Frame,
-    Outcome,
-    Task,
-    Truth,
+    GroundTruth,
+    LabelledAction,
+    StepResult,
+    TaskDefinition,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -57,15 +57,12 @@ SPEC = WorldSpec(
 )
 
 
-class Grid:
+class GridWorld:
     """The grid world.
 
-    An episode has a recipe: which objects are to be picked up, in which order. `pick-up` takes whatever object lies
-    under the agent, wanted or not. The indicator shows the first object of the recipe that still lies on the field;
-    the episode ends when none does, and is a success when exactly the recipe was picked up, in order.
-
-    Args:
-        indicator: Whether the indicator cell is drawn.
+    An episode has a recipe, the objects to pick up in order. `pick-up` takes any object under the agent. The indicator
+    shows the first object of the recipe that still lies on the field; the episode terminates when none does, and is a
+    success if exactly the recipe was picked up, in order.
     """
 
     spec = SPEC
@@ -79,21 +76,21 @@ class Grid:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of the rules' version and of what is drawn."""
+        """Hash of the format version, the spec and the indicator."""
         return hashlib.sha256(f"grid {_FORMAT_VERSION} {self._indicator} {SPEC}".encode()).hexdigest()
 
     @property
     def target(self) -> int | None:
-        """Index of the object to pick up next, None when the recipe is done."""
+        """Index of the next object to pick up, None when the recipe is done."""
         return next((i for i in self._recipe if i not in self._picked), None)
 
     @property
     def picked(self) -> tuple[int, ...]:
-        """Indices of the objects that were picked up, in order."""
+        """Indices of the objects picked up so far, in order."""
         return self._picked
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
-        """Scatters agent and objects such that an expert can finish in time; an empty recipe means all, shuffled."""
+        """Places agent and objects so that an expert can finish in time; an empty recipe means all, shuffled."""
         wanted = skill_indices(SPEC, recipe)
         if len(set(wanted)) != len(wanted):
             raise InvalidInput("A recipe of this world names each skill once; got one twice.", field="skills")
@@ -106,9 +103,9 @@ class Grid:
             if _expert_steps(places[0], places[1:], self._recipe) <= _MAX_STEPS:
                 return
 
-    def step(self, action: Action) -> Outcome:
-        """Moves one cell, stopping at the field's edge, or picks up what lies under the agent."""
-        check_action(SPEC.action, action)
+    def step(self, action: Action) -> StepResult:
+        """Moves one cell within the field, or picks up the object under the agent."""
+        check_actions(SPEC.action, action)
         choice = int(action[0])
         if choice == PICK_UP:
             here = np.flatnonzero((self._objects == self._agent).all(axis=1))
@@ -116,10 +113,10 @@ class Grid:
             self._picked += tuple(int(i) for i in here)
         else:
             self._agent = np.clip(self._agent + _MOVES[choice], 0, FIELD - 1)
-        return Outcome(terminated=self.target is None)
+        return StepResult(terminated=self.target is None)
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
-        """Returns the image; this world has one size only."""
+        """Returns the image, in the world's only size."""
         check_view(SPEC, camera, height=height, width=width)
         if (height, width) != (_HEIGHT, _WIDTH):
             raise InvalidInput(
@@ -143,7 +140,7 @@ class Grid:
         return _LAYOUT.pack(_FORMAT_VERSION, *self._agent, *self._objects.ravel(), *recipe, *picked)
 
     def restore(self, snapshot: bytes) -> None:
-        """Reads what `snapshot` wrote, checking every number."""
+        """Restores a snapshot, after checking every number."""
         if len(snapshot) != _LAYOUT.size or snapshot[0] != _FORMAT_VERSION:
             raise InvalidInput(
                 f"Expected a snapshot of {_LAYOUT.size} bytes and version {_FORMAT_VERSION}; got something else.",
@@ -155,29 +152,31 @@ class Grid:
         _check_state(agent, objects, recipe, picked)
         self._agent, self._objects, self._recipe, self._picked = agent, objects, recipe, picked
 
-    def truth(self) -> Truth:
-        """Returns where everything is (-1 for what was picked up), and 1.0 when the recipe was followed exactly."""
+    def truth(self) -> GroundTruth:
+        """Returns all positions (-1 for objects picked up); the reward is 1.0 when the recipe was followed exactly."""
         success = bool(self._recipe) and self._picked == self._recipe
-        return Truth(np.concatenate([self._agent, self._objects.ravel()]).astype(np.float64), float(success), success)
+        return GroundTruth(
+            np.concatenate([self._agent, self._objects.ravel()]).astype(np.float64), float(success), success
+        )
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> "GridExpert":
-        """Returns somebody who walks to each object by a shortest path and picks it up."""
+        """Returns an expert that walks to each object by a shortest path and picks it up."""
         return GridExpert(self, skill_indices(SPEC, skills), rng)
 
     def close(self) -> None:
-        """Holds nothing that needs freeing."""
+        """Does nothing."""
 
 
 class GridExpert:
-    """Greedy in Manhattan distance; where both axes shorten the way, it draws one."""
+    """Walks shortest paths; draws an axis where both shorten the distance."""
 
-    def __init__(self, world: Grid, skills: tuple[int, ...], rng: np.random.Generator) -> None:
+    def __init__(self, world: GridWorld, skills: tuple[int, ...], rng: np.random.Generator) -> None:
         self._world = world
         self._skills = skills
         self._rng = rng
 
-    def decide(self) -> Decision | None:
-        """Returns the next step towards the first object that is still to be picked up."""
+    def act(self) -> LabelledAction | None:
+        """Returns the next step towards the first remaining object."""
         state = self._world.truth().state.astype(np.int64)
         objects = state[2:].reshape(-1, 2)
         wanted = next((i for i in self._skills if objects[i, 0] != _NOWHERE), None)
@@ -186,17 +185,17 @@ class GridExpert:
         way = objects[wanted] - state[:2]  # rows down, columns right
         distance = np.abs(way)
         if not distance.any():
-            return Decision(np.array([PICK_UP]), wanted)
+            return LabelledAction(np.array([PICK_UP]), wanted)
         axis = int(self._rng.random() * distance.sum() >= distance[0])
-        return Decision(np.array([2 * axis + int(way[axis] > 0)]), wanted)
+        return LabelledAction(np.array([2 * axis + int(way[axis] > 0)]), wanted)
 
     def succeeded(self) -> bool:
-        """Returns whether exactly these objects were picked up, in order."""
+        """Returns whether exactly its objects were picked up, in order."""
         return self._world.picked == self._skills
 
 
 def _cell(image: Frame, row: int, column: int) -> Frame:
-    """Returns the view of one cell's pixels."""
+    """Returns a view of one cell's pixels."""
     return image[row * CELL_PX : (row + 1) * CELL_PX, column * CELL_PX : (column + 1) * CELL_PX]
 
 
@@ -224,6 +223,6 @@ def _check_state(
 
 
 TASKS = (
-    Task("grid", "grid", "", SPEC, partial(Grid, indicator=True)),
-    Task("grid-no-indicator", "grid", "", SPEC, partial(Grid, indicator=False)),
+    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True)),
+    TaskDefinition("grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False)),
 )

@@ -1,4 +1,4 @@
-"""Chooses how MuJoCo renders without a screen. Must run before `import mujoco`, which reads MUJOCO_GL and may fail."""
+"""Chooses MuJoCo's OpenGL backend. Runs before `import mujoco`, which reads MUJOCO_GL and fails without its library."""
 
 import ctypes
 import os
@@ -6,61 +6,42 @@ import os
 from freerein.errors import FailedPrecondition, Unimplemented
 
 INSTALL_HINT = "Install one: apt-get install libegl1 libgl1 (MUJOCO_GL=egl) or libosmesa6 (MUJOCO_GL=osmesa)."
-_BACKENDS = ("egl", "osmesa", "glfw")
 
 
 def check_mujoco_gl() -> None:
-    """Checks MUJOCO_GL where it is set.
-
-    Raises:
-        FailedPrecondition: MUJOCO_GL or PYOPENGL_PLATFORM has a value that cannot be used.
-        Unimplemented: The library of the backend is not installed.
-    """
-    asked = _asked()
-    if asked and asked not in _BACKENDS:
-        raise FailedPrecondition(
-            f"Expected MUJOCO_GL to be egl, osmesa or glfw, or not set; got {asked[:32]}.", hint="Unset MUJOCO_GL."
-        )
-    if (asked == "egl" and not _has_egl_device()) or (asked == "osmesa" and not _has_osmesa()):
-        raise Unimplemented(
-            f"Expected to render with MUJOCO_GL={asked}; this machine cannot.",
-            hint=INSTALL_HINT,
-        )
-    if asked in ("egl", "osmesa"):
-        _check_pyopengl_platform(asked)
+    """Checks MUJOCO_GL where it is set. Raises as `choose_backend`."""
+    if os.environ.get("MUJOCO_GL", "").strip():
+        choose_backend()
 
 
 def choose_backend() -> str:
     """Returns MUJOCO_GL where it is set, else `egl` where EGL has a device, else `osmesa`.
 
     Raises:
-        FailedPrecondition: MUJOCO_GL or PYOPENGL_PLATFORM has a value that cannot be used.
-        Unimplemented: The library of the backend is not installed.
+        FailedPrecondition: MUJOCO_GL or PYOPENGL_PLATFORM has an unsupported value.
+        Unimplemented: The backend's library is not installed.
     """
-    check_mujoco_gl()
-    if asked := _asked():
-        return asked
-    backend = "egl" if _has_egl_device() else "osmesa"
-    if backend == "osmesa" and not _has_osmesa():
-        raise Unimplemented("Expected to render with EGL or OSMesa; this machine has neither.", hint=INSTALL_HINT)
-    _check_pyopengl_platform(backend)
+    chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if chosen and chosen not in _PROBES:
+        raise FailedPrecondition(
+            f"Expected MUJOCO_GL to be egl, osmesa or glfw, or not set; got {chosen[:32]}.", hint="Unset MUJOCO_GL."
+        )
+    candidates = (chosen,) if chosen else ("egl", "osmesa")
+    backend = next((name for name in candidates if _PROBES[name]()), "")
+    if not backend:
+        raise Unimplemented(
+            f"Expected to render with {' or '.join(candidates)}; this machine cannot.", hint=INSTALL_HINT
+        )
+    if backend != "glfw" and os.environ.get("PYOPENGL_PLATFORM", "").lower() not in ("", backend):
+        raise FailedPrecondition(
+            f"Expected PYOPENGL_PLATFORM to be {backend}, or not set; got another value.",
+            hint="Unset PYOPENGL_PLATFORM.",
+        )
     return backend
 
 
-def _asked() -> str:
-    return os.environ.get("MUJOCO_GL", "").lower().strip()
-
-
-def _check_pyopengl_platform(backend: str) -> None:
-    if os.environ.get("PYOPENGL_PLATFORM", backend).lower() not in ("", backend):
-        raise FailedPrecondition(
-            f"Expected PYOPENGL_PLATFORM to be {backend}, or not set; it is something else.",
-            hint="Unset PYOPENGL_PLATFORM.",
-        )
-
-
 def _has_osmesa() -> bool:
-    return any(_can_load(f"libOSMesa.so.{version}") for version in (8, 6))
+    return _can_load("libOSMesa.so.8") or _can_load("libOSMesa.so.6")
 
 
 def _has_egl_device() -> bool:
@@ -83,3 +64,10 @@ def _can_load(library: str) -> bool:
     except OSError:
         return False
     return True
+
+
+def _has_screen() -> bool:
+    return True  # `glfw` fails on its own without one
+
+
+_PROBES = {"egl": _has_egl_device, "osmesa": _has_osmesa, "glfw": _has_screen}

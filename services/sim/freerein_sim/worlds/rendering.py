@@ -1,6 +1,6 @@
-"""Draws MuJoCo models without a screen, quickly: the pixels are where the processor's time goes.
+"""Offscreen MuJoCo rendering, tuned for software OpenGL.
 
-Shadows, reflections, haze, the skybox and multisampling are off and the offscreen buffer has the size asked for.
+Shadows, reflections, haze, skybox and multisampling are off, and the offscreen buffer has the requested size.
 """
 
 import importlib
@@ -24,13 +24,9 @@ _OFF = (
 
 
 class Renderer:
-    """The OpenGL context of one model on one thread, shared by all worlds of that model there.
+    """OpenGL context of one model on one thread, shared by all worlds of the model; saves ten megabytes per world.
 
-    Sharing saves ten megabytes a world, and drawing sixteen is nearly as fast as drawing one. Get it from
-    `open_renderer`.
-
-    Args:
-        model: What to draw.
+    Created by `open_renderer`.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -48,7 +44,7 @@ class Renderer:
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
 
     def render(self, data: mujoco.MjData, camera: str, *, height: int, width: int) -> Frame:
-        """Returns what the model's camera of that name sees, uint8 (height, width, 3)."""
+        """Returns the camera's image, uint8 (height, width, 3)."""
         self._check_thread()
         self._gl.make_current()
         if (self._context.offHeight, self._context.offWidth) != (height, width):
@@ -63,11 +59,11 @@ class Renderer:
         return np.ascontiguousarray(bottom_up[::-1])
 
     def close(self) -> None:
-        """Ends one use; the last one frees the context, on the thread that made it."""
+        """Ends one use; the last use frees the context. Must be called on the creating thread."""
         self._check_thread()
         self.uses -= 1
         if self.uses == 0:
-            del _open_here.renderers[id(self._model)]
+            del _thread.renderers[id(self._model)]
             self._gl.make_current()
             self._context.free()
             self._gl.free()
@@ -83,25 +79,25 @@ def open_renderer(model: mujoco.MjModel) -> Renderer:
     Raises:
         Unimplemented: This machine has neither EGL nor OSMesa.
     """
-    renderer = _open_here.renderers.get(id(model))
+    renderer = _thread.renderers.get(id(model))
     if renderer is None:
-        renderer = _open_here.renderers[id(model)] = Renderer(model)
+        renderer = _thread.renderers[id(model)] = Renderer(model)
     renderer.uses += 1
     return renderer
 
 
-class _OpenHere(threading.local):
-    """The renderers of this thread, by the `id` of the model, which each keeps alive."""
+class _ThreadRenderers(threading.local):
+    """Renderers of this thread, by `id` of their model."""
 
     def __init__(self) -> None:
         self.renderers: dict[int, Renderer] = {}
 
 
-_open_here = _OpenHere()
+_thread = _ThreadRenderers()
 
 
 class _GL(Protocol):
-    """The part of MuJoCo's OpenGL contexts that we use."""
+    """MuJoCo's OpenGL context."""
 
     def make_current(self) -> None: ...
 

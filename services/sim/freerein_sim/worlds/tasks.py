@@ -1,6 +1,7 @@
-"""Finds the tasks: those built in, and those of any installed package that offers worlds.
+"""Finds the tasks of all installed packages.
 
-A package adds worlds by an entry point in the group `freerein.worlds` that resolves to a tuple of `Task`:
+A package registers worlds by an entry point in the group `freerein.worlds` that resolves to a tuple of
+`TaskDefinition`:
 
     [project.entry-points."freerein.worlds"]
     grid = "freerein_sim.worlds.grid:TASKS"
@@ -9,18 +10,18 @@ A package adds worlds by an entry point in the group `freerein.worlds` that reso
 from importlib.metadata import entry_points
 
 from freerein.errors import AlreadyExists
-from freerein_sim.worlds.world import Task
+from freerein_sim.worlds.world import TaskDefinition
 
 ENTRY_POINT_GROUP = "freerein.worlds"
 
 
-def tasks() -> dict[str, Task]:
-    """Returns every installed task by name, sorted; simulators are imported only when a world is made.
+def tasks() -> dict[str, TaskDefinition]:
+    """Returns every installed task by name, sorted; does not import simulators.
 
     Raises:
-        AlreadyExists: Two packages offer a task of the same name.
+        AlreadyExists: Two packages register a task of the same name.
     """
-    found: dict[str, Task] = {}
+    found: dict[str, TaskDefinition] = {}
     for entry_point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda each: each.name):
         for task in entry_point.load():
             if task.name in found:

@@ -1,4 +1,4 @@
-"""What a world is: something that can be reset, stepped, looked at, saved and put back, bit for bit."""
+"""The `World` protocol: one simulated environment that can be reset, stepped, rendered and snapshotted."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,28 +12,28 @@ from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera, check_name
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
-"""float32 (A,) in [-1, 1] where the world is continuous, int64 (1,) where it is discrete; (T, A) for T timesteps."""
+"""float32 (A,) in [-1, 1] for continuous actions, int64 (1,) for discrete ones; (T, A) for T timesteps."""
 
 Frame = npt.NDArray[np.uint8]
 """uint8 (H, W, C), RGB."""
 
 NO_SKILL = -1
-"""The label of a timestep in which no skill is executed."""
+"""Label of a timestep without a skill."""
 
 
 @dataclass(frozen=True)
 class WorldSpec:
-    """What a world offers.
+    """Static properties of a world.
 
     Attributes:
-        cameras: Its cameras, each with the size rendered by default; the first is the one to use when one must do.
-        action: What an action is.
+        cameras: Cameras with their default frame size; the first is the default camera.
+        action: Action spec.
         control_dt_s: Time between two actions, in seconds.
-        skills: The skills that its expert can execute; labels index into it.
+        skills: Skills that the expert can execute; labels are indices into them.
         max_episode_steps: Steps after which the caller truncates an episode.
-        state_names: What each number of the true state is.
+        state_names: Name of each number of the true state.
         exact_snapshots: Whether `snapshot` and `restore` work, bit for bit.
-        max_size: Greatest height and width of a frame, in pixels.
+        max_size: Greatest frame height and width, in pixels.
     """
 
     cameras: tuple[Camera, ...]
@@ -47,12 +47,12 @@ class WorldSpec:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of a step.
+class StepResult:
+    """Result of one step.
 
     Attributes:
-        terminated: The episode reached an end of its own. Truncation is the caller's to count.
-        diverged: The simulation diverged; then `terminated` is true as well.
+        terminated: Whether the episode terminated. Truncation is up to the caller.
+        diverged: Whether the simulation diverged; `terminated` is then true, too.
     """
 
     terminated: bool
@@ -60,13 +60,13 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """What is true now: for evaluation, never for learning.
+class GroundTruth:
+    """True state and oracle reward, for evaluation only.
 
     Attributes:
         state: float64 (S,), named by the spec's `state_names`.
-        reward: The oracle's reward of this state.
-        success: Whether the task's goal holds in this state.
+        reward: Oracle reward of this state.
+        success: Whether the task's goal holds.
     """
 
     state: npt.NDArray[np.float64]
@@ -75,100 +75,99 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
-    """What a behaviour does in one timestep.
+class LabelledAction:
+    """Action of one timestep and the skill that it belongs to.
 
     Attributes:
-        action: The action to take.
-        skill: Index of the skill in execution, `NO_SKILL` when there is none.
+        action: The action.
+        skill: Index of the skill, or `NO_SKILL`.
     """
 
     action: Action
     skill: int
 
 
-class Behaviour(Protocol):
-    """Somebody who acts in a world. It may read the world's true state; a learner never does."""
+class ScriptedPolicy(Protocol):
+    """A scripted policy. It may read the world's true state."""
 
-    def decide(self) -> Decision | None:
-        """Returns what to do in this timestep, None when there is nothing left to do."""
+    def act(self) -> LabelledAction | None:
+        """Returns the next action, None when the policy has finished."""
 
     def succeeded(self) -> bool:
-        """Returns whether everything that was asked of it has been done."""
+        """Returns whether all skills were executed successfully."""
 
 
 class World(Protocol):
-    """One environment. Not for use by two threads; `render` and `close` belong to one thread."""
+    """One environment. Not thread-safe; `render` and `close` must be called from the same thread."""
 
     @property
     def spec(self) -> WorldSpec:
-        """What the world offers."""
+        """Static properties."""
 
     @property
     def fingerprint(self) -> str:
-        """A hash of everything that a snapshot relies on; snapshots go only between equal fingerprints."""
+        """Hash of everything that snapshots depend on; a snapshot restores only where it is equal."""
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Begins an episode.
 
         Args:
-            rng: Draws the first state.
-            recipe: The skills that the episode is about, in order, where the world shows them; empty lets the world
-                choose.
+            rng: Draws the initial state.
+            recipe: Skills that the episode requires, in order, in worlds that display them; empty for a random recipe.
 
         Raises:
-            InvalidInput: The recipe names a skill that the world does not have.
+            InvalidInput: The recipe names an unknown skill.
         """
 
-    def step(self, action: Action) -> Outcome:
-        """Takes one action and lets `control_dt_s` pass.
+    def step(self, action: Action) -> StepResult:
+        """Simulates one control step.
 
         Raises:
-            InvalidInput: The action is not what the spec says.
+            InvalidInput: The action does not match the spec.
         """
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
-        """Returns what a camera sees now, in an array of its own.
+        """Returns the camera's current image, as a new array.
 
         Raises:
-            InvalidInput: There is no such camera, or the size is out of bounds.
+            InvalidInput: Unknown camera, or size out of bounds.
             Unimplemented: This machine cannot render.
         """
 
     def snapshot(self) -> bytes:
-        """Returns the complete state: restored, the same actions give the same bits."""
+        """Returns the complete state; after `restore` the same actions give the same bits."""
 
     def restore(self, snapshot: bytes) -> None:
-        """Puts the world into the state of a snapshot of an equal fingerprint.
+        """Restores a snapshot from a world of the same fingerprint.
 
         Raises:
-            InvalidInput: The bytes are not a snapshot of this world; the world is then as before.
+            InvalidInput: The bytes are not a snapshot of this world; the state is unchanged.
         """
 
-    def truth(self) -> Truth:
-        """Returns what is true now."""
+    def truth(self) -> GroundTruth:
+        """Returns true state and oracle reward."""
 
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Behaviour:
-        """Returns somebody who executes the skills in order, from the state of now.
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> ScriptedPolicy:
+        """Returns a scripted expert that executes the skills in order, starting from the current state.
 
         Raises:
-            InvalidInput: There is no such skill.
+            InvalidInput: Unknown skill.
         """
 
     def close(self) -> None:
-        """Frees what the world holds. Closing twice is fine."""
+        """Frees resources; may be called twice."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """A world with a goal and an oracle.
+class TaskDefinition:
+    """A world with an optional goal, as registered under the entry point `freerein.worlds`.
 
     Attributes:
-        name: Its name, `^[a-z0-9][a-z0-9._-]{0,63}$`.
-        world: The world's name.
-        goal_text: What is to be done, in words; empty for a task without a goal.
-        spec: What its worlds offer; known without building one.
-        make: Builds a world, in need of a `reset`.
+        name: Task name, `^[a-z0-9][a-z0-9._-]{0,63}$`.
+        world: World name.
+        goal_text: Goal in words; empty for a task without a goal.
+        spec: The world's spec, available without building it.
+        make: Builds a world; it must be reset before use.
     """
 
     name: str
@@ -182,7 +181,7 @@ class Task:
         check_name(self.world, field="world")
 
     def describe(self) -> freerein.types.sim.Task:
-        """Returns the task as clients see it."""
+        """Returns the task as the API describes it."""
         return freerein.types.sim.Task(
             name=self.name,
             world=self.world,
@@ -196,30 +195,33 @@ class Task:
         )
 
 
-def check_action(spec: ActionSpec, action: npt.NDArray[Any]) -> None:
-    """Checks one action.
+def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
+    """Checks one action, or a batch of actions of shape (*batch, A).
 
     Raises:
-        InvalidInput: Its dtype, shape or values are not what the spec says.
+        InvalidInput: The dtype, shape or values do not match the spec.
     """
-    dtype = np.int64 if spec.choices else np.float32
-    if not isinstance(action, np.ndarray) or action.dtype != dtype or action.shape != (spec.size,):
-        got = f"{action.dtype} {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-        raise InvalidInput(f"Expected an action of {np.dtype(dtype)} ({spec.size},); got {got}.", field="action")
+    dtype = np.dtype(np.int64 if spec.choices else np.float32)
     low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
-    if not np.all((action >= low) & (action <= high)):  # false for NaN
-        raise InvalidInput(
-            f"Every number of an action must be finite and in [{low}, {high}]; got one that is not.",
-            field="action",
-            hint="Clip what the policy proposes before stepping.",
-        )
+    shape = (*batch, spec.size)
+    if not isinstance(actions, np.ndarray) or actions.dtype != dtype or actions.shape != shape:
+        got = f"{actions.dtype} {actions.shape}" if isinstance(actions, np.ndarray) else type(actions).__name__
+    elif wrong := int((~((actions >= low) & (actions <= high))).sum()):  # NaN is neither
+        got = f"{wrong} of {actions.size} numbers outside"
+    else:
+        return
+    raise InvalidInput(
+        f"`actions` must be {dtype} {shape}, finite and within [{low}, {high}]: {', '.join(spec.names)}; got {got}.",
+        field="actions",
+        hint="See the task's `action` in ListTasks.",
+    )
 
 
 def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Camera:
-    """Returns the camera of that name, when it can render that size.
+    """Returns the camera of that name.
 
     Raises:
-        InvalidInput: There is no such camera, or the size is out of bounds.
+        InvalidInput: Unknown camera, or size out of bounds.
     """
     found = next((each for each in spec.cameras if each.name == camera), None)
     if found is None:
@@ -234,10 +236,10 @@ def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Came
 
 
 def skill_indices(spec: WorldSpec, skills: Sequence[str]) -> tuple[int, ...]:
-    """Returns the skills as indices into the spec's.
+    """Returns the indices of skills in the spec.
 
     Raises:
-        InvalidInput: The world does not have one of them.
+        InvalidInput: Unknown skill.
     """
     missing = sum(skill not in spec.skills for skill in skills)
     if missing:

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from freerein.cli.output import AsJson, verb
+from freerein.cli.output import AsJson, command
 
 
-@verb
+@command
 def demo(
     out: Annotated[Path, typer.Option(help="Output folder; the output of an earlier demo is deleted.")] = Path(
         "var/demo"

@@ -1,44 +1,29 @@
 """What every stage of the demo shares: service clients, dataset folders, the seed, and starting and following jobs."""
 
+import json
+import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, aclosing
+from contextlib import aclosing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freerein.cli import following
+from freerein.cli import job_events
+from freerein.cli.commands.sim import record
 from freerein.cli.connection import channel_to
-from freerein.cli.course import Course
 from freerein.cli.demo.report import Reporter
-from freerein.cli.demo.rest_client import RestClient
-from freerein.cli.recording import record
+from freerein.cli.job_progress import JobProgress
 from freerein.cli.services import Endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, FitClient, OrchestratorClient, SimClient
 from freerein.data import dataset_path
 from freerein.errors import FailedPrecondition
-from freerein.types.orchestrator import RunKind
+from freerein.types.learning import Fit, StartFitRequest
+from freerein.types.orchestrator import GetArtifactRequest, RunKind, StartRunRequest
 from freerein.types.sim import DemonstrateRequest
 
 HELD_OUT_SEED = 1_000_000
 """Added to the seed for held-out data and evaluation episodes."""
-
-
-@dataclass(frozen=True)
-class RunningFit:
-    """A fit that was started.
-
-    Attributes:
-        service: Name of the service that fits.
-        id: Id of the fit.
-        steps: Planned updates.
-        model_name: Name of the model.
-    """
-
-    service: str
-    id: str
-    steps: int
-    model_name: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +34,6 @@ class Context:
         endpoints: Addresses of the services.
         settings: Token and certificate of the services.
         data_dir: The services' data directory.
-        out: Output folder.
         seed: Random seed.
         reporter: Prints progress.
     """
@@ -57,18 +41,12 @@ class Context:
     endpoints: Endpoints
     settings: CliSettings
     data_dir: Path
-    out: Path
     seed: int
     reporter: Reporter
 
     def dataset(self, name: str) -> Path:
         """Returns the folder of a dataset."""
         return dataset_path(self.data_dir, name)
-
-    def rest(self, service: str) -> AbstractAsyncContextManager[RestClient]:
-        """Returns a REST client of a service."""
-        url = self.endpoints.urls[service]
-        return RestClient(url, self.settings, requests=self.out / "requests", reporter=self.reporter)
 
     def channel(self, service: str) -> Channel:
         """Returns a gRPC channel to a service."""
@@ -87,37 +65,36 @@ class Context:
 
     async def start_fit(
         self, service: str, dataset: str, *, model_name: str, config: Mapping[str, object]
-    ) -> RunningFit:
-        """Starts a fit; each service runs one fit at a time."""
-        request = {"dataset": dataset, "model_name": model_name, "config": {**config, "seed": self.seed}}
-        async with self.rest(service) as client:
-            fit = (await client.post("/v1/start-fit", request))["fit"]
-        return RunningFit(service, fit["id"], fit["steps"], model_name)
+    ) -> tuple[str, Fit]:
+        """Starts a fit, which `follow_fit` takes; each service runs one fit at a time."""
+        seeded = {**config, "seed": self.seed}
+        self.reporter.command(f"freerein fit {service} {dataset} --model-name {model_name} {_options(seeded)}")
+        async with FitClient(self.channel(service)) as client:
+            return service, (await client.start_fit(StartFitRequest(dataset, model_name, seeded))).fit
 
-    async def follow_fit(self, running: RunningFit) -> None:
+    async def follow_fit(self, started: tuple[str, Fit]) -> None:
         """Shows a fit's progress to its end.
 
         Raises:
             FailedPrecondition: It ended without a model.
             ServiceError: The service is gone.
         """
-        self.reporter.command(f"freerein fit watch {running.id} --service {running.service}")
-        with self.reporter.progress(f"{running.service} {running.model_name}", running.steps) as advance:
-            async with (
-                FitClient(self.channel(running.service)) as client,
-                aclosing(following.follow_fit(client, running.id)) as changes,
-            ):
+        service, fit = started
+        self.reporter.command(f"freerein fit watch {fit.id} --service {service}")
+        with self.reporter.progress(f"{service} {fit.model_name}", fit.steps) as advance:
+            client = FitClient(self.channel(service))
+            async with client, aclosing(job_events.follow_fit(client, fit.id)) as changes:
                 async for fit in changes:
                     advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
-        _check_succeeded(f"fit of {running.model_name}", fit.state, fit.error)
+        _check_succeeded(f"fit of {fit.model_name}", fit.state, fit.error)
 
-    async def start_run(self, kind: RunKind, config: Mapping[str, object]) -> str:
+    async def start_run(self, kind: RunKind, config: dict[str, Any]) -> str:
         """Starts a run; returns its id. The orchestrator runs one run at a time."""
-        async with self.rest("orchestrator") as client:
-            started = await client.post("/v1/start-run", {"kind": kind, "config": config})
-        return str(started["run"]["id"])
+        self.reporter.command(f"freerein runs start {kind} {_options(config)}")
+        async with OrchestratorClient(self.channel("orchestrator")) as client:
+            return (await client.start_run(StartRunRequest(kind, config))).run.id
 
-    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> Course:
+    async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
         """Shows a run's progress to its end; returns its curves.
 
         Args:
@@ -129,10 +106,8 @@ class Context:
             FailedPrecondition: It did not succeed.
         """
         self.reporter.command(f"freerein runs watch {run_id}")
-        async with (
-            OrchestratorClient(self.channel("orchestrator")) as client,
-            aclosing(following.follow_run(client, run_id)) as changes,
-        ):
+        client = OrchestratorClient(self.channel("orchestrator"))
+        async with client, aclosing(job_events.follow_run(client, run_id)) as changes:
             with self.reporter.curves(name, metrics) as show:
                 async for run in changes:
                     curves = show(run)
@@ -141,8 +116,17 @@ class Context:
 
     async def artifact(self, run_id: str, name: str) -> dict[str, Any]:
         """Returns a JSON artifact of a run."""
-        async with self.rest("orchestrator") as client:
-            return await client.get("/v1/get-artifact", id=run_id, name=name)
+        self.reporter.command(f"freerein runs artifacts {run_id} {name} --out -")
+        client = OrchestratorClient(self.channel("orchestrator"))
+        async with client, aclosing(client.get_artifact(GetArtifactRequest(run_id, name))) as parts:
+            document: dict[str, Any] = json.loads(b"".join([part.data async for part in parts]))
+        return document
+
+
+def _options(config: Mapping[str, object]) -> str:
+    """Returns a configuration as `--set` options."""
+    texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in config.items()}
+    return " ".join(f"--set {shlex.quote(f'{key}={text}')}" for key, text in texts.items())
 
 
 def _check_succeeded(name: str, state: str, error: str) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
+from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import landmarks
-from freerein.cli.demo.evaluation.landmarks import Pursuit, ReachedRates
+from freerein.cli.demo.evaluation.landmarks import LandmarkPursuit, ReachedRates
 from freerein.cli.demo.pictures import FilmstripGoal
 from freerein.cli.demo.report import Figure
 from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
@@ -16,6 +16,7 @@ from freerein.clients import ImitationClient
 from freerein.metrics import auroc, expected_calibration_error
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecRequest
+from freerein.types.learning import Fit
 from freerein.types.sim import DemonstrateRequest
 
 _TASK, _DATASET, _CAMERA = "blocks", "exploration", "front"
@@ -68,7 +69,7 @@ async def record(context: Context) -> None:
     await context.record(_DATASET, request)
 
 
-async def start_fit(context: Context) -> RunningFit:
+async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to learn the policy and its goal recognizer."""
     config = {"policy": "goal_conditioned"}
     return await context.start_fit("imitation", _DATASET, model_name=_MODEL.name, config=config)
@@ -106,7 +107,7 @@ def _measure(
 ) -> GoalImageResult:
     """Returns the result over those robots whose exploration did not end before its last landmark."""
     indices, confidences = np.stack(policy.goal_index), np.stack(policy.confidence)  # (T, N)
-    pursuits: dict[int, Pursuit] = {}
+    pursuits: dict[int, LandmarkPursuit] = {}
     at_random, block_moves, confidence, truth = [], [], [], []
     for robot in np.flatnonzero(explored.lengths > _EXPLORATION_STEPS).tolist():
         targets = explored.states[_LANDMARK_STEPS, robot]
@@ -134,7 +135,7 @@ def _measure(
 
 
 def _filmstrip(
-    explored: Rollout, followed: Rollout, policy: ServedPolicy, pursuit: Pursuit, robot: int
+    explored: Rollout, followed: Rollout, policy: ServedPolicy, pursuit: LandmarkPursuit, robot: int
 ) -> tuple[FilmstripGoal, ...]:
     """Returns the landmarks that a robot was done with."""
     goals = _goal_images(explored)[robot]
@@ -152,46 +153,19 @@ def _filmstrip(
 
 def figures(result: GoalImageResult) -> tuple[Figure, ...]:
     """Returns the figures of following goal images."""
-    ours, random, recognizer = result.reached, result.reached_at_random, result.recognizer
-    guess = "random actions"
+    recognizer = result.recognizer
+    reached = (
+        ("landmarks_reached", result.reached.overall, result.reached_at_random.overall),
+        ("no_block_moves.landmarks_reached", result.reached.no_block_moves, result.reached_at_random.no_block_moves),
+        ("block_moves.landmarks_reached", result.reached.block_moves, result.reached_at_random.block_moves),
+    )
     return (
-        Figure(
-            "imitation.landmarks_reached", "landmarks reached", ours.overall, random.overall, guess, beats_baseline=True
+        *(
+            Figure(f"imitation.{name}", value, random, "random actions", beats_baseline=True)
+            for name, value, random in reached
         ),
-        Figure(
-            "imitation.landmarks_reached.no_block_moves",
-            "landmarks reached that need no block moved",
-            ours.no_block_moves,
-            random.no_block_moves,
-            guess,
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.landmarks_reached.block_moves",
-            "landmarks reached that need a block moved",
-            ours.block_moves,
-            random.block_moves,
-            guess,
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.landmarks_recognized",
-            "landmarks at which the robot was when it went on to the next",
-            result.recognized,
-        ),
-        Figure(
-            "imitation.goal_auroc",
-            "goal recognizer on visited states: AUROC",
-            recognizer.auroc,
-            0.5,
-            "a coin",
-            beats_baseline=True,
-        ),
-        Figure(
-            "imitation.goal_calibration_error",
-            f"goal recognizer on visited states: ECE, where {recognizer.at_landmark:.0%} are at the landmark",
-            recognizer.calibration_error,
-            0.0,
-            "always the base rate",
-        ),
+        Figure("imitation.landmarks_recognized", result.recognized),
+        Figure("imitation.visited.at_landmark", recognizer.at_landmark),
+        Figure("imitation.visited.goal_auroc", recognizer.auroc, 0.5, "chance", beats_baseline=True),
+        Figure("imitation.visited.goal_ece", recognizer.calibration_error, 0.0, "always the base rate"),
     )

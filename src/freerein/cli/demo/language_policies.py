@@ -9,18 +9,16 @@ import numpy as np
 
 from freerein.cli.demo import reward
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
-from freerein.cli.demo.pictures import Bar
+from freerein.cli.demo.pictures import IntervalBar
 from freerein.cli.demo.report import Figure
 from freerein.metrics import mean_interval
 
-TASKS: Mapping[str, str] = {
-    "blocks.yellow-left-of-green": "a yellow block to the left of a green block",
-    "blocks.yellow-right-of-green": "a yellow block to the right of a green block",
-}
-"""Goal text of each task that the student learns. The demo learns the first by PPO.
+SIDES = ("left", "right")
+TASKS = {side: f"blocks.yellow-{side}-of-green" for side in SIDES}
+"""Task by side. The demo learns the left one by PPO, chosen because the learned reward is precise for it."""
 
-It was chosen by true positions as one for which the learned reward is precise.
-"""
+TEXTS = {side: f"a yellow block to the {side} of a green block" for side in SIDES}
+"""Goal text by side."""
 
 INIT_FROM = "yellow-left-of-green"
 """Shipped policy that PPO starts from: 100 iterations from random weights, on another learned reward."""
@@ -28,24 +26,22 @@ INIT_FROM = "yellow-left-of-green"
 SHIPPED_TEACHERS = ("yellow-right-of-green",)
 """Shipped policies that teach beside the one that the demo learns."""
 
-_TASK, _OTHER_TASK = TASKS
 _RETURN = "episode_return"
 _EPISODES, _ROLLOUTS, _UPDATES = 50, 50, 600
 _PPO = {
-    "task": _TASK,
+    "task": TASKS["left"],
     "reward_model": reward.MODEL,
     "iterations": 40,
     "num_envs": 16,
-    "steps": 32,
+    "num_steps": 32,
     "lr": 3e-4,
-    "entropy_weight": 0.0,
-    "scale_rewards": True,
+    "init_from": INIT_FROM,
 }
 
 
 @dataclass(frozen=True)
 class Returns:
-    """Oracle returns of a policy: control steps at the goal, in each of the same episodes for every policy.
+    """Oracle returns of a policy: control steps at the goal, in the same episodes for every policy.
 
     Attributes:
         episodes: One return per episode.
@@ -63,26 +59,13 @@ class Returns:
         """95 % interval of the mean."""
         return mean_interval(self.episodes, rng=np.random.default_rng(0))
 
-    def minus(self, other: "Returns") -> "Returns":
-        """Returns the differences, episode by episode."""
+    def __sub__(self, other: "Returns") -> "Returns":
+        """Returns the differences by episode."""
         return Returns(tuple(np.subtract(self.episodes, other.episodes).tolist()))
 
-    def bar(self, name: str) -> Bar:
-        """Returns the mean and its interval as a bar."""
-        return Bar(name, self.mean, self.interval)
-
-
-@dataclass(frozen=True)
-class Baselines:
-    """What the learned policies are compared with.
-
-    Attributes:
-        random: Returns of random actions, by task.
-        checkpoint: Returns of the shipped policy that PPO starts from.
-    """
-
-    random: Mapping[str, Returns]
-    checkpoint: Returns
+    def __add__(self, other: "Returns") -> "Returns":
+        """Returns the episodes of both."""
+        return Returns(self.episodes + other.episodes)
 
 
 @dataclass(frozen=True)
@@ -103,70 +86,61 @@ class PPOResult:
 
 
 @dataclass(frozen=True)
-class DistillationResult:
-    """A student that is told in words what to do.
+class Student:
+    """A policy that is told in words what to do.
 
     Attributes:
-        returns: Oracle returns by task, then by the sentence that the student was told.
+        returns: Oracle returns by the side of the task and the side that the student was told.
         training_s: Duration of rollouts and fit in seconds.
     """
 
-    returns: Mapping[str, Mapping[str, Returns]]
+    returns: Mapping[tuple[str, str], Returns]
     training_s: float
 
-    def told_the_truth(self) -> Returns:
-        """Returns the returns over all tasks, each told its own sentence."""
-        return _joined([self.returns[task][text] for task, text in TASKS.items()])
+    @property
+    def told_right(self) -> Returns:
+        """Returns over both tasks, each told its own sentence."""
+        return self.returns["left", "left"] + self.returns["right", "right"]
 
+    @property
     def word_blind(self) -> Returns:
-        """Returns the returns over all tasks when always told the same sentence, the better one."""
-        constant = [_joined([self.returns[task][text] for task in TASKS]) for text in TASKS.values()]
+        """Returns over both tasks, always told the same sentence: the better of the two."""
+        constant = [self.returns["left", told] + self.returns["right", told] for told in SIDES]
         return max(constant, key=lambda returns: returns.mean)
 
 
 async def start_baselines(context: Context) -> str:
-    """Starts to evaluate random actions and the shipped policy; returns the run."""
-    frozen = {**_PPO, "iterations": 1, "lr": 1e-7, "seed": context.seed, "start_from": INIT_FROM}
-    steps = {"random-left": _evaluation(context, _TASK, "random")}
-    steps["random-right"] = _evaluation(context, _OTHER_TASK, "random")
-    steps["checkpoint"] = _evaluation(context, _TASK, {"run": "checkpoint-policy", "is_stochastic": True})
-    before = {"name": "checkpoint-policy", "kind": "ppo", "config": frozen}
-    return await _start_evaluations(context, steps, before)
+    """Starts to evaluate random actions in both tasks and the shipped policy in the left one; returns the run."""
+    evaluations = {f"random-{side}": _evaluation(context, side, "random") for side in SIDES}
+    evaluations["checkpoint"] = _evaluation(context, "left", {"stored": INIT_FROM, "stochastic": True})
+    return await _start_evaluations(context, evaluations)
 
 
-async def finish_baselines(context: Context, run: str) -> Baselines:
-    """Returns the baselines once their run has ended."""
-    left, right, checkpoint = await _finish_evaluations(
-        context, "evaluate baselines", run, "random-left", "random-right", "checkpoint"
-    )
-    return Baselines({_TASK: left, _OTHER_TASK: right}, checkpoint)
+async def finish_baselines(context: Context, run: str) -> dict[str, Returns]:
+    """Returns the returns of `random-left`, `random-right` and `checkpoint`."""
+    return await _finish_evaluations(context, "evaluate baselines", run, "random-left", "random-right", "checkpoint")
 
 
 async def learn_by_ppo(context: Context) -> PPOResult:
     """Trains a policy on images and the learned reward, and evaluates it."""
     context.reporter.line(f"PPO starts from {INIT_FROM}, which came with freerein.")
     started_s = time.perf_counter()
-    run = await context.start_run("ppo", {**_PPO, "start_from": INIT_FROM, "seed": context.seed})
+    run = await context.start_run("ppo", {**_PPO, "seed": context.seed})
     curves = await context.follow_run("ppo", run, metrics=(_RETURN,))
     training_s = time.perf_counter() - started_s
-    steps = {"ppo": _evaluation(context, _TASK, {"run": run, "is_stochastic": True})}
-    evaluation = await _start_evaluations(context, steps)
-    (returns,) = await _finish_evaluations(context, "evaluate ppo", evaluation, "ppo")
-    return PPOResult(run, curves.points(_RETURN), returns, training_s)
+    evaluations = {"ppo": _evaluation(context, "left", {"run": run, "stochastic": True})}
+    evaluation = await _start_evaluations(context, evaluations)
+    returns = await _finish_evaluations(context, "evaluate ppo", evaluation, "ppo")
+    return PPOResult(run, curves.points(_RETURN), returns["ppo"], training_s)
 
 
-async def distill(context: Context, teacher: str) -> DistillationResult:
-    """Distills the policy of a run and the shipped ones into a language policy; evaluates every sentence in every task.
-
-    Args:
-        context: Where the demo runs.
-        teacher: Id of the PPO run.
-    """
+async def distill(context: Context, teacher: str) -> Student:
+    """Distills the policy of a run and the shipped ones into one; evaluates each sentence in each task."""
     config = {
         "teachers": [teacher, *SHIPPED_TEACHERS],
         "rollouts": _ROLLOUTS,
         "num_envs": _ROLLOUTS,
-        "is_stochastic": False,  # the student would have to average noise away
+        "stochastic": False,  # the student would have to average noise away
         "seed": context.seed,
         "config": {"steps": _UPDATES},
     }
@@ -174,129 +148,67 @@ async def distill(context: Context, teacher: str) -> DistillationResult:
     run = await context.start_run("distill", config)
     await context.follow_run("distill", run, metrics=("fit/train_loss",))
     training_s = time.perf_counter() - started_s
-    cases = [(task, text) for task in TASKS for text in TASKS.values()]
-    steps = {
-        f"case-{index}": _evaluation(context, task, {"run": run, "goal_text": text})
-        for index, (task, text) in enumerate(cases)
+    names = {f"{side}-told-{told}": (side, told) for side in SIDES for told in SIDES}
+    evaluations = {
+        name: _evaluation(context, side, {"run": run, "goal_text": TEXTS[told]}) for name, (side, told) in names.items()
     }
-    evaluation = await _start_evaluations(context, steps)
-    returns = dict(
-        zip(cases, await _finish_evaluations(context, "evaluate the student", evaluation, *steps), strict=True)
-    )
-    return DistillationResult(
-        {task: {text: returns[task, text] for text in TASKS.values()} for task in TASKS}, training_s
-    )
+    evaluation = await _start_evaluations(context, evaluations)
+    returns = await _finish_evaluations(context, "evaluate the student", evaluation, *evaluations)
+    return Student({names[name]: found for name, found in returns.items()}, training_s)
 
 
-async def _start_evaluations(context: Context, steps: Mapping[str, dict[str, Any]], *before: dict[str, Any]) -> str:
-    """Starts a pipeline of evaluations after other steps; returns the run."""
-    evaluations = [{"name": name, "kind": "evaluate", "config": config} for name, config in steps.items()]
-    return await context.start_run("pipeline", {"steps": [*before, *evaluations]})
+async def _start_evaluations(context: Context, evaluations: Mapping[str, dict[str, Any]]) -> str:
+    """Starts a pipeline of evaluations; returns the run."""
+    steps = [{"name": name, "kind": "evaluate", "config": config} for name, config in evaluations.items()]
+    return await context.start_run("pipeline", {"steps": steps})
 
 
-async def _finish_evaluations(context: Context, title: str, run: str, *names: str) -> list[Returns]:
-    """Returns the results of a pipeline's evaluations once it has ended."""
+async def _finish_evaluations(context: Context, title: str, run: str, *names: str) -> dict[str, Returns]:
+    """Returns the results of a pipeline's evaluations by name, once it has ended."""
     await context.follow_run(title, run)
-    results = [await context.artifact(run, f"{name}.result.json") for name in names]
-    return [Returns(tuple(result["returns"])) for result in results]
+    results = {name: await context.artifact(run, f"{name}.result.json") for name in names}
+    return {name: Returns(tuple(result["returns"])) for name, result in results.items()}
 
 
-def _evaluation(context: Context, task: str, policy: str | dict[str, Any]) -> dict[str, Any]:
-    return {
-        "task": task,
-        "policy": policy,
-        "episodes": _EPISODES,
-        "num_envs": _EPISODES,
-        "seed": context.seed + HELD_OUT_SEED,
-    }
+def _evaluation(context: Context, side: str, policy: str | dict[str, Any]) -> dict[str, Any]:
+    seed = context.seed + HELD_OUT_SEED
+    return {"task": TASKS[side], "policy": policy, "episodes": _EPISODES, "num_envs": _EPISODES, "seed": seed}
 
 
-def _joined(parts: list[Returns]) -> Returns:
-    return Returns(tuple(value for part in parts for value in part.episodes))
-
-
-def bars(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -> dict[str, list[Bar]]:
+def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, list[IntervalBar]]:
     """Returns the bars of the picture by the title of their panel."""
-    own, other = TASKS[_TASK], TASKS[_OTHER_TASK]
-    told = student.returns
+    told = {
+        side: {f'student,\ntold "{told}"': student.returns[side, told] for told in sorted(SIDES, key=side.__ne__)}
+        for side in SIDES
+    }
+    left = {"random": baselines["random-left"], "checkpoint": baselines["checkpoint"], "ppo": ppo.returns}
+    groups = {"left": {**left, **told["left"]}, "right": {"random": baselines["random-right"], **told["right"]}}
     return {
-        "left of: steps at the goal": [
-            baselines.random[_TASK].bar("random"),
-            baselines.checkpoint.bar("checkpoint"),
-            ppo.returns.bar("ppo"),
-            told[_TASK][own].bar('student,\ntold "left"'),
-            told[_TASK][other].bar('student,\ntold "right"'),
-        ],
-        "right of: steps at the goal": [
-            baselines.random[_OTHER_TASK].bar("random"),
-            told[_OTHER_TASK][other].bar('student,\ntold "right"'),
-            told[_OTHER_TASK][own].bar('student,\ntold "left"'),
-        ],
+        f"{side}-of: steps at the goal": [IntervalBar(name, each.mean, each.interval) for name, each in group.items()]
+        for side, group in groups.items()
     }
 
 
-def figures(baselines: Baselines, ppo: PPOResult, student: DistillationResult) -> tuple[Figure, ...]:
+def figures(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> tuple[Figure, ...]:
     """Returns the figures of PPO and of distillation; returns are control steps of 100 at the goal."""
-    random, checkpoint = baselines.random[_TASK], baselines.checkpoint
-    gain = ppo.returns.minus(checkpoint)
-    right, blind = student.told_the_truth(), student.word_blind()
-    heard = right.minus(blind)
-    by_sentence = [
-        Figure(
-            f"distill.{task.partition('.')[2]}.told_{'right' if text == own else 'wrong'}",
-            f"{task.partition('.')[2]}: student's return, told {'its own' if text == own else 'the other'} sentence",
-            student.returns[task][text].mean,
-            baselines.random[task].mean,
-            "random actions",
-            student.returns[task][text].interval,
-        )
-        for task, own in TASKS.items()
-        for text in (own, *(other for other in TASKS.values() if other != own))
+    checkpoint, right, blind = baselines["checkpoint"], student.told_right, student.word_blind
+    told = [
+        _figure(f"distill.{side}_of.told_{told}", returns, baselines[f"random-{side}"].mean, "random actions")
+        for (side, told), returns in student.returns.items()
     ]
     return (
-        Figure(
-            "ppo.checkpoint_return",
-            "left of: return of the shipped checkpoint that PPO starts from",
-            checkpoint.mean,
-            random.mean,
-            "random actions",
-            checkpoint.interval,
-        ),
-        Figure(
-            "ppo.return",
-            "left of: return after PPO",
-            ppo.returns.mean,
-            checkpoint.mean,
-            "the checkpoint",
-            ppo.returns.interval,
-        ),
-        Figure(
-            "ppo.gain",
-            "left of: gained by PPO since the checkpoint, by episode",
-            gain.mean,
-            0.0,
-            "nothing learned",
-            gain.interval,
-            beats_baseline=True,
-        ),
-        *by_sentence,
-        Figure(
-            "distill.return",
-            "both tasks: student's return, told each its own sentence",
-            right.mean,
-            blind.mean,
-            "always the same sentence",
-            right.interval,
-        ),
-        Figure(
-            "distill.gain_by_words",
-            "both tasks: gained by telling it the right sentence, by episode",
-            heard.mean,
-            0.0,
-            "deaf to words",
-            heard.interval,
-            beats_baseline=True,
-        ),
-        Figure("ppo.training_s", "PPO, seconds", ppo.training_s),
-        Figure("distill.training_s", "distillation, seconds", student.training_s),
+        _figure("ppo.checkpoint_return", checkpoint, baselines["random-left"].mean, "random actions"),
+        _figure("ppo.return", ppo.returns, checkpoint.mean, "shipped checkpoint"),
+        _figure("ppo.gain_since_checkpoint", ppo.returns - checkpoint, 0.0, "no gain", beats_baseline=True),
+        *told,
+        _figure("distill.told_right_return", right, blind.mean, "one constant sentence"),
+        _figure("distill.gain_by_words", right - blind, 0.0, "word-blind", beats_baseline=True),
+        Figure("ppo.training_s", ppo.training_s),
+        Figure("distill.training_s", student.training_s),
     )
+
+
+def _figure(
+    name: str, returns: Returns, baseline: float, baseline_text: str, *, beats_baseline: bool = False
+) -> Figure:
+    return Figure(name, returns.mean, baseline, baseline_text, returns.interval, beats_baseline=beats_baseline)

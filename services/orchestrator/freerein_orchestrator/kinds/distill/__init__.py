@@ -16,11 +16,11 @@ from typing import Any
 import torch
 
 from freerein.atomic_files import fsync_folder, write_atomic
-from freerein.data import Dataset, dataset_path, teachers
+from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
-from freerein_orchestrator.envs.policy_spec import PolicySpec, check_teachers
+from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_teachers
 from freerein_orchestrator.kinds import fit
 from freerein_orchestrator.kinds.collect import CARD
 from freerein_orchestrator.kinds.context import RunContext
@@ -133,7 +133,7 @@ KIND = Kind(_parse, steps, run, check)
 
 def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> None:
     check_teachers(
-        [PolicySpec.of_stored(policy) for policy in policies], student_camera=config.config.get("camera", "")
+        [PolicyInterface.of_stored(policy) for policy in policies], student_camera=config.config.get("camera", "")
     )
     rewards = [policy.card.get("reward") for policy in policies]
     if config.keep == "rewarded" and set(rewards) != {"learned"}:
@@ -149,7 +149,7 @@ def _write_card(context: RunContext, name: str, policies: Sequence[StoredPolicy]
     """Records, durably, that the dataset is complete; only then is it published."""
     dataset = Dataset(context.folder / ROLLOUTS)
     cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
-    teachers.save(context.folder / ROLLOUTS, cards)
+    save_teachers(context.folder / ROLLOUTS, cards)
     card = {
         "dataset": name,
         "trajectories": len(dataset),

@@ -23,7 +23,7 @@ from freerein.types.common import ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import stored_policy
-from freerein_orchestrator.envs.policy_spec import PolicySpec, common_action
+from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
 from freerein_orchestrator.envs.reward_fns import LearnedReward
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.rl.policy_files import StoredPolicy
@@ -89,7 +89,7 @@ class _Recording:
         self._tasks: list[Task] = [
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
-        self._spec = PolicySpec.of_stored(policies[0])
+        self._spec = PolicyInterface.of_stored(policies[0])
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
         recorded = list(plan.rounds(len(policies)))[: len(self._kept)]

@@ -1,16 +1,16 @@
-"""A Fetch gripper above coloured blocks on a table, moving in a plane: the tasks. MuJoCo is imported when one is made.
+"""Tasks of the blocks world: a Fetch gripper and coloured blocks in a plane. MuJoCo is imported when one is made.
 
-`blocks` has all four blocks and no goal. A goal task has two, and an oracle: `blocks.red-left-of-green`.
-`blocks.scatter` shows two of the four, anywhere: pictures for reward models to learn from (dissertation, 4.2).
+`blocks` has four blocks and no goal. A goal task, such as `blocks.red-left-of-green`, has two blocks and an oracle.
+`blocks.scatter` shows two of the four at random poses: images to train reward models from (dissertation, 4.2).
 """
 
 from functools import partial
 from itertools import permutations
 
 from freerein.types.common import ActionSpec, Camera
-from freerein_sim.worlds.blocks.relations import Goal, Relation
+from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation
 from freerein_sim.worlds.opengl import check_mujoco_gl
-from freerein_sim.worlds.world import Task, World, WorldSpec
+from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
 COLOURS = ("red", "green", "yellow", "blue")
 CONTROL_DT_S = 0.04
@@ -47,38 +47,29 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
     )
 
 
-def _make_free_play() -> World:
+def _make(
+    spec: WorldSpec, colours: tuple[str, ...], initial_state: str, *, goal: BlockGoal | None = None, pad: bool = False
+) -> World:
+    """Returns a world whose initial states are drawn by the named function of `initial_states`."""
     check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
+    from freerein_sim.worlds.blocks import initial_states, simulation
 
-    return simulation.Blocks(_FREE_PLAY, COLOURS, starts.line)
-
-
-def _make_scatter() -> World:
-    check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
-
-    return simulation.Blocks(_SCATTER, COLOURS, starts.scatter, pad=True)
+    return simulation.BlocksWorld(spec, colours, getattr(initial_states, initial_state), goal=goal, pad=pad)
 
 
-def _make_goal(spec: WorldSpec, goal: Goal) -> World:
-    check_mujoco_gl()
-    from freerein_sim.worlds.blocks import simulation, starts
-
-    return simulation.Blocks(spec, (goal.first, goal.second), starts.pair, goal=goal)
-
-
-def _goal_task(first: str, second: str, relation: Relation) -> Task:
-    goal = Goal(first, relation, second)
+def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefinition:
+    goal = BlockGoal(first, relation, second)
     spec = _spec((first, second), (first,), _GOAL_STEPS)
-    return Task(f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make_goal, spec, goal))
+    return TaskDefinition(
+        f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make, spec, (first, second), "pair", goal=goal)
+    )
 
 
 _FREE_PLAY = _spec(COLOURS, COLOURS, _DEMONSTRATION_STEPS)
 _SCATTER = _spec(COLOURS, (), _SCATTER_STEPS)
 
 TASKS = (
-    Task("blocks", "blocks", "", _FREE_PLAY, _make_free_play),
-    Task("blocks.scatter", "blocks", "", _SCATTER, _make_scatter),
-    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in Relation),
+    TaskDefinition("blocks", "blocks", "", _FREE_PLAY, partial(_make, _FREE_PLAY, COLOURS, "line")),
+    TaskDefinition("blocks.scatter", "blocks", "", _SCATTER, partial(_make, _SCATTER, COLOURS, "scatter", pad=True)),
+    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in BlockRelation),
 )

@@ -1,4 +1,4 @@
-"""The scripted expert of the blocks world: picks blocks up and puts them down, never twice in quite the same way."""
+"""The scripted expert of the blocks world: picks and places blocks with random speed, noise and pauses."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.blocks.relations import BLOCK_M, Goal, Position, Relation, is_on, is_on_table
-from freerein_sim.worlds.world import Decision
+from freerein_sim.worlds.blocks.goals import BLOCK_M, BlockGoal, BlockRelation, Position, is_on, is_on_table
+from freerein_sim.worlds.world import LabelledAction
 
 if TYPE_CHECKING:
-    from freerein_sim.worlds.blocks.simulation import Blocks
+    from freerein_sim.worlds.blocks.simulation import BlocksWorld
 
 _GRASP_ABOVE_M = 0.018
-"""How far above a block's centre the fingers close."""
+"""Height above a block's centre at which the fingers close."""
 
 _OVER_M = 0.075
-"""How far above the highest obstacle the gripper travels."""
+"""Height above the highest obstacle at which the gripper travels."""
 
 _OPEN_M, _RELEASE_M, _CLOSED_M = 0.034, 0.031, 0.0
 _FREE_M = 0.077
-"""Least distance between blocks on the table that leaves room for the gripper."""
+"""Smallest distance between blocks on the table that leaves room for the gripper."""
 
 _LINE_M = np.linspace(-0.21, 0.21, 421)
 _NEARBY_M = 0.05
@@ -40,8 +40,8 @@ _PAUSE_PROBABILITY = 0.02
 
 
 @dataclass(frozen=True)
-class _Reach:
-    """One movement: go there, with the fingers so, for at least so many steps."""
+class _Waypoint:
+    """Target position and finger opening, to be held for at least `steps` steps."""
 
     y: float
     z: float
@@ -51,58 +51,56 @@ class _Reach:
 
 
 class BlocksExpert:
-    """Moves one block after the other, looking at the true state.
+    """Moves one block after the other, using the true state.
 
-    Without a goal a block goes to a free place on the table, or onto a block that need not be moved any more.
-
-    Args:
-        world: Whom it acts in.
-        skills: Skills of the world, in order.
-        goal: Where the block is to lie; None for anywhere else.
-        rng: Draws places, speed, noise and pauses.
+    Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more.
     """
 
-    def __init__(self, world: "Blocks", skills: tuple[str, ...], goal: Goal | None, rng: np.random.Generator) -> None:
+    def __init__(
+        self, world: "BlocksWorld", skills: tuple[str, ...], goal: BlockGoal | None, rng: np.random.Generator
+    ) -> None:
         self._world = world
         self._waiting = deque(skills)
         self._goal = goal
         self._rng = rng
         self._speed = rng.uniform(*_SPEED)
-        self._reaches: deque[_Reach] = deque()
+        self._waypoints: deque[_Waypoint] = deque()
         self._steps = 0
         self._colour = ""
         self._place: Position = np.zeros(3)
         self._tries = 0
         self._failed = False
 
-    def decide(self) -> Decision | None:
-        """Returns the next movement towards the end of the current skill."""
-        while not self._reaches or self._is_reached():
+    def act(self) -> LabelledAction | None:
+        """Returns the next action of the current skill."""
+        while not self._waypoints or self._is_reached():
             self._steps = 0
-            if self._reaches:
-                self._reaches.popleft()
-            if not self._reaches and not self._plan():
+            if self._waypoints:
+                self._waypoints.popleft()
+            if not self._waypoints and not self._plan():
                 return None
         self._steps += 1
         skill = self._world.spec.skills.index(f"move-{self._colour}")
-        return Decision(self._towards(self._reaches[0]), skill)
+        return LabelledAction(self._towards(self._waypoints[0]), skill)
 
     def succeeded(self) -> bool:
-        """Returns whether every named block was put down where it was to go."""
-        done = not (self._failed or self._waiting or self._reaches)
+        """Returns whether every named block was placed."""
+        done = not (self._failed or self._waiting or self._waypoints)
         return done and (not self._colour or self._is_placed())
 
     def _is_reached(self) -> bool:
-        reach = self._reaches[0]
-        offset = np.abs(self._world.gripper - (reach.y, reach.z))
-        return self._steps >= reach.steps and (bool((offset < reach.within_m).all()) or self._steps > _MAX_REACH_STEPS)
+        waypoint = self._waypoints[0]
+        offset = np.abs(self._world.gripper - (waypoint.y, waypoint.z))
+        return self._steps >= waypoint.steps and (
+            bool((offset < waypoint.within_m).all()) or self._steps > _MAX_REACH_STEPS
+        )
 
     def _is_placed(self) -> bool:
         offset = np.abs(self._world.position(self._colour) - self._place)
         return bool((offset < _PLACED_M).all() and offset[2] < _PLACED_M / 2)
 
     def _plan(self) -> bool:
-        """Plans the next skill, or the same once more where it failed; False when all is done."""
+        """Plans the next skill, or a retry of the current one; returns False when all are done."""
         if self._colour and not self._is_placed():
             self._tries += 1
             self._failed = self._tries >= _MAX_TRIES
@@ -113,10 +111,10 @@ class BlocksExpert:
         else:
             return False
         if not self._failed:
-            self._reaches.extend(self._movements())
+            self._waypoints.extend(self._movements())
         return not self._failed
 
-    def _movements(self) -> Iterable[_Reach]:
+    def _movements(self) -> Iterable[_Waypoint]:
         block = self._world.position(self._colour)
         others = [self._world.position(colour) for colour in self._others()]
         over = max([block[2], *(other[2] for other in others)]) + BLOCK_M / 2 + _OVER_M
@@ -125,22 +123,22 @@ class BlocksExpert:
         closing, opening = int(self._rng.integers(2, 4)), int(self._rng.integers(2, 4))
         start_y, start_z = (float(part) for part in self._world.gripper)
         return (
-            _Reach(start_y, max(start_z, over), _RELEASE_M, within_m=_ROUGHLY, steps=0),
-            _Reach(y, over, _OPEN_M, within_m=_ALIGNED),
-            _Reach(y, z, _OPEN_M),
-            _Reach(y, z, _CLOSED_M, within_m=_ROUGHLY, steps=closing),
-            _Reach(y, over, _CLOSED_M, within_m=_ROUGHLY),
-            _Reach(to_y, over, _CLOSED_M, within_m=_ALIGNED),
-            _Reach(to_y, to_z, _CLOSED_M),
-            _Reach(to_y, to_z, _RELEASE_M, within_m=_ROUGHLY, steps=opening),
-            _Reach(to_y, to_z + _RETREAT_M, _RELEASE_M, within_m=_ROUGHLY),
+            _Waypoint(start_y, max(start_z, over), _RELEASE_M, within_m=_ROUGHLY, steps=0),
+            _Waypoint(y, over, _OPEN_M, within_m=_ALIGNED),
+            _Waypoint(y, z, _OPEN_M),
+            _Waypoint(y, z, _CLOSED_M, within_m=_ROUGHLY, steps=closing),
+            _Waypoint(y, over, _CLOSED_M, within_m=_ROUGHLY),
+            _Waypoint(to_y, over, _CLOSED_M, within_m=_ALIGNED),
+            _Waypoint(to_y, to_z, _CLOSED_M),
+            _Waypoint(to_y, to_z, _RELEASE_M, within_m=_ROUGHLY, steps=opening),
+            _Waypoint(to_y, to_z + _RETREAT_M, _RELEASE_M, within_m=_ROUGHLY),
         )
 
     def _others(self) -> list[str]:
         return [colour for colour in self._world.colours if colour != self._colour]
 
     def _choose_place(self) -> None:
-        """Sets where the block is to go; on a crowded table there may be no such place."""
+        """Chooses the target place; fails where there is none."""
         if self._goal is not None:
             self._place = self._goal_place(self._goal)
             return
@@ -151,15 +149,15 @@ class BlocksExpert:
         if places:
             self._place = places[int(self._rng.integers(len(places)))]
 
-    def _goal_place(self, goal: Goal) -> Position:
+    def _goal_place(self, goal: BlockGoal) -> Position:
         other = self._world.position(goal.second)
-        if goal.relation is Relation.ON_TOP_OF:
+        if goal.relation is BlockRelation.ON_TOP_OF:
             return np.add(other, (0, 0, BLOCK_M))
-        side = -1 if goal.relation is Relation.LEFT_OF else 1
+        side = -1 if goal.relation is BlockRelation.LEFT_OF else 1
         return np.add(other, (0, side * _BESIDE_M, 0))
 
     def _tops(self) -> list[Position]:
-        """Returns the places on top of blocks that lie on the table, are bare, and are to be moved no more."""
+        """Returns the places on top of uncovered blocks on the table that will not be moved any more."""
         here = self._world.position(self._colour)
         later = {skill.removeprefix("move-") for skill in self._waiting}
         positions = {colour: self._world.position(colour) for colour in self._others()}
@@ -172,17 +170,17 @@ class BlocksExpert:
         ]
 
     def _free_places(self) -> list[Position]:
-        """Returns the places on the table, on a fine grid, that are free and not where the block is now."""
+        """Returns the free places on the table, on a fine grid, away from the block's own place."""
         here = self._world.position(self._colour)[1]
         taken = np.array([self._world.position(colour)[1] for colour in self._others()])
         free = (np.abs(_LINE_M[:, None] - taken) > _FREE_M).all(axis=1) & (np.abs(_LINE_M - here) > _NEARBY_M)
         return [np.array([0, y, BLOCK_M / 2]) for y in _LINE_M[free]]
 
-    def _towards(self, reach: _Reach) -> npt.NDArray[np.float32]:
+    def _towards(self, waypoint: _Waypoint) -> npt.NDArray[np.float32]:
         if self._rng.random() < _PAUSE_PROBABILITY:
             return np.zeros(3, np.float32)
         scale = np.array(self._world.spec.action.scale)
-        way = (np.array([reach.y, reach.z, reach.opening]) - self._world.set_point) / scale
+        way = (np.array([waypoint.y, waypoint.z, waypoint.opening]) - self._world.set_point) / scale
         furthest = float(np.abs(way[:2]).max())
         way[:2] *= min(1.0, self._speed / max(furthest, 1e-9))
         way[:2] += _NOISE * min(1.0, furthest) * self._rng.standard_normal(2)

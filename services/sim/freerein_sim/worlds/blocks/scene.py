@@ -1,7 +1,7 @@
-"""The table, the blocks and the gripper, as a MuJoCo model. The gripper's shape comes from gymnasium-robotics' wheel.
+"""The MuJoCo model of table, blocks and gripper; the gripper's meshes come from the gymnasium-robotics wheel.
 
-The arm is left out: its place is taken by two slides, along y and z, whose position servos follow a set-point as the
-arm follows its mocap body in the Fetch environments. x points to the front camera, y to its right, z up, in metres.
+Instead of an arm there are two slide joints, y and z, whose position servos follow a set-point as the arm follows its
+mocap body in the Fetch environments. x points to the front camera, y to its right, z up, in metres.
 """
 
 import hashlib
@@ -14,22 +14,22 @@ import mujoco
 import numpy as np
 
 from freerein.errors import FailedPrecondition
-from freerein_sim.worlds.blocks.relations import BLOCK_M
+from freerein_sim.worlds.blocks.goals import BLOCK_M
 
 TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
 GRIPPER_Y_M = (-0.22, 0.22)
 GRIPPER_Z_M = (0.043, 0.26)
 FINGER_M = (0.0, 0.034)
-"""How far each finger can be from the middle."""
+"""Range of each finger's distance from the midpoint."""
 
 FINGER_BASE_M = 0.001
-"""How far from the middle a finger's inner side is when it is closed."""
+"""Distance of a closed finger's inner side from the midpoint."""
 
 FINGER_HALF_M = (0.0385, 0.005, 0.0135)
-"""Half of a finger's extent along the gripper's own axes: down, y and to the front."""
+"""Half extents of a finger along the gripper's axes: down, y and to the front."""
 
 PAD_M = (-1.2, 0.0, -0.01)
-"""Centre of the pad, behind the back wall; its top is as high as the table's."""
+"""Centre of the pad behind the back wall; its top is level with the table's."""
 
 TIMESTEP_S = 0.002
 
@@ -42,7 +42,7 @@ _RGBA = {
 _TABLE, _WALL, _FLOOR = (0.17, 0.18, 0.21, 1), (0.47, 0.53, 0.58, 1), (0.34, 0.36, 0.39, 1)
 _STEEL, _RUBBER = (0.82, 0.83, 0.85, 1), (0.13, 0.13, 0.15, 1)
 _LINKS_M = {"gripper_link": 0.0, "wrist_roll_link_collision": -0.1664, "wrist_flex_link_collision": -0.3049}
-"""Meshes of the gripper and the wrist above it, and how far along the gripper's own x axis each lies."""
+"""Meshes of gripper and wrist, and their offset along the gripper's x axis."""
 
 _CACHED_SCENES = 16
 _LINK_KG, _FINGER_KG, _BLOCK_KG = 0.3, 0.1, 0.1
@@ -54,16 +54,16 @@ _CAMERAS = {
     "left": ((0.0, -1.00, 0.31), (0.0, 0.0, 0.12), 27.5),
     "tilt": ((0.74, 0.0, 0.80), (0.0, 0.0, 0.06), 27.0),
 }
-"""By name: where it is, what it looks at, and its vertical field of view in degrees."""
+"""By name: position, target, and vertical field of view in degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene, shared by all worlds that show it.
+    """A compiled scene, shared by all worlds of its colours.
 
     Attributes:
-        model: The model; nobody changes it.
-        fingerprint: A hash of the model and of MuJoCo's version.
+        model: The model; must not be modified.
+        fingerprint: Hash of the model and MuJoCo's version.
     """
 
     model: mujoco.MjModel
@@ -72,14 +72,10 @@ class Scene:
 
 @lru_cache(maxsize=_CACHED_SCENES)
 def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
-    """Returns the scene with one block of each colour. Compiling takes a tenth of a second, so scenes are kept.
-
-    Args:
-        colours: Colours of the blocks.
-        pad: Whether there is a pad behind the back wall, for blocks that no camera is to see.
+    """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second.
 
     Raises:
-        FailedPrecondition: The wheel that holds the gripper's meshes is not installed.
+        FailedPrecondition: The wheel with the gripper's meshes is not installed.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S
@@ -212,7 +208,7 @@ def _add_block(world: mujoco.MjsBody, colour: str) -> None:
 
 
 def _mesh_folder() -> Path:
-    """Finds the wheel's folder without importing it."""
+    """Returns the meshes' folder without importing the wheel."""
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or found.origin is None:
         raise FailedPrecondition(

@@ -1,4 +1,4 @@
-"""The blocks world: MuJoCo behind the `World` protocol."""
+"""The blocks world in MuJoCo."""
 
 import logging
 import struct
@@ -11,16 +11,16 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
 from freerein_sim.worlds.blocks.expert import BlocksExpert
-from freerein_sim.worlds.blocks.relations import Goal, Position, holds
-from freerein_sim.worlds.blocks.starts import DrawStart
+from freerein_sim.worlds.blocks.goals import BlockGoal, Position, holds
+from freerein_sim.worlds.blocks.initial_states import InitialStateSampler
 from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import (
     Action,
     Frame,
-    Outcome,
-    Truth,
+    GroundTruth,
+    StepResult,
     WorldSpec,
-    check_action,
+    check_actions,
     check_view,
     skill_indices,
 )
@@ -37,30 +37,22 @@ _FALLEN_M = -0.01
 _LEAD_M = 0.07
 
 
-class Blocks:
-    """A gripper and blocks, in the plane in which the gripper moves.
-
-    Args:
-        spec: What the world offers.
-        colours: Colours of its blocks.
-        draw_start: Draws where an episode begins.
-        goal: What the oracle judges; None for a world without a goal.
-        pad: Whether there is a pad for blocks that are not on show.
-    """
+class BlocksWorld:
+    """A gripper and blocks in the plane in which the gripper moves."""
 
     def __init__(
         self,
         spec: WorldSpec,
         colours: tuple[str, ...],
-        draw_start: DrawStart,
+        draw_initial_state: InitialStateSampler,
         *,
-        goal: Goal | None = None,
+        goal: BlockGoal | None = None,
         pad: bool = False,
     ) -> None:
         self.spec = spec
         self.colours = colours
         self.goal = goal
-        self._draw_start = draw_start
+        self._draw_initial_state = draw_initial_state
         mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
         built = scene.build(colours, pad=pad)
         self.fingerprint = built.fingerprint
@@ -69,10 +61,10 @@ class Blocks:
         self._renderer: Renderer | None = None
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
-        """Draws where the blocks lie and where the gripper is; the recipe changes nothing that can be seen."""
+        """Draws the initial state; the recipe has no effect."""
         skill_indices(self.spec, recipe)
         mujoco.mj_resetData(self._model, self._data)
-        start = self._draw_start(rng)
+        start = self._draw_initial_state(rng)
         for colour, place in zip(self.colours, start.blocks, strict=True):
             self._data.joint(colour).qpos = (*place, 1, 0, 0, 0)
         gripper = start.gripper
@@ -83,12 +75,12 @@ class Blocks:
             self._data.actuator(name).ctrl = targets[i]
         self._refresh()
 
-    def step(self, action: Action) -> Outcome:
+    def step(self, action: Action) -> StepResult:
         """Moves the servos' set-points by the action and simulates one control step.
 
-        The set-point may lead the gripper by no more than a free gripper lags, so that a blocked one does not wind up.
+        The lead of the set-point over the gripper is limited, so that a blocked gripper does not wind up.
         """
-        check_action(self.spec.action, action)
+        check_actions(self.spec.action, action)
         here = self.gripper
         control = self._data.ctrl
         for i, limits in enumerate((scene.GRIPPER_Y_M, scene.GRIPPER_Z_M)):
@@ -98,12 +90,12 @@ class Blocks:
         control[2:] = np.clip(control[2] + FINGER_STEP_M * float(action[2]), *scene.FINGER_M)
         mujoco.mj_step(self._model, self._data, nstep=_SUBSTEPS)
         if any(self._data.warning[kind].number for kind in _DIVERGED):
-            return Outcome(terminated=True, diverged=True)
+            return StepResult(terminated=True, diverged=True)
         self._refresh()
-        return Outcome(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
+        return StepResult(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
-        """Returns what the camera sees; the first call opens an OpenGL context on the calling thread."""
+        """Returns the camera's image; the first call opens an OpenGL context on the calling thread."""
         check_view(self.spec, camera, height=height, width=width)
         if self._renderer is None:
             self._renderer = open_renderer(self._model)
@@ -130,17 +122,17 @@ class Blocks:
         mujoco.mj_setState(self._model, self._data, state, _STATE)
         self._refresh()
 
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """Returns the poses of gripper and blocks, and whether the goal holds."""
         poses = [self._data.joint(colour).qpos for colour in self.colours]
         opening = self._data.joint("finger.left").qpos + self._data.joint("finger.right").qpos
         success = self.goal is not None and holds(
             self.goal.relation, self.position(self.goal.first), self.position(self.goal.second)
         )
-        return Truth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
+        return GroundTruth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
-        """Returns somebody who picks up each named block and puts it down elsewhere, where the goal says if any."""
+        """Returns an expert that picks up each named block and places it elsewhere, or at the goal if there is one."""
         skill_indices(self.spec, skills)
         return BlocksExpert(self, tuple(skills), self.goal, rng)
 
@@ -152,19 +144,19 @@ class Blocks:
 
     @property
     def gripper(self) -> npt.NDArray[np.float64]:
-        """Where the middle between the fingers is: float64 (2,), y and z in metres."""
+        """Midpoint between the fingers: float64 (2,), y and z in metres."""
         return np.concatenate([self._data.joint("gripper.y").qpos, self._data.joint("gripper.z").qpos])
 
     @property
     def set_point(self) -> npt.NDArray[np.float64]:
-        """Where the servos are told to be: float64 (3,), y, z and each finger's distance from the middle, in metres."""
+        """Set-points of the servos: float64 (3,), y, z and each finger's distance from the midpoint, in metres."""
         return np.array(self._data.ctrl[:3])
 
     def position(self, colour: str) -> Position:
-        """Returns where the centre of a block is."""
+        """Returns the centre of a block."""
         return np.array(self._data.joint(colour).qpos[:3])
 
     def _refresh(self) -> None:
-        """Brings what is drawn up to the state; MuJoCo leaves it at the start of the last substep."""
+        """Updates the rendered poses, which MuJoCo leaves at the start of the last substep."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)

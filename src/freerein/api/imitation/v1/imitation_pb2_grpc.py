@@ -26,8 +26,7 @@ if _version_not_supported:
 
 
 class ImitationServiceStub:
-    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
-    the goal is reached.
+    """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 
     def __init__(self, channel):
@@ -54,19 +53,18 @@ class ImitationServiceStub:
 
 
 class ImitationServiceServicer:
-    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
-    the goal is reached.
+    """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 
     def GetSpec(self, request, context):
-        """Says what a model wants to see and what its actions mean.
+        """Returns a model's spec: observations, actions, control rate, goals.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Act(self, request, context):
-        """Returns the next actions. Nothing is kept between calls: the memory goes out and comes back as `state`, so that any
+        """Returns the next actions. Calls are stateless: the policy state is returned and sent back as `state`, so that any
         replica can answer the next call.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -74,8 +72,8 @@ class ImitationServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def Control(self, request_iterator, context):
-        """Acts on a stream, for a robot's control loop: first a Hello, then observations as they come. The newest observation
-        wins; those overtaken are counted. An observation that is refused is answered by an error, and the stream goes on.
+        """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
+        replaced ones are counted. An invalid observation is answered by an error, and the stream continues.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -108,8 +106,7 @@ def add_ImitationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class ImitationService:
-    """Acts for robots: towards goal images, through recipes of skills, or as a sentence says. For the first two it says when
-    the goal is reached.
+    """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 
     @staticmethod

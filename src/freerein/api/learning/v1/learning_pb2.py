@@ -23,10 +23,11 @@ _sym_db = _symbol_database.Default()
 
 
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
+from freerein.api.jobs.v1 import jobs_pb2 as freerein_dot_api_dot_jobs_dot_v1_dot_jobs__pb2
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'freerein/api/learning/v1/learning.proto\x12\x18\x66reerein.api.learning.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xde\x03\n\x03\x46it\x12\n\n\x02id\x18\x01 \x01(\t\x12\x32\n\x05state\x18\x02 \x01(\x0e\x32#.freerein.api.learning.v1.Fit.State\x12\x0f\n\x07\x64\x61taset\x18\x03 \x01(\t\x12\x12\n\nmodel_name\x18\x04 \x01(\t\x12\'\n\x06\x63onfig\x18\x05 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x06 \x01(\x04\x12\r\n\x05steps\x18\x07 \x01(\x04\x12;\n\x07metrics\x18\x08 \x03(\x0b\x32*.freerein.api.learning.v1.Fit.MetricsEntry\x12/\n\x05model\x18\t \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\n \x01(\t\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x7f\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x10\n\x0cSTATE_QUEUED\x10\x01\x12\x11\n\rSTATE_RUNNING\x10\x02\x12\x13\n\x0fSTATE_SUCCEEDED\x10\x03\x12\x10\n\x0cSTATE_FAILED\x10\x04\x12\x13\n\x0fSTATE_CANCELLED\x10\x05\"x\n\x0fStartFitRequest\x12\x0f\n\x07\x64\x61taset\x18\x01 \x01(\t\x12\x12\n\nmodel_name\x18\x02 \x01(\t\x12\'\n\x06\x63onfig\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x17\n\x0fidempotency_key\x18\x04 \x01(\t\">\n\x10StartFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"\x1b\n\rGetFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\"<\n\x0eGetFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"\x11\n\x0fListFitsRequest\"?\n\x10ListFitsResponse\x12+\n\x04\x66its\x18\x01 \x03(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"4\n\x0fWatchFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"P\n\x10WatchFitResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12*\n\x03\x66it\x18\x02 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"\x1e\n\x10\x43\x61ncelFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\"?\n\x11\x43\x61ncelFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"m\n\x05Model\x12-\n\x03ref\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x08\x12%\n\x04\x63\x61rd\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\"\x13\n\x11ListModelsRequest\"E\n\x12ListModelsResponse\x12/\n\x06models\x18\x01 \x03(\x0b\x32\x1f.freerein.api.learning.v1.Model\"O\n\x14\x41\x63tivateModelRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\x12\x18\n\x10\x65xpected_current\x18\x03 \x01(\t\"G\n\x15\x41\x63tivateModelResponse\x12.\n\x05model\x18\x01 \x01(\x0b\x32\x1f.freerein.api.learning.v1.Model2\xfa\x03\n\nFitService\x12\x61\n\x08StartFit\x12).freerein.api.learning.v1.StartFitRequest\x1a*.freerein.api.learning.v1.StartFitResponse\x12[\n\x06GetFit\x12\'.freerein.api.learning.v1.GetFitRequest\x1a(.freerein.api.learning.v1.GetFitResponse\x12\x61\n\x08ListFits\x12).freerein.api.learning.v1.ListFitsRequest\x1a*.freerein.api.learning.v1.ListFitsResponse\x12\x63\n\x08WatchFit\x12).freerein.api.learning.v1.WatchFitRequest\x1a*.freerein.api.learning.v1.WatchFitResponse0\x01\x12\x64\n\tCancelFit\x12*.freerein.api.learning.v1.CancelFitRequest\x1a+.freerein.api.learning.v1.CancelFitResponse2\xe9\x01\n\x0cModelService\x12g\n\nListModels\x12+.freerein.api.learning.v1.ListModelsRequest\x1a,.freerein.api.learning.v1.ListModelsResponse\x12p\n\rActivateModel\x12..freerein.api.learning.v1.ActivateModelRequest\x1a/.freerein.api.learning.v1.ActivateModelResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'freerein/api/learning/v1/learning.proto\x12\x18\x66reerein.api.learning.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1f\x66reerein/api/jobs/v1/jobs.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xd8\x02\n\x03\x46it\x12\n\n\x02id\x18\x01 \x01(\t\x12-\n\x05state\x18\x02 \x01(\x0e\x32\x1e.freerein.api.jobs.v1.JobState\x12\x0f\n\x07\x64\x61taset\x18\x03 \x01(\t\x12\x12\n\nmodel_name\x18\x04 \x01(\t\x12\'\n\x06\x63onfig\x18\x05 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x06 \x01(\x04\x12\r\n\x05steps\x18\x07 \x01(\x04\x12;\n\x07metrics\x18\x08 \x03(\x0b\x32*.freerein.api.learning.v1.Fit.MetricsEntry\x12/\n\x05model\x18\t \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\n \x01(\t\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"x\n\x0fStartFitRequest\x12\x0f\n\x07\x64\x61taset\x18\x01 \x01(\t\x12\x12\n\nmodel_name\x18\x02 \x01(\t\x12\'\n\x06\x63onfig\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x17\n\x0fidempotency_key\x18\x04 \x01(\t\">\n\x10StartFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"\x1b\n\rGetFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\"<\n\x0eGetFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"8\n\x0fListFitsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\"X\n\x10ListFitsResponse\x12+\n\x04\x66its\x18\x01 \x03(\x0b\x32\x1d.freerein.api.learning.v1.Fit\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"4\n\x0fWatchFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"P\n\x10WatchFitResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12*\n\x03\x66it\x18\x02 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"G\n\x14GetFitMetricsRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x11\n\tfrom_step\x18\x02 \x01(\x04\x12\x10\n\x08max_rows\x18\x03 \x01(\r\"m\n\x15GetFitMetricsResponse\x12-\n\x04rows\x18\x01 \x03(\x0b\x32\x1f.freerein.api.jobs.v1.MetricRow\x12\x12\n\ntotal_rows\x18\x02 \x01(\x04\x12\x11\n\tnext_step\x18\x03 \x01(\x04\"\x1e\n\x10\x43\x61ncelFitRequest\x12\n\n\x02id\x18\x01 \x01(\t\"?\n\x11\x43\x61ncelFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"m\n\x05Model\x12-\n\x03ref\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x08\x12%\n\x04\x63\x61rd\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\"\x13\n\x11ListModelsRequest\"E\n\x12ListModelsResponse\x12/\n\x06models\x18\x01 \x03(\x0b\x32\x1f.freerein.api.learning.v1.Model\"O\n\x14\x41\x63tivateModelRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\x12\x18\n\x10\x65xpected_current\x18\x03 \x01(\t\"G\n\x15\x41\x63tivateModelResponse\x12.\n\x05model\x18\x01 \x01(\x0b\x32\x1f.freerein.api.learning.v1.Model2\xec\x04\n\nFitService\x12\x61\n\x08StartFit\x12).freerein.api.learning.v1.StartFitRequest\x1a*.freerein.api.learning.v1.StartFitResponse\x12[\n\x06GetFit\x12\'.freerein.api.learning.v1.GetFitRequest\x1a(.freerein.api.learning.v1.GetFitResponse\x12\x61\n\x08ListFits\x12).freerein.api.learning.v1.ListFitsRequest\x1a*.freerein.api.learning.v1.ListFitsResponse\x12\x63\n\x08WatchFit\x12).freerein.api.learning.v1.WatchFitRequest\x1a*.freerein.api.learning.v1.WatchFitResponse0\x01\x12p\n\rGetFitMetrics\x12..freerein.api.learning.v1.GetFitMetricsRequest\x1a/.freerein.api.learning.v1.GetFitMetricsResponse\x12\x64\n\tCancelFit\x12*.freerein.api.learning.v1.CancelFitRequest\x1a+.freerein.api.learning.v1.CancelFitResponse2\xe9\x01\n\x0cModelService\x12g\n\nListModels\x12+.freerein.api.learning.v1.ListModelsRequest\x1a,.freerein.api.learning.v1.ListModelsResponse\x12p\n\rActivateModel\x12..freerein.api.learning.v1.ActivateModelRequest\x1a/.freerein.api.learning.v1.ActivateModelResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,44 +36,46 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_FIT_METRICSENTRY']._loaded_options = None
   _globals['_FIT_METRICSENTRY']._serialized_options = b'8\001'
-  _globals['_FIT']._serialized_start=137
-  _globals['_FIT']._serialized_end=615
-  _globals['_FIT_METRICSENTRY']._serialized_start=440
-  _globals['_FIT_METRICSENTRY']._serialized_end=486
-  _globals['_FIT_STATE']._serialized_start=488
-  _globals['_FIT_STATE']._serialized_end=615
-  _globals['_STARTFITREQUEST']._serialized_start=617
-  _globals['_STARTFITREQUEST']._serialized_end=737
-  _globals['_STARTFITRESPONSE']._serialized_start=739
-  _globals['_STARTFITRESPONSE']._serialized_end=801
-  _globals['_GETFITREQUEST']._serialized_start=803
-  _globals['_GETFITREQUEST']._serialized_end=830
-  _globals['_GETFITRESPONSE']._serialized_start=832
-  _globals['_GETFITRESPONSE']._serialized_end=892
-  _globals['_LISTFITSREQUEST']._serialized_start=894
-  _globals['_LISTFITSREQUEST']._serialized_end=911
-  _globals['_LISTFITSRESPONSE']._serialized_start=913
-  _globals['_LISTFITSRESPONSE']._serialized_end=976
-  _globals['_WATCHFITREQUEST']._serialized_start=978
-  _globals['_WATCHFITREQUEST']._serialized_end=1030
-  _globals['_WATCHFITRESPONSE']._serialized_start=1032
-  _globals['_WATCHFITRESPONSE']._serialized_end=1112
-  _globals['_CANCELFITREQUEST']._serialized_start=1114
-  _globals['_CANCELFITREQUEST']._serialized_end=1144
-  _globals['_CANCELFITRESPONSE']._serialized_start=1146
-  _globals['_CANCELFITRESPONSE']._serialized_end=1209
-  _globals['_MODEL']._serialized_start=1211
-  _globals['_MODEL']._serialized_end=1320
-  _globals['_LISTMODELSREQUEST']._serialized_start=1322
-  _globals['_LISTMODELSREQUEST']._serialized_end=1341
-  _globals['_LISTMODELSRESPONSE']._serialized_start=1343
-  _globals['_LISTMODELSRESPONSE']._serialized_end=1412
-  _globals['_ACTIVATEMODELREQUEST']._serialized_start=1414
-  _globals['_ACTIVATEMODELREQUEST']._serialized_end=1493
-  _globals['_ACTIVATEMODELRESPONSE']._serialized_start=1495
-  _globals['_ACTIVATEMODELRESPONSE']._serialized_end=1566
-  _globals['_FITSERVICE']._serialized_start=1569
-  _globals['_FITSERVICE']._serialized_end=2075
-  _globals['_MODELSERVICE']._serialized_start=2078
-  _globals['_MODELSERVICE']._serialized_end=2311
+  _globals['_FIT']._serialized_start=170
+  _globals['_FIT']._serialized_end=514
+  _globals['_FIT_METRICSENTRY']._serialized_start=468
+  _globals['_FIT_METRICSENTRY']._serialized_end=514
+  _globals['_STARTFITREQUEST']._serialized_start=516
+  _globals['_STARTFITREQUEST']._serialized_end=636
+  _globals['_STARTFITRESPONSE']._serialized_start=638
+  _globals['_STARTFITRESPONSE']._serialized_end=700
+  _globals['_GETFITREQUEST']._serialized_start=702
+  _globals['_GETFITREQUEST']._serialized_end=729
+  _globals['_GETFITRESPONSE']._serialized_start=731
+  _globals['_GETFITRESPONSE']._serialized_end=791
+  _globals['_LISTFITSREQUEST']._serialized_start=793
+  _globals['_LISTFITSREQUEST']._serialized_end=849
+  _globals['_LISTFITSRESPONSE']._serialized_start=851
+  _globals['_LISTFITSRESPONSE']._serialized_end=939
+  _globals['_WATCHFITREQUEST']._serialized_start=941
+  _globals['_WATCHFITREQUEST']._serialized_end=993
+  _globals['_WATCHFITRESPONSE']._serialized_start=995
+  _globals['_WATCHFITRESPONSE']._serialized_end=1075
+  _globals['_GETFITMETRICSREQUEST']._serialized_start=1077
+  _globals['_GETFITMETRICSREQUEST']._serialized_end=1148
+  _globals['_GETFITMETRICSRESPONSE']._serialized_start=1150
+  _globals['_GETFITMETRICSRESPONSE']._serialized_end=1259
+  _globals['_CANCELFITREQUEST']._serialized_start=1261
+  _globals['_CANCELFITREQUEST']._serialized_end=1291
+  _globals['_CANCELFITRESPONSE']._serialized_start=1293
+  _globals['_CANCELFITRESPONSE']._serialized_end=1356
+  _globals['_MODEL']._serialized_start=1358
+  _globals['_MODEL']._serialized_end=1467
+  _globals['_LISTMODELSREQUEST']._serialized_start=1469
+  _globals['_LISTMODELSREQUEST']._serialized_end=1488
+  _globals['_LISTMODELSRESPONSE']._serialized_start=1490
+  _globals['_LISTMODELSRESPONSE']._serialized_end=1559
+  _globals['_ACTIVATEMODELREQUEST']._serialized_start=1561
+  _globals['_ACTIVATEMODELREQUEST']._serialized_end=1640
+  _globals['_ACTIVATEMODELRESPONSE']._serialized_start=1642
+  _globals['_ACTIVATEMODELRESPONSE']._serialized_end=1713
+  _globals['_FITSERVICE']._serialized_start=1716
+  _globals['_FITSERVICE']._serialized_end=2336
+  _globals['_MODELSERVICE']._serialized_start=2339
+  _globals['_MODELSERVICE']._serialized_end=2572
 # @@protoc_insertion_point(module_scope)

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class FitServiceStub:
-    """Trains models from datasets, one at a time, each in a process of its own.
+    """Fits models to datasets, one at a time, each in its own process.
     """
 
     def __init__(self, channel):
@@ -55,6 +55,11 @@ class FitServiceStub:
                 request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitResponse.FromString,
                 _registered_method=True)
+        self.GetFitMetrics = channel.unary_unary(
+                '/freerein.api.learning.v1.FitService/GetFitMetrics',
+                request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsResponse.FromString,
+                _registered_method=True)
         self.CancelFit = channel.unary_unary(
                 '/freerein.api.learning.v1.FitService/CancelFit',
                 request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitRequest.SerializeToString,
@@ -63,7 +68,7 @@ class FitServiceStub:
 
 
 class FitServiceServicer:
-    """Trains models from datasets, one at a time, each in a process of its own.
+    """Fits models to datasets, one at a time, each in its own process.
     """
 
     def StartFit(self, request, context):
@@ -81,7 +86,7 @@ class FitServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def ListFits(self, request, context):
-        """Returns all fits, newest first.
+        """Returns one page of the fits, newest first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -94,8 +99,15 @@ class FitServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def GetFitMetrics(self, request, context):
+        """Returns the metrics of a fit from a step on, decimated to a number of rows.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CancelFit(self, request, context):
-        """Ends a fit; its last checkpoint stays.
+        """Cancels a fit; its last checkpoint is kept.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -124,6 +136,11 @@ def add_FitServiceServicer_to_server(servicer, server):
                     request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitRequest.FromString,
                     response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitResponse.SerializeToString,
             ),
+            'GetFitMetrics': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetFitMetrics,
+                    request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsResponse.SerializeToString,
+            ),
             'CancelFit': grpc.unary_unary_rpc_method_handler(
                     servicer.CancelFit,
                     request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitRequest.FromString,
@@ -138,7 +155,7 @@ def add_FitServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class FitService:
-    """Trains models from datasets, one at a time, each in a process of its own.
+    """Fits models to datasets, one at a time, each in its own process.
     """
 
     @staticmethod
@@ -239,6 +256,33 @@ class FitService:
             '/freerein.api.learning.v1.FitService/WatchFit',
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitRequest.SerializeToString,
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.WatchFitResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetFitMetrics(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.learning.v1.FitService/GetFitMetrics',
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsRequest.SerializeToString,
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.GetFitMetricsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -23,10 +23,11 @@ _sym_db = _symbol_database.Default()
 
 
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
+from freerein.api.jobs.v1 import jobs_pb2 as freerein_dot_api_dot_jobs_dot_v1_dot_jobs__pb2
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n/freerein/api/orchestrator/v1/orchestrator.proto\x12\x1c\x66reerein.api.orchestrator.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xfc\x04\n\x03Run\x12\n\n\x02id\x18\x01 \x01(\t\x12\x34\n\x04kind\x18\x02 \x01(\x0e\x32&.freerein.api.orchestrator.v1.Run.Kind\x12\x36\n\x05state\x18\x03 \x01(\x0e\x32\'.freerein.api.orchestrator.v1.Run.State\x12\'\n\x06\x63onfig\x18\x04 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x05 \x01(\x04\x12\r\n\x05steps\x18\x06 \x01(\x04\x12?\n\x07metrics\x18\x07 \x03(\x0b\x32..freerein.api.orchestrator.v1.Run.MetricsEntry\x12/\n\x05model\x18\x08 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\t \x01(\t\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x82\x01\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x10\n\x0cKIND_COLLECT\x10\x01\x12\x0c\n\x08KIND_FIT\x10\x02\x12\x0c\n\x08KIND_PPO\x10\x03\x12\x10\n\x0cKIND_DISTILL\x10\x04\x12\x11\n\rKIND_EVALUATE\x10\x05\x12\x11\n\rKIND_PIPELINE\x10\x06\"\x7f\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x10\n\x0cSTATE_QUEUED\x10\x01\x12\x11\n\rSTATE_RUNNING\x10\x02\x12\x13\n\x0fSTATE_SUCCEEDED\x10\x03\x12\x10\n\x0cSTATE_FAILED\x10\x04\x12\x13\n\x0fSTATE_CANCELLED\x10\x05\"\x89\x01\n\x0fStartRunRequest\x12\x34\n\x04kind\x18\x01 \x01(\x0e\x32&.freerein.api.orchestrator.v1.Run.Kind\x12\'\n\x06\x63onfig\x18\x02 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x17\n\x0fidempotency_key\x18\x03 \x01(\t\"B\n\x10StartRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x1b\n\rGetRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"@\n\x0eGetRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x11\n\x0fListRunsRequest\"C\n\x10ListRunsResponse\x12/\n\x04runs\x18\x01 \x03(\x0b\x32!.freerein.api.orchestrator.v1.Run\"4\n\x0fWatchRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"T\n\x10WatchRunResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12.\n\x03run\x18\x02 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x1e\n\x10\x43\x61ncelRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"C\n\x11\x43\x61ncelRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x1e\n\x10ResumeRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"C\n\x11ResumeRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"&\n\x08\x41rtifact\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04size\x18\x02 \x01(\x04\"\"\n\x14ListArtifactsRequest\x12\n\n\x02id\x18\x01 \x01(\t\"R\n\x15ListArtifactsResponse\x12\x39\n\tartifacts\x18\x01 \x03(\x0b\x32&.freerein.api.orchestrator.v1.Artifact\".\n\x12GetArtifactRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x0c\n\x04name\x18\x02 \x01(\t\"#\n\x13GetArtifactResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\x32\x89\x07\n\x13OrchestratorService\x12i\n\x08StartRun\x12-.freerein.api.orchestrator.v1.StartRunRequest\x1a..freerein.api.orchestrator.v1.StartRunResponse\x12\x63\n\x06GetRun\x12+.freerein.api.orchestrator.v1.GetRunRequest\x1a,.freerein.api.orchestrator.v1.GetRunResponse\x12i\n\x08ListRuns\x12-.freerein.api.orchestrator.v1.ListRunsRequest\x1a..freerein.api.orchestrator.v1.ListRunsResponse\x12k\n\x08WatchRun\x12-.freerein.api.orchestrator.v1.WatchRunRequest\x1a..freerein.api.orchestrator.v1.WatchRunResponse0\x01\x12l\n\tCancelRun\x12..freerein.api.orchestrator.v1.CancelRunRequest\x1a/.freerein.api.orchestrator.v1.CancelRunResponse\x12l\n\tResumeRun\x12..freerein.api.orchestrator.v1.ResumeRunRequest\x1a/.freerein.api.orchestrator.v1.ResumeRunResponse\x12x\n\rListArtifacts\x12\x32.freerein.api.orchestrator.v1.ListArtifactsRequest\x1a\x33.freerein.api.orchestrator.v1.ListArtifactsResponse\x12t\n\x0bGetArtifact\x12\x30.freerein.api.orchestrator.v1.GetArtifactRequest\x1a\x31.freerein.api.orchestrator.v1.GetArtifactResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n/freerein/api/orchestrator/v1/orchestrator.proto\x12\x1c\x66reerein.api.orchestrator.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1f\x66reerein/api/jobs/v1/jobs.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xf2\x03\n\x03Run\x12\n\n\x02id\x18\x01 \x01(\t\x12\x34\n\x04kind\x18\x02 \x01(\x0e\x32&.freerein.api.orchestrator.v1.Run.Kind\x12-\n\x05state\x18\x03 \x01(\x0e\x32\x1e.freerein.api.jobs.v1.JobState\x12\'\n\x06\x63onfig\x18\x04 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x05 \x01(\x04\x12\r\n\x05steps\x18\x06 \x01(\x04\x12?\n\x07metrics\x18\x07 \x03(\x0b\x32..freerein.api.orchestrator.v1.Run.MetricsEntry\x12/\n\x05model\x18\x08 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\t \x01(\t\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x82\x01\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x10\n\x0cKIND_COLLECT\x10\x01\x12\x0c\n\x08KIND_FIT\x10\x02\x12\x0c\n\x08KIND_PPO\x10\x03\x12\x10\n\x0cKIND_DISTILL\x10\x04\x12\x11\n\rKIND_EVALUATE\x10\x05\x12\x11\n\rKIND_PIPELINE\x10\x06\"\x89\x01\n\x0fStartRunRequest\x12\x34\n\x04kind\x18\x01 \x01(\x0e\x32&.freerein.api.orchestrator.v1.Run.Kind\x12\'\n\x06\x63onfig\x18\x02 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x17\n\x0fidempotency_key\x18\x03 \x01(\t\"B\n\x10StartRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x1b\n\rGetRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"@\n\x0eGetRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"8\n\x0fListRunsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\"\\\n\x10ListRunsResponse\x12/\n\x04runs\x18\x01 \x03(\x0b\x32!.freerein.api.orchestrator.v1.Run\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"4\n\x0fWatchRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"T\n\x10WatchRunResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12.\n\x03run\x18\x02 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"D\n\x11GetMetricsRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x11\n\tfrom_step\x18\x02 \x01(\x04\x12\x10\n\x08max_rows\x18\x03 \x01(\r\"j\n\x12GetMetricsResponse\x12-\n\x04rows\x18\x01 \x03(\x0b\x32\x1f.freerein.api.jobs.v1.MetricRow\x12\x12\n\ntotal_rows\x18\x02 \x01(\x04\x12\x11\n\tnext_step\x18\x03 \x01(\x04\"\x1e\n\x10\x43\x61ncelRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"C\n\x11\x43\x61ncelRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"\x1e\n\x10ResumeRunRequest\x12\n\n\x02id\x18\x01 \x01(\t\"C\n\x11ResumeRunResponse\x12.\n\x03run\x18\x01 \x01(\x0b\x32!.freerein.api.orchestrator.v1.Run\"&\n\x08\x41rtifact\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04size\x18\x02 \x01(\x04\"\"\n\x14ListArtifactsRequest\x12\n\n\x02id\x18\x01 \x01(\t\"R\n\x15ListArtifactsResponse\x12\x39\n\tartifacts\x18\x01 \x03(\x0b\x32&.freerein.api.orchestrator.v1.Artifact\".\n\x12GetArtifactRequest\x12\n\n\x02id\x18\x01 \x01(\t\x12\x0c\n\x04name\x18\x02 \x01(\t\"#\n\x13GetArtifactResponse\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\x32\xfa\x07\n\x13OrchestratorService\x12i\n\x08StartRun\x12-.freerein.api.orchestrator.v1.StartRunRequest\x1a..freerein.api.orchestrator.v1.StartRunResponse\x12\x63\n\x06GetRun\x12+.freerein.api.orchestrator.v1.GetRunRequest\x1a,.freerein.api.orchestrator.v1.GetRunResponse\x12i\n\x08ListRuns\x12-.freerein.api.orchestrator.v1.ListRunsRequest\x1a..freerein.api.orchestrator.v1.ListRunsResponse\x12k\n\x08WatchRun\x12-.freerein.api.orchestrator.v1.WatchRunRequest\x1a..freerein.api.orchestrator.v1.WatchRunResponse0\x01\x12o\n\nGetMetrics\x12/.freerein.api.orchestrator.v1.GetMetricsRequest\x1a\x30.freerein.api.orchestrator.v1.GetMetricsResponse\x12l\n\tCancelRun\x12..freerein.api.orchestrator.v1.CancelRunRequest\x1a/.freerein.api.orchestrator.v1.CancelRunResponse\x12l\n\tResumeRun\x12..freerein.api.orchestrator.v1.ResumeRunRequest\x1a/.freerein.api.orchestrator.v1.ResumeRunResponse\x12x\n\rListArtifacts\x12\x32.freerein.api.orchestrator.v1.ListArtifactsRequest\x1a\x33.freerein.api.orchestrator.v1.ListArtifactsResponse\x12t\n\x0bGetArtifact\x12\x30.freerein.api.orchestrator.v1.GetArtifactRequest\x1a\x31.freerein.api.orchestrator.v1.GetArtifactResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,48 +36,50 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_RUN_METRICSENTRY']._loaded_options = None
   _globals['_RUN_METRICSENTRY']._serialized_options = b'8\001'
-  _globals['_RUN']._serialized_start=149
-  _globals['_RUN']._serialized_end=785
-  _globals['_RUN_METRICSENTRY']._serialized_start=477
-  _globals['_RUN_METRICSENTRY']._serialized_end=523
-  _globals['_RUN_KIND']._serialized_start=526
-  _globals['_RUN_KIND']._serialized_end=656
-  _globals['_RUN_STATE']._serialized_start=658
-  _globals['_RUN_STATE']._serialized_end=785
-  _globals['_STARTRUNREQUEST']._serialized_start=788
-  _globals['_STARTRUNREQUEST']._serialized_end=925
-  _globals['_STARTRUNRESPONSE']._serialized_start=927
-  _globals['_STARTRUNRESPONSE']._serialized_end=993
-  _globals['_GETRUNREQUEST']._serialized_start=995
-  _globals['_GETRUNREQUEST']._serialized_end=1022
-  _globals['_GETRUNRESPONSE']._serialized_start=1024
-  _globals['_GETRUNRESPONSE']._serialized_end=1088
-  _globals['_LISTRUNSREQUEST']._serialized_start=1090
-  _globals['_LISTRUNSREQUEST']._serialized_end=1107
-  _globals['_LISTRUNSRESPONSE']._serialized_start=1109
-  _globals['_LISTRUNSRESPONSE']._serialized_end=1176
-  _globals['_WATCHRUNREQUEST']._serialized_start=1178
-  _globals['_WATCHRUNREQUEST']._serialized_end=1230
-  _globals['_WATCHRUNRESPONSE']._serialized_start=1232
-  _globals['_WATCHRUNRESPONSE']._serialized_end=1316
-  _globals['_CANCELRUNREQUEST']._serialized_start=1318
-  _globals['_CANCELRUNREQUEST']._serialized_end=1348
-  _globals['_CANCELRUNRESPONSE']._serialized_start=1350
-  _globals['_CANCELRUNRESPONSE']._serialized_end=1417
-  _globals['_RESUMERUNREQUEST']._serialized_start=1419
-  _globals['_RESUMERUNREQUEST']._serialized_end=1449
-  _globals['_RESUMERUNRESPONSE']._serialized_start=1451
-  _globals['_RESUMERUNRESPONSE']._serialized_end=1518
-  _globals['_ARTIFACT']._serialized_start=1520
-  _globals['_ARTIFACT']._serialized_end=1558
-  _globals['_LISTARTIFACTSREQUEST']._serialized_start=1560
-  _globals['_LISTARTIFACTSREQUEST']._serialized_end=1594
-  _globals['_LISTARTIFACTSRESPONSE']._serialized_start=1596
-  _globals['_LISTARTIFACTSRESPONSE']._serialized_end=1678
-  _globals['_GETARTIFACTREQUEST']._serialized_start=1680
-  _globals['_GETARTIFACTREQUEST']._serialized_end=1726
-  _globals['_GETARTIFACTRESPONSE']._serialized_start=1728
-  _globals['_GETARTIFACTRESPONSE']._serialized_end=1763
-  _globals['_ORCHESTRATORSERVICE']._serialized_start=1766
-  _globals['_ORCHESTRATORSERVICE']._serialized_end=2671
+  _globals['_RUN']._serialized_start=182
+  _globals['_RUN']._serialized_end=680
+  _globals['_RUN_METRICSENTRY']._serialized_start=501
+  _globals['_RUN_METRICSENTRY']._serialized_end=547
+  _globals['_RUN_KIND']._serialized_start=550
+  _globals['_RUN_KIND']._serialized_end=680
+  _globals['_STARTRUNREQUEST']._serialized_start=683
+  _globals['_STARTRUNREQUEST']._serialized_end=820
+  _globals['_STARTRUNRESPONSE']._serialized_start=822
+  _globals['_STARTRUNRESPONSE']._serialized_end=888
+  _globals['_GETRUNREQUEST']._serialized_start=890
+  _globals['_GETRUNREQUEST']._serialized_end=917
+  _globals['_GETRUNRESPONSE']._serialized_start=919
+  _globals['_GETRUNRESPONSE']._serialized_end=983
+  _globals['_LISTRUNSREQUEST']._serialized_start=985
+  _globals['_LISTRUNSREQUEST']._serialized_end=1041
+  _globals['_LISTRUNSRESPONSE']._serialized_start=1043
+  _globals['_LISTRUNSRESPONSE']._serialized_end=1135
+  _globals['_WATCHRUNREQUEST']._serialized_start=1137
+  _globals['_WATCHRUNREQUEST']._serialized_end=1189
+  _globals['_WATCHRUNRESPONSE']._serialized_start=1191
+  _globals['_WATCHRUNRESPONSE']._serialized_end=1275
+  _globals['_GETMETRICSREQUEST']._serialized_start=1277
+  _globals['_GETMETRICSREQUEST']._serialized_end=1345
+  _globals['_GETMETRICSRESPONSE']._serialized_start=1347
+  _globals['_GETMETRICSRESPONSE']._serialized_end=1453
+  _globals['_CANCELRUNREQUEST']._serialized_start=1455
+  _globals['_CANCELRUNREQUEST']._serialized_end=1485
+  _globals['_CANCELRUNRESPONSE']._serialized_start=1487
+  _globals['_CANCELRUNRESPONSE']._serialized_end=1554
+  _globals['_RESUMERUNREQUEST']._serialized_start=1556
+  _globals['_RESUMERUNREQUEST']._serialized_end=1586
+  _globals['_RESUMERUNRESPONSE']._serialized_start=1588
+  _globals['_RESUMERUNRESPONSE']._serialized_end=1655
+  _globals['_ARTIFACT']._serialized_start=1657
+  _globals['_ARTIFACT']._serialized_end=1695
+  _globals['_LISTARTIFACTSREQUEST']._serialized_start=1697
+  _globals['_LISTARTIFACTSREQUEST']._serialized_end=1731
+  _globals['_LISTARTIFACTSRESPONSE']._serialized_start=1733
+  _globals['_LISTARTIFACTSRESPONSE']._serialized_end=1815
+  _globals['_GETARTIFACTREQUEST']._serialized_start=1817
+  _globals['_GETARTIFACTREQUEST']._serialized_end=1863
+  _globals['_GETARTIFACTRESPONSE']._serialized_start=1865
+  _globals['_GETARTIFACTRESPONSE']._serialized_end=1900
+  _globals['_ORCHESTRATORSERVICE']._serialized_start=1903
+  _globals['_ORCHESTRATORSERVICE']._serialized_end=2921
 # @@protoc_insertion_point(module_scope)

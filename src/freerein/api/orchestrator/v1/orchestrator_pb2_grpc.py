@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class OrchestratorServiceStub:
-    """Makes runs, one at a time per worker, each in a process of its own that goes on from its last checkpoint after a
+    """Executes runs, one at a time per worker, each in its own process, which resumes from its last checkpoint after a
     crash. Workers that share a database share one queue.
     """
 
@@ -56,6 +56,11 @@ class OrchestratorServiceStub:
                 request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunResponse.FromString,
                 _registered_method=True)
+        self.GetMetrics = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/GetMetrics',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsResponse.FromString,
+                _registered_method=True)
         self.CancelRun = channel.unary_unary(
                 '/freerein.api.orchestrator.v1.OrchestratorService/CancelRun',
                 request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.CancelRunRequest.SerializeToString,
@@ -79,7 +84,7 @@ class OrchestratorServiceStub:
 
 
 class OrchestratorServiceServicer:
-    """Makes runs, one at a time per worker, each in a process of its own that goes on from its last checkpoint after a
+    """Executes runs, one at a time per worker, each in its own process, which resumes from its last checkpoint after a
     crash. Workers that share a database share one queue.
     """
 
@@ -98,7 +103,7 @@ class OrchestratorServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def ListRuns(self, request, context):
-        """Returns all runs, newest first.
+        """Returns one page of the runs, newest first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -111,29 +116,36 @@ class OrchestratorServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def GetMetrics(self, request, context):
+        """Returns the metrics of a run from a step on, decimated to a number of rows.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CancelRun(self, request, context):
-        """Ends a run within two seconds; its last checkpoint stays.
+        """Cancels a run within two seconds; its last checkpoint is kept.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ResumeRun(self, request, context):
-        """Queues a run again that failed or was cancelled; it goes on from its last checkpoint.
+        """Queues a failed or cancelled run again; it resumes from its last checkpoint.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListArtifacts(self, request, context):
-        """Names the files that a run has left behind.
+        """Lists the artifacts of a run.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetArtifact(self, request, context):
-        """Sends one of these files, in parts; over REST, its bytes are the reply's body.
+        """Sends one artifact in parts; over REST, its bytes are the body of the reply.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -161,6 +173,11 @@ def add_OrchestratorServiceServicer_to_server(servicer, server):
                     servicer.WatchRun,
                     request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunRequest.FromString,
                     response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunResponse.SerializeToString,
+            ),
+            'GetMetrics': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetMetrics,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsResponse.SerializeToString,
             ),
             'CancelRun': grpc.unary_unary_rpc_method_handler(
                     servicer.CancelRun,
@@ -191,7 +208,7 @@ def add_OrchestratorServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class OrchestratorService:
-    """Makes runs, one at a time per worker, each in a process of its own that goes on from its last checkpoint after a
+    """Executes runs, one at a time per worker, each in its own process, which resumes from its last checkpoint after a
     crash. Workers that share a database share one queue.
     """
 
@@ -293,6 +310,33 @@ class OrchestratorService:
             '/freerein.api.orchestrator.v1.OrchestratorService/WatchRun',
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunRequest.SerializeToString,
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.WatchRunResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetMetrics(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/GetMetrics',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetMetricsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -22,7 +22,7 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class RewardRequest(_message.Message):
-    """Frames, as `frames` or as `images`, and what they are to show."""
+    """Frames, as `frames` or as `images`, and a goal text."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -33,21 +33,21 @@ class RewardRequest(_message.Message):
     class _ModeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[RewardRequest._Mode.ValueType], _builtins.type):
         DESCRIPTOR: _descriptor.EnumDescriptor
         MODE_UNSPECIFIED: RewardRequest._Mode.ValueType  # 0
-        """Refused."""
+        """Rejected."""
         MODE_BINARY: RewardRequest._Mode.ValueType  # 1
-        """1 where the goal text fits the frame better than each of its rivals, else 0. A tie is 0."""
+        """1 where the goal text is more similar to the frame than every rival, else 0. A tie is 0."""
         MODE_RAW: RewardRequest._Mode.ValueType  # 2
-        """The similarity of frame and goal text."""
+        """The cosine similarity of frame and goal text."""
 
     class Mode(_Mode, metaclass=_ModeEnumTypeWrapper):
-        """What a reward is."""
+        """Kind of reward."""
 
     MODE_UNSPECIFIED: RewardRequest.Mode.ValueType  # 0
-    """Refused."""
+    """Rejected."""
     MODE_BINARY: RewardRequest.Mode.ValueType  # 1
-    """1 where the goal text fits the frame better than each of its rivals, else 0. A tie is 0."""
+    """1 where the goal text is more similar to the frame than every rival, else 0. A tie is 0."""
     MODE_RAW: RewardRequest.Mode.ValueType  # 2
-    """The similarity of frame and goal text."""
+    """The cosine similarity of frame and goal text."""
 
     @_typing.final
     class FramesEntry(_message.Message):
@@ -77,7 +77,7 @@ class RewardRequest(_message.Message):
     RIVALS_FIELD_NUMBER: _builtins.int
     MODE_FIELD_NUMBER: _builtins.int
     goal_text: _builtins.str
-    """What is to be seen, such as `a red block on top of a yellow block`; at most 2 000 characters."""
+    """Description of the goal, such as `a red block on top of a yellow block`; at most 2 000 characters."""
     mode: Global___RewardRequest.Mode.ValueType
     """Unset for binary."""
     @_builtins.property
@@ -86,20 +86,20 @@ class RewardRequest(_message.Message):
 
     @_builtins.property
     def frames(self) -> _containers.MessageMap[_builtins.str, _common_pb2.Tensor]:
-        """By camera: UINT8 (N, H, W, C), N at most 20 000, C = 1 or 3, of any size. A frame is one moment, seen by every
-        camera of the model; cameras that it does not see are left aside. Exactly one of `frames` and `images` is given.
+        """By camera: UINT8 (N, H, W, C), N at most 20 000, C = 1 or 3, of any size. Frame i is one moment, seen by every
+        camera of the model; other cameras are ignored. Exactly one of `frames` and `images` is given.
         """
 
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """Encoded images; those of one camera are in order of time, and every camera has as many. Where the model sees a
-        single camera, `camera` may be left empty.
+        """Encoded images; those of one camera in temporal order, the same number for every camera. `camera` may be empty
+        when the model has a single camera.
         """
 
     @_builtins.property
     def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Texts that the goal text must beat, at most 64 of at most 2 000 characters; none for the same sentence with every
-        other relation. A goal text without a relation needs some, or the mode raw.
+        """Texts that the goal text must beat, at most 64 of at most 2 000 characters each. Empty for the goal text with every
+        other relation; a goal text without a relation needs rivals or mode raw.
         """
 
     def __init__(
@@ -137,20 +137,20 @@ class RewardResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
-    """Whether a text was too long for the model and was cut."""
+    """Whether any text was too long for the model and was truncated."""
     unknown_words: _builtins.int
-    """How many words of the goal text the model has never seen. Above 0 the reward is a guess."""
+    """Number of words of the goal text outside the model's vocabulary; above 0 the reward is unreliable."""
     @_builtins.property
     def rewards(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """For each of N frames, in the mode asked for."""
+        """Reward of each of N frames, in the requested mode."""
 
     @_builtins.property
     def similarities(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """For each of N frames, the cosine of its embedding and the goal text's, in [-1, 1]."""
+        """Cosine similarity of each of N frames and the goal text, in [-1, 1]."""
 
     @_builtins.property
     def winners(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """For each of N frames, the index in `texts` of the one that fits it best; 0 is the goal text, which wins no tie."""
+        """Index in `texts` of the most similar text of each of N frames; 0 is the goal text, which loses ties."""
 
     @_builtins.property
     def texts(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
@@ -162,7 +162,7 @@ class RewardResponse(_message.Message):
 
     @_builtins.property
     def timing(self) -> _common_pb2.Timing:
-        """Where the time went."""
+        """Time spent in each stage."""
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ Global___RewardResponse: _TypeAlias = RewardResponse  # noqa: Y015
 
 @_typing.final
 class GroundRequest(_message.Message):
-    """An image, and what to find in it."""
+    """An image and the phrases to locate in it."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -203,7 +203,7 @@ class GroundRequest(_message.Message):
 
     @_builtins.property
     def phrases(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """1 to 64 noun phrases, such as `a red block`. Each is told from the others."""
+        """1 to 64 distinct noun phrases, such as `a red block`; they compete with each other."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ Global___GroundRequest: _TypeAlias = GroundRequest  # noqa: Y015
 
 @_typing.final
 class Grounding(_message.Message):
-    """Where a phrase is in an image."""
+    """Location of a phrase in an image."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -234,14 +234,14 @@ class Grounding(_message.Message):
     phrase: _builtins.str
     """The phrase."""
     x: _builtins.float
-    """The pixel that is meant, counted from the left edge."""
+    """Horizontal position in pixels from the left edge."""
     y: _builtins.float
-    """Counted from the upper edge."""
+    """Vertical position in pixels from the upper edge."""
     presence: _builtins.float
-    """How sure the model is that the image shows it at all, in [0, 1]."""
+    """Probability that the image shows the phrase, in [0, 1]."""
     @_builtins.property
     def heatmap(self) -> _common_pb2.Tensor:
-        """FP32 (H, W) in [0, 1], of the image's size: its Grad-CAM."""
+        """Grad-CAM, FP32 (H, W) in [0, 1], of the image's size."""
 
     def __init__(
         self,
@@ -262,7 +262,7 @@ Global___Grounding: _TypeAlias = Grounding  # noqa: Y015
 
 @_typing.final
 class GroundResponse(_message.Message):
-    """One grounding per phrase, in the request's order."""
+    """Groundings in the order of the request's phrases."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -271,7 +271,7 @@ class GroundResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def groundings(self) -> _containers.RepeatedCompositeFieldContainer[Global___Grounding]:
-        """The groundings."""
+        """One per phrase."""
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -279,7 +279,7 @@ class GroundResponse(_message.Message):
 
     @_builtins.property
     def timing(self) -> _common_pb2.Timing:
-        """Where the time went."""
+        """Time spent in each stage."""
 
     def __init__(
         self,
@@ -298,7 +298,7 @@ Global___GroundResponse: _TypeAlias = GroundResponse  # noqa: Y015
 
 @_typing.final
 class DescribeRequest(_message.Message):
-    """Images, and the things to tell of."""
+    """Images and the phrases to caption them with."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -307,18 +307,18 @@ class DescribeRequest(_message.Message):
     PHRASES_FIELD_NUMBER: _builtins.int
     EPSILON_FIELD_NUMBER: _builtins.int
     epsilon: _builtins.float
-    """How near counts as near: the things' width as a share of the image's, in (0, 0.5]. Unset for 0.1."""
+    """Object width as a fraction of the image width, in (0, 0.5]; unset for 0.1."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Which grounding model; unset for the active version of `grounding`."""
 
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """1 to 256, of any sizes."""
+        """1 to 256 images of any sizes."""
 
     @_builtins.property
     def phrases(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """2 to 16 noun phrases."""
+        """2 to 16 distinct noun phrases."""
 
     def __init__(
         self,
@@ -340,14 +340,14 @@ Global___DescribeRequest: _TypeAlias = DescribeRequest  # noqa: Y015
 
 @_typing.final
 class Description(_message.Message):
-    """What can be said of one image."""
+    """Captions of one image."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
     CAPTIONS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def captions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """A caption for each ordered pair of phrases that the image shows."""
+        """One for each ordered pair of phrases that the image shows."""
 
     def __init__(
         self,
@@ -364,7 +364,7 @@ Global___Description: _TypeAlias = Description  # noqa: Y015
 
 @_typing.final
 class DescribeResponse(_message.Message):
-    """One description per image."""
+    """Descriptions in the order of the request's images."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -373,7 +373,7 @@ class DescribeResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def descriptions(self) -> _containers.RepeatedCompositeFieldContainer[Global___Description]:
-        """In the request's order."""
+        """One per image."""
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -381,7 +381,7 @@ class DescribeResponse(_message.Message):
 
     @_builtins.property
     def timing(self) -> _common_pb2.Timing:
-        """Where the time went."""
+        """Time spent in each stage."""
 
     def __init__(
         self,
@@ -438,12 +438,12 @@ class EmbedGoalResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
-    """Whether the text was too long for the model and was cut."""
+    """Whether the text was too long for the model and was truncated."""
     unknown_words: _builtins.int
-    """How many words of the text the model has never seen."""
+    """Number of words outside the model's vocabulary."""
     @_builtins.property
     def embedding(self) -> _common_pb2.Tensor:
-        """FP32 (D), of length 1."""
+        """FP32 (D), of unit length."""
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -451,7 +451,7 @@ class EmbedGoalResponse(_message.Message):
 
     @_builtins.property
     def timing(self) -> _common_pb2.Timing:
-        """Where the time went."""
+        """Time spent in each stage."""
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class RewardServiceStub:
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone.
+    """Scores images against text, by models trained on unlabelled images and noun phrases only.
     """
 
     def __init__(self, channel):
@@ -58,25 +58,25 @@ class RewardServiceStub:
 
 
 class RewardServiceServicer:
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone.
+    """Scores images against text, by models trained on unlabelled images and noun phrases only.
     """
 
     def Reward(self, request, context):
-        """Rewards images for showing what the goal text says.
+        """Returns the reward of each frame for a goal text.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Ground(self, request, context):
-        """Finds noun phrases in one image.
+        """Locates noun phrases in one image.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Describe(self, request, context):
-        """Says in words how the things that noun phrases name lie to one another.
+        """Captions images with the spatial relations of noun phrases.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -121,7 +121,7 @@ def add_RewardServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class RewardService:
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone.
+    """Scores images against text, by models trained on unlabelled images and noun phrases only.
     """
 
     @staticmethod

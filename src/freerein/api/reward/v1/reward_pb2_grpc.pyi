@@ -27,37 +27,37 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class RewardServiceStub:
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone."""
+    """Scores images against text, by models trained on unlabelled images and noun phrases only."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> RewardServiceAsyncStub: ...
     Reward: _grpc.UnaryUnaryMultiCallable[_reward_pb2.RewardRequest, _reward_pb2.RewardResponse]
-    """Rewards images for showing what the goal text says."""
+    """Returns the reward of each frame for a goal text."""
     Ground: _grpc.UnaryUnaryMultiCallable[_reward_pb2.GroundRequest, _reward_pb2.GroundResponse]
-    """Finds noun phrases in one image."""
+    """Locates noun phrases in one image."""
     Describe: _grpc.UnaryUnaryMultiCallable[_reward_pb2.DescribeRequest, _reward_pb2.DescribeResponse]
-    """Says in words how the things that noun phrases name lie to one another."""
+    """Captions images with the spatial relations of noun phrases."""
     EmbedGoal: _grpc.UnaryUnaryMultiCallable[_reward_pb2.EmbedGoalRequest, _reward_pb2.EmbedGoalResponse]
     """Returns the embedding of a goal text."""
 
 @_typing.type_check_only
 class RewardServiceAsyncStub(RewardServiceStub):
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone."""
+    """Scores images against text, by models trained on unlabelled images and noun phrases only."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Reward: _aio.UnaryUnaryMultiCallable[_reward_pb2.RewardRequest, _reward_pb2.RewardResponse]  # type: ignore[assignment]
-    """Rewards images for showing what the goal text says."""
+    """Returns the reward of each frame for a goal text."""
     Ground: _aio.UnaryUnaryMultiCallable[_reward_pb2.GroundRequest, _reward_pb2.GroundResponse]  # type: ignore[assignment]
-    """Finds noun phrases in one image."""
+    """Locates noun phrases in one image."""
     Describe: _aio.UnaryUnaryMultiCallable[_reward_pb2.DescribeRequest, _reward_pb2.DescribeResponse]  # type: ignore[assignment]
-    """Says in words how the things that noun phrases name lie to one another."""
+    """Captions images with the spatial relations of noun phrases."""
     EmbedGoal: _aio.UnaryUnaryMultiCallable[_reward_pb2.EmbedGoalRequest, _reward_pb2.EmbedGoalResponse]  # type: ignore[assignment]
     """Returns the embedding of a goal text."""
 
 class RewardServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Says how well images match words, by models that learned from unlabelled images and noun phrases alone."""
+    """Scores images against text, by models trained on unlabelled images and noun phrases only."""
 
     @_abc_1.abstractmethod
     def Reward(
@@ -65,7 +65,7 @@ class RewardServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _reward_pb2.RewardRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_reward_pb2.RewardResponse, _abc.Awaitable[_reward_pb2.RewardResponse]]:
-        """Rewards images for showing what the goal text says."""
+        """Returns the reward of each frame for a goal text."""
 
     @_abc_1.abstractmethod
     def Ground(
@@ -73,7 +73,7 @@ class RewardServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _reward_pb2.GroundRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_reward_pb2.GroundResponse, _abc.Awaitable[_reward_pb2.GroundResponse]]:
-        """Finds noun phrases in one image."""
+        """Locates noun phrases in one image."""
 
     @_abc_1.abstractmethod
     def Describe(
@@ -81,7 +81,7 @@ class RewardServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _reward_pb2.DescribeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_reward_pb2.DescribeResponse, _abc.Awaitable[_reward_pb2.DescribeResponse]]:
-        """Says in words how the things that noun phrases name lie to one another."""
+        """Captions images with the spatial relations of noun phrases."""
 
     @_abc_1.abstractmethod
     def EmbedGoal(

@@ -32,9 +32,9 @@ class SegmentRequest(_message.Message):
     MIN_SEGMENT_FIELD_NUMBER: _builtins.int
     SMOOTHING_FIELD_NUMBER: _builtins.int
     min_segment: _builtins.int
-    """Segments shorter than this many timesteps are merged into their neighbours; 0 and 1 keep all. At most 1000."""
+    """Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all; at most 1000."""
     smoothing: _builtins.float
-    """Standard deviation, in timesteps, of the Gaussian that smooths the confidences over time; 0 for none. At most 100."""
+    """Standard deviation of the temporal Gaussian filter of the probabilities, in timesteps; 0 for none, at most 100."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Which model; unset for the active version of the default one."""
@@ -45,13 +45,11 @@ class SegmentRequest(_message.Message):
 
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """One encoded image per timestep, all of one size."""
+        """Encoded images, one per timestep, all of one size."""
 
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
-        """The action executed at each timestep: FP32 (T, A) or INT64 (T, 1), as the model was trained. Required when the
-        model was trained with actions.
-        """
+        """Executed actions, FP32 (T, A) or INT64 (T, 1), as in training. Required by a model that was trained with actions."""
 
     def __init__(
         self,
@@ -119,15 +117,15 @@ class SegmentResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """For each of T timesteps, an index into `skills`."""
+        """Index into `skills` of each of T timesteps."""
 
     @_builtins.property
     def confidence(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """For each of T timesteps, the probability of its label, in [0, 1]."""
+        """Probability of each of T labels, in [0, 1]."""
 
     @_builtins.property
     def segments(self) -> _containers.RepeatedCompositeFieldContainer[Global___Segment]:
-        """The segments in order; together they cover [0, T) without gap or overlap."""
+        """Segments in order; together they cover [0, T) without gap or overlap."""
 
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
@@ -139,7 +137,7 @@ class SegmentResponse(_message.Message):
 
     @_builtins.property
     def timing(self) -> _common_pb2.Timing:
-        """Where the time went."""
+        """Time spent in each stage."""
 
     def __init__(
         self,
@@ -161,7 +159,7 @@ Global___SegmentResponse: _TypeAlias = SegmentResponse  # noqa: Y015
 
 @_typing.final
 class ListSkillsRequest(_message.Message):
-    """Asks for one model's skills."""
+    """Names a model."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -185,7 +183,7 @@ Global___ListSkillsRequest: _TypeAlias = ListSkillsRequest  # noqa: Y015
 
 @_typing.final
 class ListSkillsResponse(_message.Message):
-    """What a model can label, and what it wants to see."""
+    """Skills and expected inputs of a model."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -197,22 +195,22 @@ class ListSkillsResponse(_message.Message):
     ACTION_SIZE_FIELD_NUMBER: _builtins.int
     ACTION_CHOICES_FIELD_NUMBER: _builtins.int
     height: _builtins.int
-    """Height of the frames it was trained on, in pixels; requests must match."""
+    """Frame height in pixels; requests must match."""
     width: _builtins.int
-    """Width, in pixels."""
+    """Frame width in pixels."""
     channels: _builtins.int
-    """Channels, 1 or 3."""
+    """Frame channels, 1 or 3."""
     action_size: _builtins.int
     """Numbers per action; 0 for a model without actions."""
     action_choices: _builtins.int
-    """How many different actions there are when they are discrete; 0 when they are continuous."""
+    """Number of discrete actions; 0 for continuous ones."""
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """The skills; labels are indices into this list."""
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
-        """The model that this is about."""
+        """The model that was described."""
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class SegmentationServiceStub:
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone.
+    """Labels trajectories with skills, by models trained on trajectory-level tags only.
     """
 
     def __init__(self, channel):
@@ -48,7 +48,7 @@ class SegmentationServiceStub:
 
 
 class SegmentationServiceServicer:
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone.
+    """Labels trajectories with skills, by models trained on trajectory-level tags only.
     """
 
     def Segment(self, request, context):
@@ -59,7 +59,7 @@ class SegmentationServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def ListSkills(self, request, context):
-        """Names the skills that a model can label.
+        """Returns the skills and the expected inputs of a model.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -87,7 +87,7 @@ def add_SegmentationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class SegmentationService:
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone.
+    """Labels trajectories with skills, by models trained on trajectory-level tags only.
     """
 
     @staticmethod

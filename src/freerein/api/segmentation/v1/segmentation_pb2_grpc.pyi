@@ -27,7 +27,7 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class SegmentationServiceStub:
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone."""
+    """Labels trajectories with skills, by models trained on trajectory-level tags only."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
@@ -36,20 +36,20 @@ class SegmentationServiceStub:
     Segment: _grpc.UnaryUnaryMultiCallable[_segmentation_pb2.SegmentRequest, _segmentation_pb2.SegmentResponse]
     """Labels every timestep of one trajectory."""
     ListSkills: _grpc.UnaryUnaryMultiCallable[_segmentation_pb2.ListSkillsRequest, _segmentation_pb2.ListSkillsResponse]
-    """Names the skills that a model can label."""
+    """Returns the skills and the expected inputs of a model."""
 
 @_typing.type_check_only
 class SegmentationServiceAsyncStub(SegmentationServiceStub):
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone."""
+    """Labels trajectories with skills, by models trained on trajectory-level tags only."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Segment: _aio.UnaryUnaryMultiCallable[_segmentation_pb2.SegmentRequest, _segmentation_pb2.SegmentResponse]  # type: ignore[assignment]
     """Labels every timestep of one trajectory."""
     ListSkills: _aio.UnaryUnaryMultiCallable[_segmentation_pb2.ListSkillsRequest, _segmentation_pb2.ListSkillsResponse]  # type: ignore[assignment]
-    """Names the skills that a model can label."""
+    """Returns the skills and the expected inputs of a model."""
 
 class SegmentationServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Labels trajectories with skills, by models that learned from trajectory-level tags alone."""
+    """Labels trajectories with skills, by models trained on trajectory-level tags only."""
 
     @_abc_1.abstractmethod
     def Segment(
@@ -65,6 +65,6 @@ class SegmentationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _segmentation_pb2.ListSkillsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_segmentation_pb2.ListSkillsResponse, _abc.Awaitable[_segmentation_pb2.ListSkillsResponse]]:
-        """Names the skills that a model can label."""
+        """Returns the skills and the expected inputs of a model."""
 
 def add_SegmentationServiceServicer_to_server(servicer: SegmentationServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

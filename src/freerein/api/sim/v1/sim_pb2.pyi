@@ -22,7 +22,7 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class Task(_message.Message):
-    """A world with a goal and an oracle."""
+    """A world with an optional goal and its oracle."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -36,11 +36,11 @@ class Task(_message.Message):
     MAX_EPISODE_STEPS_FIELD_NUMBER: _builtins.int
     SNAPSHOTS_FIELD_NUMBER: _builtins.int
     name: _builtins.str
-    """Its name."""
+    """Task name."""
     world: _builtins.str
-    """The world's name."""
+    """World name."""
     goal_text: _builtins.str
-    """What is to be done, in words; empty for a task without a goal."""
+    """Goal in words; empty for a task without a goal."""
     control_dt_s: _builtins.float
     """Time between two actions, in seconds."""
     max_episode_steps: _builtins.int
@@ -53,11 +53,11 @@ class Task(_message.Message):
 
     @_builtins.property
     def action(self) -> _common_pb2.ActionSpec:
-        """The action."""
+        """Action spec."""
 
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The skills that its expert can execute."""
+        """Skills that the expert can execute."""
 
     def __init__(
         self,
@@ -123,7 +123,7 @@ Global___ListTasksResponse: _TypeAlias = ListTasksResponse  # noqa: Y015
 
 @_typing.final
 class CreateSessionRequest(_message.Message):
-    """What a session is to be."""
+    """Creates a session."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -136,21 +136,21 @@ class CreateSessionRequest(_message.Message):
     PRIVILEGED_FIELD_NUMBER: _builtins.int
     IDEMPOTENCY_KEY_FIELD_NUMBER: _builtins.int
     task: _builtins.str
-    """The task's name."""
+    """Task name."""
     num_envs: _builtins.int
-    """Environments, stepped together; 0 means 1."""
+    """Number of environments, stepped together; 0 means 1. At most 64."""
     seed: _builtins.int
-    """Environment i draws from numpy's SeedSequence(seed).spawn(num_envs)[i]. Unset for a seed drawn by the server."""
+    """Environment i draws from numpy's SeedSequence(seed).spawn(num_envs)[i]. Unset: the server draws a seed."""
     lease_s: _builtins.float
-    """The session ends when no call touched it for this many seconds; 0 means 60. At most 3600."""
+    """Time without a call after which the session ends, in seconds; 0 means 60. At most 3600."""
     height: _builtins.int
-    """Height of frames, in pixels; 0 means the cameras' own. At most 256."""
+    """Frame height in pixels; 0 means the cameras' own. At most 256."""
     width: _builtins.int
-    """Width of frames, in pixels; 0 means the cameras' own. At most 256."""
+    """Frame width in pixels; 0 means the cameras' own. At most 256."""
     privileged: _builtins.bool
-    """Whether replies hold true state, oracle reward and success. For evaluation only: nothing that learns may ask."""
+    """Whether replies include true state, oracle reward and success. For evaluation only, never for learning."""
     idempotency_key: _builtins.str
-    """A key of the caller's choice: the same key and request returns the session already made. Empty for none."""
+    """The same key and request returns the session already created; empty for none."""
     def __init__(
         self,
         *,
@@ -189,12 +189,12 @@ class CreateSessionResponse(_message.Message):
     seed: _builtins.int
     """The seed in use."""
     num_envs: _builtins.int
-    """Environments."""
+    """Number of environments."""
     lease_s: _builtins.float
-    """Seconds without a call after which it ends."""
+    """Time without a call after which the session ends, in seconds."""
     @_builtins.property
     def task(self) -> Global___Task:
-        """What the session's task is."""
+        """The session's task."""
 
     def __init__(
         self,
@@ -215,7 +215,7 @@ Global___CreateSessionResponse: _TypeAlias = CreateSessionResponse  # noqa: Y015
 
 @_typing.final
 class Truth(_message.Message):
-    """What is true in the simulator. Only privileged sessions and demonstrations hold it; it is for evaluation."""
+    """True state and oracle reward, for evaluation; in privileged sessions only."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -224,11 +224,11 @@ class Truth(_message.Message):
     SUCCESS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def state(self) -> _common_pb2.Tensor:
-        """FP64 (num_envs, S): the task's state."""
+        """FP64 (num_envs, S): true state."""
 
     @_builtins.property
     def reward(self) -> _common_pb2.Tensor:
-        """FP32 (num_envs): the oracle's reward of the last step."""
+        """FP32 (num_envs): oracle reward of the last step."""
 
     @_builtins.property
     def success(self) -> _common_pb2.Tensor:
@@ -251,7 +251,7 @@ Global___Truth: _TypeAlias = Truth  # noqa: Y015
 
 @_typing.final
 class ResetRequest(_message.Message):
-    """Asks for new episodes."""
+    """Begins new episodes."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -262,14 +262,14 @@ class ResetRequest(_message.Message):
     session: _builtins.str
     """The session."""
     seed: _builtins.int
-    """Seeds the generators anew, as CreateSession does, before the reset. Unset: they go on."""
+    """Re-seeds the generators before the reset, as in CreateSession. Unset: they are kept."""
     @_builtins.property
     def envs(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """Which environments; empty for all."""
+        """Indices of environments; empty for all."""
 
     @_builtins.property
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The cameras to render; empty for no pixels."""
+        """Cameras to render; empty for no frames."""
 
     def __init__(
         self,
@@ -360,7 +360,7 @@ class StepRequest(_message.Message):
 
     @_builtins.property
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The cameras to render; empty for no pixels."""
+        """Cameras to render; empty for no frames."""
 
     def __init__(
         self,
@@ -380,7 +380,7 @@ Global___StepRequest: _TypeAlias = StepRequest  # noqa: Y015
 
 @_typing.final
 class StepResponse(_message.Message):
-    """What came of it. An environment whose episode ended is reset in the same step: `frames` holds the first frame of the
+    """Result of a step. An environment whose episode ended is reset in the same step: `frames` holds the first frame of the
     new episode, `final_frames` the last of the old one.
     """
 
@@ -437,26 +437,26 @@ class StepResponse(_message.Message):
     FINAL_FRAMES_FIELD_NUMBER: _builtins.int
     TRUTH_FIELD_NUMBER: _builtins.int
     step_id: _builtins.int
-    """The request's."""
+    """`step_id` of the request."""
     @_builtins.property
     def frames(self) -> _containers.MessageMap[_builtins.str, _common_pb2.Tensor]:
         """By camera: UINT8 (num_envs, H, W, C)."""
 
     @_builtins.property
     def reward(self) -> _common_pb2.Tensor:
-        """FP32 (num_envs): always 0. Rewards come from reward models; the oracle's is in `truth`."""
+        """FP32 (num_envs): always 0. Rewards come from reward models; the oracle reward is in `truth`."""
 
     @_builtins.property
     def terminated(self) -> _common_pb2.Tensor:
-        """BOOL (num_envs): the episode reached an end of its own."""
+        """BOOL (num_envs): whether the episode terminated."""
 
     @_builtins.property
     def truncated(self) -> _common_pb2.Tensor:
-        """BOOL (num_envs): the episode was cut at its longest."""
+        """BOOL (num_envs): whether the episode was truncated at `max_episode_steps`."""
 
     @_builtins.property
     def diverged(self) -> _common_pb2.Tensor:
-        """BOOL (num_envs): the simulation diverged; then `terminated` is true as well."""
+        """BOOL (num_envs): whether the simulation diverged; `terminated` is then true, too."""
 
     @_builtins.property
     def final_frames(self) -> _containers.MessageMap[_builtins.str, _common_pb2.Tensor]:
@@ -496,11 +496,11 @@ class ConnectRequest(_message.Message):
     RESET_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def step(self) -> Global___StepRequest:
-        """As the call Step."""
+        """As in the RPC Step."""
 
     @_builtins.property
     def reset(self) -> Global___ResetRequest:
-        """As the call Reset."""
+        """As in the RPC Reset."""
 
     def __init__(
         self,
@@ -530,19 +530,19 @@ class ConnectResponse(_message.Message):
     DRAINING_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def step(self) -> Global___StepResponse:
-        """To a step."""
+        """Response to a step."""
 
     @_builtins.property
     def reset(self) -> Global___ResetResponse:
-        """To a reset."""
+        """Response to a reset."""
 
     @_builtins.property
     def error(self) -> _common_pb2.Error:
-        """To a message that was refused."""
+        """The message was refused."""
 
     @_builtins.property
     def draining(self) -> _common_pb2.Draining:
-        """To nothing: the service is about to stop."""
+        """Unsolicited: the service is stopping."""
 
     def __init__(
         self,
@@ -564,7 +564,7 @@ Global___ConnectResponse: _TypeAlias = ConnectResponse  # noqa: Y015
 
 @_typing.final
 class RenderRequest(_message.Message):
-    """Asks for pixels."""
+    """Renders without stepping."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -575,12 +575,12 @@ class RenderRequest(_message.Message):
     session: _builtins.str
     """The session."""
     height: _builtins.int
-    """Height, in pixels; 0 means the session's. At most 256."""
+    """Frame height in pixels; 0 means the session's. At most 256."""
     width: _builtins.int
-    """Width, in pixels; 0 means the session's. At most 256."""
+    """Frame width in pixels; 0 means the session's. At most 256."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The cameras; empty for all of the task."""
+        """Cameras; empty for all of the task."""
 
     def __init__(
         self,
@@ -600,7 +600,7 @@ Global___RenderRequest: _TypeAlias = RenderRequest  # noqa: Y015
 
 @_typing.final
 class RenderResponse(_message.Message):
-    """The pixels."""
+    """The frames."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -645,7 +645,7 @@ Global___RenderResponse: _TypeAlias = RenderResponse  # noqa: Y015
 
 @_typing.final
 class SnapshotRequest(_message.Message):
-    """Asks for a session's state."""
+    """Asks for a session's complete state."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -673,7 +673,7 @@ class SnapshotResponse(_message.Message):
 
     SNAPSHOT_FIELD_NUMBER: _builtins.int
     snapshot: _builtins.bytes
-    """Opaque; restores on the same build of the same world only."""
+    """Opaque; can be restored by the same build of the same world only."""
     def __init__(
         self,
         *,
@@ -689,7 +689,7 @@ Global___SnapshotResponse: _TypeAlias = SnapshotResponse  # noqa: Y015
 
 @_typing.final
 class RestoreRequest(_message.Message):
-    """Asks to go back, or to go on elsewhere."""
+    """Restores a snapshot."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -698,7 +698,7 @@ class RestoreRequest(_message.Message):
     session: _builtins.str
     """The session; of the snapshot's task and number of environments."""
     snapshot: _builtins.bytes
-    """As Snapshot returned it."""
+    """As returned by Snapshot."""
     def __init__(
         self,
         *,
@@ -715,13 +715,13 @@ Global___RestoreRequest: _TypeAlias = RestoreRequest  # noqa: Y015
 
 @_typing.final
 class RestoreResponse(_message.Message):
-    """The session is as it was."""
+    """The session is restored."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
     STEP_ID_FIELD_NUMBER: _builtins.int
     step_id: _builtins.int
-    """The last step made before the snapshot: the next step_id is one more."""
+    """Last step before the snapshot; the next step_id is one more."""
     def __init__(
         self,
         *,
@@ -737,7 +737,7 @@ Global___RestoreResponse: _TypeAlias = RestoreResponse  # noqa: Y015
 
 @_typing.final
 class DemonstrateRequest(_message.Message):
-    """What to demonstrate."""
+    """Records trajectories of a scripted policy."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -748,17 +748,17 @@ class DemonstrateRequest(_message.Message):
     class _BehaviourEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[DemonstrateRequest._Behaviour.ValueType], _builtins.type):
         DESCRIPTOR: _descriptor.EnumDescriptor
         BEHAVIOUR_UNSPECIFIED: DemonstrateRequest._Behaviour.ValueType  # 0
-        """Refused."""
+        """Invalid."""
         BEHAVIOUR_EXPERT: DemonstrateRequest._Behaviour.ValueType  # 1
         """The task's scripted expert."""
         BEHAVIOUR_RANDOM: DemonstrateRequest._Behaviour.ValueType  # 2
         """Smooth random actions."""
 
     class Behaviour(_Behaviour, metaclass=_BehaviourEnumTypeWrapper):
-        """Who acts."""
+        """Scripted policy."""
 
     BEHAVIOUR_UNSPECIFIED: DemonstrateRequest.Behaviour.ValueType  # 0
-    """Refused."""
+    """Invalid."""
     BEHAVIOUR_EXPERT: DemonstrateRequest.Behaviour.ValueType  # 1
     """The task's scripted expert."""
     BEHAVIOUR_RANDOM: DemonstrateRequest.Behaviour.ValueType  # 2
@@ -777,32 +777,32 @@ class DemonstrateRequest(_message.Message):
     WIDTH_FIELD_NUMBER: _builtins.int
     PRIVILEGED_FIELD_NUMBER: _builtins.int
     task: _builtins.str
-    """The task's name."""
+    """Task name."""
     behaviour: Global___DemonstrateRequest.Behaviour.ValueType
-    """Who acts."""
+    """Scripted policy."""
     min_skills: _builtins.int
     """Fewest different skills in one trajectory; 0 means 1."""
     max_skills: _builtins.int
     """Most different skills in one trajectory; 0 means as many as `skills`."""
     count: _builtins.int
-    """Trajectories. At most 100000."""
+    """Number of trajectories. At most 100000."""
     seed: _builtins.int
-    """Trajectory i is drawn from SeedSequence(seed).spawn(count)[i], so any part can be made again."""
+    """Trajectory i is drawn from SeedSequence(seed).spawn(count)[i], so any part can be recorded again."""
     first: _builtins.int
-    """Index of the first trajectory to send; 0 for all. To resume, one more than the last one kept."""
+    """Index of the first trajectory to send; 0 for all. To resume, one more than the last one received."""
     height: _builtins.int
-    """Height, in pixels; 0 means the camera's own. At most 256."""
+    """Frame height in pixels; 0 means the camera's own. At most 256."""
     width: _builtins.int
-    """Width, in pixels; 0 means the camera's own. At most 256."""
+    """Frame width in pixels; 0 means the camera's own. At most 256."""
     privileged: _builtins.bool
-    """Whether replies hold `labels`. For evaluation only."""
+    """Whether replies include `labels`. For evaluation only."""
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The skills to choose from; empty for all of the task."""
+        """Skills to choose from; empty for all of the task."""
 
     @_builtins.property
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The cameras to record; empty for the task's first."""
+        """Cameras to record; empty for the task's first."""
 
     def __init__(
         self,
@@ -838,14 +838,14 @@ class DemonstrateResponse(_message.Message):
     TRAJECTORY_FIELD_NUMBER: _builtins.int
     LABELS_FIELD_NUMBER: _builtins.int
     index: _builtins.int
-    """Counts from `first`."""
+    """Index of the trajectory, counted from `first`."""
     @_builtins.property
     def trajectory(self) -> _common_pb2.Trajectory:
-        """What was seen and done, and which skills occur."""
+        """Frames, actions and the set of skills."""
 
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """For each timestep, the index of the skill in execution into the task's skills; empty unless privileged."""
+        """Index of the skill at each timestep, into the task's skills; empty unless privileged."""
 
     def __init__(
         self,
@@ -864,7 +864,7 @@ Global___DemonstrateResponse: _TypeAlias = DemonstrateResponse  # noqa: Y015
 
 @_typing.final
 class CloseSessionRequest(_message.Message):
-    """Asks to end a session."""
+    """Closes a session."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -886,7 +886,7 @@ Global___CloseSessionRequest: _TypeAlias = CloseSessionRequest  # noqa: Y015
 
 @_typing.final
 class CloseSessionResponse(_message.Message):
-    """It is ended; ending it again is no error."""
+    """The session is closed; closing an unknown session succeeds, too."""
 
     DESCRIPTOR: _descriptor.Descriptor
 

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class SimServiceStub:
-    """Holds sessions: vectors of environments of one task, each session leased to one client.
+    """Sessions: vectors of environments of one task, each leased to one client.
     """
 
     def __init__(self, channel):
@@ -88,18 +88,18 @@ class SimServiceStub:
 
 
 class SimServiceServicer:
-    """Holds sessions: vectors of environments of one task, each session leased to one client.
+    """Sessions: vectors of environments of one task, each leased to one client.
     """
 
     def ListTasks(self, request, context):
-        """Names the tasks, with their specs.
+        """Lists the tasks with their specs.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def CreateSession(self, request, context):
-        """Makes a session, not yet reset.
+        """Creates a session; it must be reset before the first step.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -120,8 +120,8 @@ class SimServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def Connect(self, request_iterator, context):
-        """Resets and steps on one stream: one reply per message, in order. A message that is refused is answered by an
-        error, and the stream goes on.
+        """Resets and steps on one stream: one reply per message, in order. A refused message is answered by an error, and
+        the stream goes on.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -135,28 +135,28 @@ class SimServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def Snapshot(self, request, context):
-        """Returns the whole state of a session as bytes that the client keeps.
+        """Returns the complete state of a session.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Restore(self, request, context):
-        """Puts a session into the state of a snapshot; what follows is bitwise what followed it.
+        """Restores a snapshot; the same actions then give the same bits.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Demonstrate(self, request, context):
-        """Runs a scripted behaviour and sends whole trajectories as they finish.
+        """Records a scripted policy and streams trajectories as they finish.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def CloseSession(self, request, context):
-        """Ends a session.
+        """Closes a session.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -224,7 +224,7 @@ def add_SimServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class SimService:
-    """Holds sessions: vectors of environments of one task, each session leased to one client.
+    """Sessions: vectors of environments of one task, each leased to one client.
     """
 
     @staticmethod

@@ -27,65 +27,65 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class SimServiceStub:
-    """Holds sessions: vectors of environments of one task, each session leased to one client."""
+    """Sessions: vectors of environments of one task, each leased to one client."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> SimServiceAsyncStub: ...
     ListTasks: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ListTasksRequest, _sim_pb2.ListTasksResponse]
-    """Names the tasks, with their specs."""
+    """Lists the tasks with their specs."""
     CreateSession: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CreateSessionRequest, _sim_pb2.CreateSessionResponse]
-    """Makes a session, not yet reset."""
+    """Creates a session; it must be reset before the first step."""
     Reset: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ResetRequest, _sim_pb2.ResetResponse]
     """Begins new episodes."""
     Step: _grpc.UnaryUnaryMultiCallable[_sim_pb2.StepRequest, _sim_pb2.StepResponse]
     """Steps every environment of a session once."""
     Connect: _grpc.StreamStreamMultiCallable[_sim_pb2.ConnectRequest, _sim_pb2.ConnectResponse]
-    """Resets and steps on one stream: one reply per message, in order. A message that is refused is answered by an
-    error, and the stream goes on.
+    """Resets and steps on one stream: one reply per message, in order. A refused message is answered by an error, and
+    the stream goes on.
     """
     Render: _grpc.UnaryUnaryMultiCallable[_sim_pb2.RenderRequest, _sim_pb2.RenderResponse]
     """Renders without stepping."""
     Snapshot: _grpc.UnaryUnaryMultiCallable[_sim_pb2.SnapshotRequest, _sim_pb2.SnapshotResponse]
-    """Returns the whole state of a session as bytes that the client keeps."""
+    """Returns the complete state of a session."""
     Restore: _grpc.UnaryUnaryMultiCallable[_sim_pb2.RestoreRequest, _sim_pb2.RestoreResponse]
-    """Puts a session into the state of a snapshot; what follows is bitwise what followed it."""
+    """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _grpc.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]
-    """Runs a scripted behaviour and sends whole trajectories as they finish."""
+    """Records a scripted policy and streams trajectories as they finish."""
     CloseSession: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]
-    """Ends a session."""
+    """Closes a session."""
 
 @_typing.type_check_only
 class SimServiceAsyncStub(SimServiceStub):
-    """Holds sessions: vectors of environments of one task, each session leased to one client."""
+    """Sessions: vectors of environments of one task, each leased to one client."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     ListTasks: _aio.UnaryUnaryMultiCallable[_sim_pb2.ListTasksRequest, _sim_pb2.ListTasksResponse]  # type: ignore[assignment]
-    """Names the tasks, with their specs."""
+    """Lists the tasks with their specs."""
     CreateSession: _aio.UnaryUnaryMultiCallable[_sim_pb2.CreateSessionRequest, _sim_pb2.CreateSessionResponse]  # type: ignore[assignment]
-    """Makes a session, not yet reset."""
+    """Creates a session; it must be reset before the first step."""
     Reset: _aio.UnaryUnaryMultiCallable[_sim_pb2.ResetRequest, _sim_pb2.ResetResponse]  # type: ignore[assignment]
     """Begins new episodes."""
     Step: _aio.UnaryUnaryMultiCallable[_sim_pb2.StepRequest, _sim_pb2.StepResponse]  # type: ignore[assignment]
     """Steps every environment of a session once."""
     Connect: _aio.StreamStreamMultiCallable[_sim_pb2.ConnectRequest, _sim_pb2.ConnectResponse]  # type: ignore[assignment]
-    """Resets and steps on one stream: one reply per message, in order. A message that is refused is answered by an
-    error, and the stream goes on.
+    """Resets and steps on one stream: one reply per message, in order. A refused message is answered by an error, and
+    the stream goes on.
     """
     Render: _aio.UnaryUnaryMultiCallable[_sim_pb2.RenderRequest, _sim_pb2.RenderResponse]  # type: ignore[assignment]
     """Renders without stepping."""
     Snapshot: _aio.UnaryUnaryMultiCallable[_sim_pb2.SnapshotRequest, _sim_pb2.SnapshotResponse]  # type: ignore[assignment]
-    """Returns the whole state of a session as bytes that the client keeps."""
+    """Returns the complete state of a session."""
     Restore: _aio.UnaryUnaryMultiCallable[_sim_pb2.RestoreRequest, _sim_pb2.RestoreResponse]  # type: ignore[assignment]
-    """Puts a session into the state of a snapshot; what follows is bitwise what followed it."""
+    """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _aio.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]  # type: ignore[assignment]
-    """Runs a scripted behaviour and sends whole trajectories as they finish."""
+    """Records a scripted policy and streams trajectories as they finish."""
     CloseSession: _aio.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]  # type: ignore[assignment]
-    """Ends a session."""
+    """Closes a session."""
 
 class SimServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Holds sessions: vectors of environments of one task, each session leased to one client."""
+    """Sessions: vectors of environments of one task, each leased to one client."""
 
     @_abc_1.abstractmethod
     def ListTasks(
@@ -93,7 +93,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.ListTasksRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.ListTasksResponse, _abc.Awaitable[_sim_pb2.ListTasksResponse]]:
-        """Names the tasks, with their specs."""
+        """Lists the tasks with their specs."""
 
     @_abc_1.abstractmethod
     def CreateSession(
@@ -101,7 +101,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.CreateSessionRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.CreateSessionResponse, _abc.Awaitable[_sim_pb2.CreateSessionResponse]]:
-        """Makes a session, not yet reset."""
+        """Creates a session; it must be reset before the first step."""
 
     @_abc_1.abstractmethod
     def Reset(
@@ -125,8 +125,8 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_sim_pb2.ConnectRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_sim_pb2.ConnectResponse], _abc.AsyncIterator[_sim_pb2.ConnectResponse]]:
-        """Resets and steps on one stream: one reply per message, in order. A message that is refused is answered by an
-        error, and the stream goes on.
+        """Resets and steps on one stream: one reply per message, in order. A refused message is answered by an error, and
+        the stream goes on.
         """
 
     @_abc_1.abstractmethod
@@ -143,7 +143,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.SnapshotRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.SnapshotResponse, _abc.Awaitable[_sim_pb2.SnapshotResponse]]:
-        """Returns the whole state of a session as bytes that the client keeps."""
+        """Returns the complete state of a session."""
 
     @_abc_1.abstractmethod
     def Restore(
@@ -151,7 +151,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.RestoreRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.RestoreResponse, _abc.Awaitable[_sim_pb2.RestoreResponse]]:
-        """Puts a session into the state of a snapshot; what follows is bitwise what followed it."""
+        """Restores a snapshot; the same actions then give the same bits."""
 
     @_abc_1.abstractmethod
     def Demonstrate(
@@ -159,7 +159,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.DemonstrateRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_sim_pb2.DemonstrateResponse], _abc.AsyncIterator[_sim_pb2.DemonstrateResponse]]:
-        """Runs a scripted behaviour and sends whole trajectories as they finish."""
+        """Records a scripted policy and streams trajectories as they finish."""
 
     @_abc_1.abstractmethod
     def CloseSession(
@@ -167,6 +167,6 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.CloseSessionRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.CloseSessionResponse, _abc.Awaitable[_sim_pb2.CloseSessionResponse]]:
-        """Ends a session."""
+        """Closes a session."""
 
 def add_SimServiceServicer_to_server(servicer: SimServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -20,7 +20,7 @@ SPACING_STEPS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Pursuit:
+class LandmarkPursuit:
     """Which landmark a robot pursued at each of T timesteps, and whether it was there.
 
     Attributes:
@@ -96,7 +96,7 @@ def needs_block_move(states: States, landmark: States) -> Flags:
     return np.asarray(moved.max(axis=-1) > TOLERANCE_M)
 
 
-def pursue(states: States, goal_index: npt.NDArray[np.integer[Any]], landmark_states: States) -> Pursuit:
+def pursue(states: States, goal_index: npt.NDArray[np.integer[Any]], landmark_states: States) -> LandmarkPursuit:
     """Returns how a policy pursued a robot's landmarks.
 
     Args:
@@ -112,7 +112,7 @@ def pursue(states: States, goal_index: npt.NDArray[np.integer[Any]], landmark_st
     count = len(landmark_states)
     pursued = np.minimum(np.concatenate([[0], goal_index[:-1]])[: len(states)], count)
     at_landmark = is_at(states, landmark_states[np.minimum(pursued, count - 1)]) & (pursued < count)
-    return Pursuit(pursued.astype(np.int64), at_landmark, np.asarray(goal_index > pursued), count)
+    return LandmarkPursuit(pursued.astype(np.int64), at_landmark, np.asarray(goal_index > pursued), count)
 
 
 def reached_at_random(states: States, landmark_states: States, *, max_steps: int) -> Flags:

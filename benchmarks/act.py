@@ -1,0 +1,144 @@
+"""Latency of one action through each interface of the imitation service, beside the bare model and bare transports.
+
+One robot sends one observation after the other, each a raw image. `control` and `grpc` are calls of the Python client
+from arrays to arrays, `json` is a REST call from a prepared body to the parsed reply, and `control-bytes` is the stream
+of `control` with prepared messages and replies left undecoded. The baselines also use prepared messages:
+
+    torch           the model call in process, as the service's core makes it
+    bare-stream     a bare gRPC stream with the same image one way and as many bytes as a reply the other way
+    bare-websocket  a bare websocket with msgpack that carries the same
+    bare-policy     a bare gRPC stream whose server makes the model call on its event loop, blocking other clients
+    bare-threaded   the same with the model call on a thread
+
+The overhead of an interface over the model call is relative to that of `bare-policy`:
+(interface - torch) / (bare-policy - torch).
+"""
+
+import base64
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack
+from itertools import count, repeat
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from benchmarks.bare_transport import SEQ_BYTES, STREAM, grpc_stream, websocket
+from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Robot, Scene, control_stream, publish_scene
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.servers import rest_call, rest_client, run_server, run_service
+from benchmarks.timing import Call, Effort, Latencies, measure_latencies
+from freerein import wire
+from freerein.clients import Channel, ImitationClient
+from freerein.types.imitation import ActRequest
+from freerein_imitation import model
+
+_SIDES_PX = (64, 224)
+_INTERFACES = ("control-bytes", "control", "grpc", "json")
+_BARS = {("control-bytes", "policy"): Bar("at most", 1.5)}
+_TOLERANCE = 1e-5
+
+Actions: TypeAlias = npt.NDArray[np.float32]
+Act: TypeAlias = Callable[[], Awaitable[Actions]]
+
+
+async def measure(effort: Effort) -> Results:
+    """Returns the overhead of each interface over the model call, for each image size, and all latencies."""
+    results = Results()
+    with TemporaryDirectory() as folder:
+        scenes = [publish_scene(side_px, Path(folder)) for side_px in _SIDES_PX]
+        async with run_service("imitation", data_dir=Path(folder)) as stack:
+            for scene in scenes:
+                results += await _measure(scene, stack.addresses["imitation"], stack.urls["imitation"], effort)
+    return results
+
+
+async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Results:
+    async with AsyncExitStack() as opened:
+        rest = await opened.enter_async_context(rest_client(url))
+        client = await opened.enter_async_context(ImitationClient(Channel(address)))
+        robot = await opened.enter_async_context(control_stream(client, scene))
+        request = ActRequest(scene.observation(), scene.goal_image(), max_steps_per_goal=NEVER_STEPS, model=scene.ref)
+
+        async def grpc() -> Actions:
+            actions: Actions = (await client.act(request)).actions
+            return actions
+
+        json = rest_call(rest, "/v1/act", orjson.dumps(wire.to_json(request)), _parse_actions)
+        decoded: dict[str, Act] = {"torch": _torch(scene), "grpc": grpc, "json": json}
+        await _check_same_actions(decoded, robot)
+        bare = await _open_bare(opened, scene, address, reply_bytes=wire.pack(await robot.observe()).ByteSize())
+        times = await measure_latencies({"control": robot.observe, **decoded, **bare}, effort)
+    case = scene.ref.name
+    overheads = (
+        Ratio(f"act.{each}_adds_vs_bare_{bare}.{case}", _overhead(times, each, f"bare-{bare}"), _BARS.get((each, bare)))
+        for bare in ("policy", "threaded")
+        for each in _INTERFACES
+    )
+    totals = (
+        Ratio(f"act.{each}_vs_bare_policy.{case}", times.ratio(each, over="bare-policy", share=0.5))
+        for each in _INTERFACES
+    )
+    return Results(ratios=(*overheads, *totals), latencies={f"act.{case}": times})
+
+
+async def _open_bare(opened: AsyncExitStack, scene: Scene, address: str, *, reply_bytes: int) -> dict[str, Call]:
+    """Returns the calls of bare clients, to the service and to bare servers, open as long as the stack is."""
+    frame, goal, size, model = scene.frame.tobytes(), scene.goal.tobytes(), str(reply_bytes), str(scene.folder)
+    ports = {
+        kind: await opened.enter_async_context(run_server("benchmarks.bare_transport", kind, argument))
+        for kind, argument in (("stream", size), ("websocket", size), ("policy", model), ("threaded", model))
+    }
+    at = {kind: f"127.0.0.1:{port}" for kind, port in ports.items()}
+    observations, hello = scene.observed_bytes(), scene.hello_bytes()
+    calls = {
+        "control-bytes": grpc_stream(address, CONTROL, observations, first=hello, first_is_answered=True),
+        "bare-policy": grpc_stream(at["policy"], STREAM, _numbered(frame), first=goal),
+        "bare-threaded": grpc_stream(at["threaded"], STREAM, _numbered(frame), first=goal),
+        "bare-stream": grpc_stream(at["stream"], STREAM, repeat(frame)),
+        "bare-websocket": websocket(f"ws://{at['websocket']}", frame),
+    }
+    return {name: await opened.enter_async_context(call) for name, call in calls.items()}
+
+
+def _numbered(frame: bytes) -> Iterator[bytes]:
+    return (seq.to_bytes(SEQ_BYTES, "little") + frame for seq in count())
+
+
+def _overhead(times: Latencies, interface: str, bare: str) -> float:
+    """Returns the overhead of an interface over that of a bare server: the median of the rounds' p50 ratios."""
+    ours, torch, theirs = (times.quantiles(each, 0.5) for each in (interface, "torch", bare))
+    return median((our - call) / (their - call) for our, call, their in zip(ours, torch, theirs, strict=True))
+
+
+async def _check_same_actions(interfaces: dict[str, Act], robot: Robot) -> None:
+    """Raises if the first actions differ, which do not depend on memory."""
+    chunk = (await robot.observe()).chunk
+    for name, act in interfaces.items():
+        if chunk is None or not np.allclose(await act(), chunk.actions, atol=_TOLERANCE):
+            raise RuntimeError(f"All interfaces must return the same actions; {name} and the stream differ.")
+
+
+def _torch(scene: Scene) -> Act:
+    """Returns the model call as the service's core makes it, with the memory passed on."""
+    policy = model.load(scene.folder, "cpu")
+    frames, goals = scene.frame[None], policy.encode_goals(scene.goal[None])
+    previous, recurrent = policy.spec.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
+
+    async def act() -> Actions:
+        nonlocal recurrent
+        step = policy.step(frames, goals, previous, recurrent)
+        recurrent = step.recurrent
+        actions: Actions = step.actions[0]
+        return actions
+
+    return act
+
+
+def _parse_actions(reply: Any) -> Actions:
+    actions = reply["actions"]
+    return np.frombuffer(base64.b64decode(actions["raw"]), np.float32).reshape(actions["shape"])

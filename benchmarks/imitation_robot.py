@@ -1,0 +1,166 @@
+"""A robot at the imitation service with an untrained policy that never counts a goal as reached."""
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from benchmarks.servers import initialise, publish
+from freerein import images, wire
+from freerein.api.imitation.v1 import imitation_pb2
+from freerein.clients import ImitationClient
+from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
+from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedPolicy, GoalConditionedSpec
+from freerein_imitation.model.policy import ControlSpec
+
+CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
+NEVER_STEPS = 2**31
+"""More control steps per goal than a benchmark takes."""
+
+_ACTION = ActionSpec(3, 0, ("dx", "dy", "dz"), "m", (0.01, 0.01, 0.01))
+_CAMERA, _CONTROL_DT_S = "front", 0.02
+_VALID_FOR_S = 10.0
+_CALIBRATION_FRAMES = 16
+_WIDTH = 128
+_NUMBERS_AT_ONCE = 1000
+
+Frame = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A published policy, and the images that a robot sends.
+
+    Attributes:
+        ref: The policy's reference.
+        folder: The policy's files.
+        frame: Observed image, uint8 (H, W, 3).
+        goal: Goal image, uint8 (H, W, 3).
+    """
+
+    ref: ModelRef
+    folder: Path
+    frame: Frame
+    goal: Frame
+
+    def observation(self) -> Observation:
+        """Returns the observation."""
+        return Observation((_raw(self.frame),))
+
+    def goal_image(self) -> Goal:
+        """Returns the goal."""
+        return Goal((_raw(self.goal),))
+
+    def hello(self) -> ControlRequest:
+        """Returns the first message of a control stream; actions stay valid long enough for late replies."""
+        return ControlRequest(
+            hello=Hello(
+                self.goal_image(),
+                (Camera(_CAMERA, *self.frame.shape),),
+                _ACTION,
+                _CONTROL_DT_S,
+                self.ref,
+                max_steps_per_goal=NEVER_STEPS,
+                valid_for_s=_VALID_FOR_S,
+            )
+        )
+
+    def hello_bytes(self) -> bytes:
+        """Returns the first message of a control stream as bytes."""
+        return wire.pack(self.hello()).SerializeToString()
+
+    def observed(self, seq: int) -> ControlRequest:
+        """Returns the observation of this number, after one executed action."""
+        executed = np.zeros((1, _ACTION.size), np.float32)
+        return ControlRequest(observed=Observed(seq, self.observation(), executed, observation_time_ns=seq))
+
+    def observed_bytes(self) -> Iterator[bytes]:
+        """Yields observations as bytes, numbered from 0: one prepared message followed by a new number.
+
+        Protobuf keeps the last value of a field that occurs twice.
+        """
+        prepared = wire.pack(self.observed(0)).SerializeToString()
+        for first in count(step=_NUMBERS_AT_ONCE):
+            yield from [prepared + _seq_bytes(seq) for seq in range(first, first + _NUMBERS_AT_ONCE)]
+
+
+def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
+    """Publishes an untrained goal-conditioned policy to the imitation service's store; returns it with random images.
+
+    Args:
+        side_px: Height and width of the frames.
+        data_dir: The service's data directory.
+        width: Image features, and units of the LSTM.
+    """
+    frames = np.random.default_rng(0).integers(256, size=(_CALIBRATION_FRAMES, side_px, side_px, 3), dtype=np.uint8)
+    spec = GoalConditionedSpec(
+        camera=_CAMERA, action_size=_ACTION.size, height=side_px, width=side_px, features=width, hidden_size=width
+    )
+    network = GoalConditionedNetwork(spec)
+    initialise(network)
+    network.fit_normalisation(torch.from_numpy(frames))
+    control = ControlSpec(_ACTION, _CONTROL_DT_S, reached_threshold=1.0, max_steps_per_goal=NEVER_STEPS)
+    card = {"kind": GoalConditionedPolicy.kind, **control.to_card()}
+    ref = publish(network, data_dir, "imitation", name=f"{side_px}px", card=card)
+    return Scene(ref, data_dir / "models" / "imitation" / ref.name / ref.version, frames[0], frames[1])
+
+
+class Robot:
+    """Sends each observation when the one before it is answered, through `ImitationClient`.
+
+    Args:
+        client: The client.
+        scene: What it observes.
+    """
+
+    def __init__(self, client: ImitationClient, scene: Scene) -> None:
+        self._scene = scene
+        self._seq = 0
+        self._requests: asyncio.Queue[ControlRequest] = asyncio.Queue()
+        self.replies = client.control(self._sent())
+
+    async def send_hello(self) -> None:
+        """Opens the stream."""
+        self._requests.put_nowait(self._scene.hello())
+        await anext(self.replies)
+
+    async def observe(self) -> ControlResponse:
+        """Sends the next observation; returns the reply, which holds a chunk.
+
+        Raises:
+            RuntimeError: The observation was refused.
+        """
+        self._seq += 1
+        self._requests.put_nowait(self._scene.observed(self._seq))
+        reply = await anext(self.replies)
+        if reply.chunk is None:
+            raise RuntimeError(f"An observation must be answered by a chunk; got {reply}.")
+        return reply
+
+    async def _sent(self) -> AsyncIterator[ControlRequest]:
+        while True:
+            yield await self._requests.get()
+
+
+@asynccontextmanager
+async def control_stream(client: ImitationClient, scene: Scene) -> AsyncGenerator[Robot, None]:
+    """Opens a control stream for the length of the block."""
+    robot = Robot(client, scene)
+    await robot.send_hello()
+    yield robot
+    await robot.replies.aclose()
+
+
+def _seq_bytes(seq: int) -> bytes:
+    return imitation_pb2.ControlRequest(observed=imitation_pb2.Observed(seq=seq)).SerializeToString()
+
+
+def _raw(frame: Frame) -> Image:
+    return images.encode(frame, encoding="raw_rgb8", camera=_CAMERA)

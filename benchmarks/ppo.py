@@ -1,0 +1,231 @@
+"""Steps per second of PPO over the network, beside the same PPO in one process, and with two sims beside one.
+
+Each turn is a short training from the same checkpoint, with the same worlds and learned reward; equal final weights are
+checked. In one process the worlds and the reward model have a thread each.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AsyncExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.servers import run_service
+from benchmarks.timing import Effort, Workload, measure_rates, repeat
+from freerein.clients import Channel, RewardClient, SimClient, SyncClient
+from freerein.learning import weights
+from freerein.learning.checkpoints import Checkpoint
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.types.common import ModelRef
+from freerein.types.sim import CreateSessionRequest
+from freerein_orchestrator.envs.recovery import RecoveringCollector
+from freerein_orchestrator.envs.retry import Retry
+from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, zero_reward
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.networks import ActorCritic
+from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer, collect
+from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
+from freerein_orchestrator.rl.trainer import Trainer
+from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
+from freerein_reward.core import GoalCache, Inference, RewardModel
+from freerein_reward.core.inference import ScoreItem, Scores
+from freerein_reward.model import load
+from freerein_reward.relations import rival_captions
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds.tasks import tasks
+
+_TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
+_CONFIG = PPOConfig(iterations=3)
+_STEPS = _CONFIG.iterations * _CONFIG.rollout_size
+_ROUNDS = 3
+_CPU = torch.device("cpu")
+_CACHE_BYTES = 2**20
+_FRAMES_PER_REWARD_CALL = 32
+
+Train = Callable[[], str]
+"""Trains once; returns the sha256 of the final weights."""
+
+
+async def measure(effort: Effort) -> Results:
+    """Returns the relative speed of PPO over the network and in process."""
+    async with AsyncExitStack() as opened:
+        folder = Path(opened.enter_context(TemporaryDirectory()))
+        sims: list[SyncClient] = []
+        for name in ("one", "two"):
+            stack = await opened.enter_async_context(
+                run_service("sim", data_dir=folder / name, FREEREIN_SIM_WORKERS="1")
+            )
+            sims.append(opened.enter_context(SyncClient(SimClient(Channel(stack.addresses["sim"])))))
+        stack = await opened.enter_async_context(run_service("reward", data_dir=folder / "reward"))
+        reward = opened.enter_context(SyncClient(RewardClient(Channel(stack.addresses["reward"]))))
+        return await _measure(sims, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
+
+
+async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Results:
+    one, two = [await asyncio.to_thread(_Served.init, sims[:count], reward) for count in (1, 2)]
+    local = _Local(one.start)
+    try:
+        trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train}
+        ends: dict[str, str] = {}
+        times = await measure_rates([_workload(name, train, ends) for name, train in trainings.items()], effort)
+    finally:
+        local.end()
+    if ends["in-process"] != ends["one-sim"]:
+        raise RuntimeError("Over the network and in process the final weights must be equal; they differ.")
+    return Results(
+        ratios=(
+            Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), Bar("at least", 0.8)),
+            Ratio("ppo.two_sims_vs_one", times.speedup("two-sims", over="one-sim")),
+        ),
+        rates={"ppo": times},
+    )
+
+
+def _workload(name: str, train: Train, ends: dict[str, str]) -> Workload:
+    """Returns a workload that records its final weights' hash in `ends`."""
+
+    async def call() -> None:
+        ends[name] = await asyncio.to_thread(train)
+
+    return Workload(name, repeat(call), _STEPS, "steps")
+
+
+class _NoLog:
+    """Drops metrics."""
+
+    def append(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Drops a row."""
+
+    def close(self) -> None:
+        """Holds nothing."""
+
+
+def _train(start: Checkpoint, collector: Collector) -> str:
+    """Trains from a checkpoint; returns the sha256 of the final weights."""
+    with TemporaryDirectory() as folder:
+        state = Trainer(
+            Path(folder),
+            init=lambda: from_checkpoint(start, _CONFIG, device=_CPU),
+            load=lambda checkpoint: from_checkpoint(checkpoint, _CONFIG, device=_CPU),
+            collector=lambda _: collector,
+            metrics_log=lambda _: _NoLog(),
+        ).train()
+    return weights.sha256(state.network)
+
+
+@dataclass(frozen=True)
+class _Served:
+    """Trains with services."""
+
+    sims: Sequence[SyncClient]
+    reward: SyncClient
+    start: Checkpoint
+
+    @classmethod
+    def init(cls, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
+        spec = network_spec(_CONFIG, observation=_FRAME, action_size=tasks()[_TASK].spec.action.size)
+        with closing(_open(sims, zero_reward, ())) as envs:
+            state: PPOState = init_state(_CONFIG, spec, envs, device=_CPU)
+        return cls(sims, reward, to_checkpoint(state))
+
+    def train(self) -> str:
+        retry = Retry(np.random.default_rng(), stop=lambda: False, say=lambda _: None)
+        reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
+        collector = RecoveringCollector(
+            lambda snapshots: _open(self.sims, reward_fn, snapshots), num_steps=_CONFIG.num_steps, retry=retry
+        )
+        return _train(self.start, collector)
+
+
+def _open(sims: Sequence[SyncClient], reward_fn: RewardFn, snapshots: Sequence[bytes]) -> RemoteVectorEnv:
+    request = CreateSessionRequest(_TASK, num_envs=_CONFIG.num_envs, seed=0)
+    return RemoteVectorEnv(sims, request, camera=_CAMERA, reward_fn=reward_fn, snapshots=snapshots)
+
+
+class _Local:
+    """Trains in this process, with the worlds and the reward model of the services; a `VecEnv` and its `Collector`.
+
+    The worlds have their own thread, since a GL context belongs to one thread; so has the reward model, as over the
+    network.
+    """
+
+    num_envs = _CONFIG.num_envs
+    recoveries = 0
+
+    def __init__(self, start: Checkpoint) -> None:
+        self._start = start
+        self._reward_fn = _LocalReward(tasks()[_TASK].goal_text)
+        self._reward_thread = ThreadPoolExecutor(1, "reward")
+        self._thread = ThreadPoolExecutor(1, "worlds")
+        self._envs = self._thread.submit(VectorEnv, tasks()[_TASK], num_envs=self.num_envs, seed=0).result()
+        self._snapshot = b""
+        self._pending: list[Frames] = []
+        self._rewards: list[Future[Rewards]] = []
+
+    def train(self) -> str:
+        return _train(self._start, self)
+
+    def collect(self, network: ActorCritic, state: CollectorState) -> tuple[RolloutBuffer, CollectorState]:
+        if state.env_snapshots != (self._snapshot,):
+            self._thread.submit(self._envs.restore, state.env_snapshots[0]).result()
+        return collect(network, self, state, num_steps=_CONFIG.num_steps)
+
+    def reset(self) -> Observations:
+        return self._thread.submit(self._envs.reset, cameras=(_CAMERA,)).result().frames[_CAMERA]
+
+    def step(self, actions: Actions) -> VecStep:
+        reply = self._thread.submit(self._envs.step, actions, (_CAMERA,)).result()
+        final, done = reply.frames[_CAMERA].copy(), reply.terminated | reply.truncated
+        final[done] = reply.final_frames[_CAMERA]
+        self._pending.append(final)
+        if len(self._pending) * self.num_envs == _FRAMES_PER_REWARD_CALL:
+            self._rewards.append(self._reward_thread.submit(self._reward_fn, np.concatenate(self._pending)))
+            self._pending = []
+        return VecStep(reply.frames[_CAMERA], reply.terminated, reply.truncated, final)
+
+    def rewards(self) -> Rewards:
+        futures, self._rewards = self._rewards, []
+        return np.concatenate([future.result() for future in futures]).reshape(-1, self.num_envs)
+
+    def snapshots(self) -> tuple[bytes, ...]:
+        self._snapshot = self._thread.submit(self._envs.snapshot).result()
+        return (self._snapshot,)
+
+    def close(self) -> None:
+        """Keeps the worlds for the next training."""
+
+    def end(self) -> None:
+        """Closes the worlds."""
+        self._thread.submit(self._envs.close).result()
+        for thread in (self._thread, self._reward_thread):
+            thread.shutdown()
+
+
+class _LocalReward:
+    """The reward service's default model."""
+
+    def __init__(self, goal_text: str) -> None:
+        store = ModelStore(CLONE_MODELS / "reward")
+        self._ref = ModelRef("default", store.active_version("default"))
+        model = load(store.folder(self._ref), "cpu")
+        if not isinstance(model, RewardModel):
+            raise TypeError("The default model of the reward service must be a reward model.")
+        self._model = model
+        self._texts = (goal_text, *rival_captions(goal_text))
+        self._inference = Inference(GoalCache(_CACHE_BYTES))
+
+    def __call__(self, frames: Frames) -> Rewards:
+        item = ScoreItem(self._ref, self._model, self._texts, {_CAMERA: frames})
+        (scores,) = self._inference.run([item])
+        if not isinstance(scores, Scores):
+            raise TypeError("Frames of the world must have scores.")
+        goal, others = scores.similarities[:, 0], scores.similarities[:, 1:]
+        rewards: Rewards = (goal > others.max(axis=1)).astype(np.float32)
+        return rewards

@@ -1,0 +1,147 @@
+"""Gain of the reward service's goal cache, and of many images per call.
+
+The model is untrained. Its own call is timed as the service's core makes it, gRPC calls from arrays to arrays, and REST
+calls from a prepared body to the parsed reply. All frames are raw.
+"""
+
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias
+
+import httpx
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from benchmarks.report import Bar, Ratio, Results
+from benchmarks.servers import initialise, publish, rest_call, rest_client, run_service
+from benchmarks.timing import Call, Effort, Workload, measure_latencies, measure_rates, repeat
+from freerein import wire
+from freerein.clients import Channel, RewardClient
+from freerein.types.common import ModelRef
+from freerein.types.reward import EmbedGoalRequest, RewardRequest
+from freerein_reward import model as reward_model
+from freerein_reward.core import GoalCache, Inference, RewardModel
+from freerein_reward.core.inference import ScoreItem
+from freerein_reward.model import REWARD, DualEncoder, DualEncoderSpec
+from freerein_reward.training import GroundingConfig, RewardConfig, network_spec, synthetic_objects
+
+_CAMERA, _GOAL = "front", "a red block on top of a yellow block"
+_MANY = 32
+_CACHE_BYTES = 16 * 2**20
+_TOLERANCE = 1e-5
+
+Similarities: TypeAlias = npt.NDArray[np.float32]
+Reward: TypeAlias = Callable[[], Awaitable[Similarities]]
+
+
+async def measure(effort: Effort) -> Results:
+    """Returns the cost of a cached goal text, and the gain in images per second of many images per call."""
+    async with AsyncExitStack() as opened:
+        folder = Path(opened.enter_context(TemporaryDirectory()))
+        ref, model, side_px = _publish(folder)
+        no_others = {"FREEREIN_SHIPPED_DIR": str(folder / "none")}
+        stack = await opened.enter_async_context(run_service("reward", data_dir=folder, **no_others))
+        rest = await opened.enter_async_context(rest_client(stack.urls["reward"]))
+        client = await opened.enter_async_context(RewardClient(Channel(stack.addresses["reward"])))
+        goals = await _measure_goals(ref, model, client, effort)
+        return goals + await _measure_images(model, side_px, client, rest, effort)
+
+
+async def _measure_goals(ref: ModelRef, model: RewardModel, client: RewardClient, effort: Effort) -> Results:
+    inference, numbers = Inference(GoalCache(_CACHE_BYTES)), count()
+
+    async def in_process(text: str) -> None:
+        inference.run([ScoreItem(ref, model, (text,))])
+
+    async def grpc(text: str) -> None:
+        await client.embed_goal(EmbedGoalRequest(text))
+
+    calls: dict[str, Call] = {
+        "model-cached": lambda: in_process(_GOAL),
+        "model-uncached": lambda: in_process(f"{_GOAL} {next(numbers)}"),
+        "grpc-cached": lambda: grpc(_GOAL),
+        "grpc-uncached": lambda: grpc(f"{_GOAL} {next(numbers)}"),
+    }
+    times = await measure_latencies(calls, effort)
+    costs = {where: times.ratio(f"{where}-cached", over=f"{where}-uncached", share=0.5) for where in ("model", "grpc")}
+    return Results(
+        ratios=(
+            Ratio("reward.goal_cached_vs_uncached.grpc", costs["grpc"], Bar("at most", 0.5)),
+            Ratio("reward.goal_cached_vs_uncached.model", costs["model"]),
+        ),
+        latencies={"reward.embed-goal": times},
+    )
+
+
+async def _measure_images(
+    model: RewardModel, side_px: int, client: RewardClient, rest: httpx.AsyncClient, effort: Effort
+) -> Results:
+    frames = np.random.default_rng(0).integers(256, size=(_MANY, side_px, side_px, 3), dtype=np.uint8)
+    rewards: dict[str, Reward] = {}
+    workloads = []
+    for size in (1, _MANY):
+        request = RewardRequest(_GOAL, {_CAMERA: frames[:size]})
+        rewards[f"grpc-{size}"] = _grpc(client, request)
+        rewards[f"json-{size}"] = rest_call(rest, "/v1/reward", orjson.dumps(wire.to_json(request)), _similarities)
+        workloads += [
+            Workload(f"model-{size}", repeat(_embed(model, frames[:size])), size, "images"),
+            *(Workload(f"{way}-{size}", repeat(rewards[f"{way}-{size}"]), size, "images") for way in ("grpc", "json")),
+        ]
+    await _check_same_similarities(rewards)
+    times = await measure_rates(workloads, effort)
+    gains = {where: times.speedup(f"{where}-32", over=f"{where}-1") for where in ("model", "grpc", "json")}
+    return Results(
+        ratios=(
+            Ratio("reward.images32_vs_1.grpc", gains["grpc"], Bar("at least", 4.0)),
+            Ratio("reward.images32_vs_1.model", gains["model"]),
+            Ratio("reward.images32_vs_1.json", gains["json"]),
+        ),
+        rates={"reward.images": times},
+    )
+
+
+async def _check_same_similarities(rewards: dict[str, Reward]) -> None:
+    expected = await rewards[f"grpc-{_MANY}"]()
+    for name, reward in rewards.items():
+        similarities = await reward()
+        if not np.allclose(similarities, expected[: len(similarities)], atol=_TOLERANCE):
+            raise RuntimeError(f"All calls must return the same similarities; {name} did not.")
+
+
+def _embed(model: RewardModel, frames: npt.NDArray[np.uint8]) -> Call:
+    async def call() -> None:
+        model.embed_images({_CAMERA: frames})
+
+    return call
+
+
+def _grpc(client: RewardClient, request: RewardRequest) -> Reward:
+    async def call() -> Similarities:
+        return (await client.reward(request)).similarities
+
+    return call
+
+
+def _similarities(reply: Any) -> Similarities:
+    return np.array(reply["similarities"], np.float32)
+
+
+def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
+    """Publishes an untrained model of a fit's default size; returns it and the side of its images, in pixels."""
+    tower = GroundingConfig()
+    grounding = DualEncoderSpec(
+        cameras=("",),
+        vocabulary=synthetic_objects.VOCABULARY,
+        image_size=synthetic_objects.IMAGE_SIZE,
+        width=tower.width,
+        depth=tower.depth,
+    )
+    spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,)))
+    network = DualEncoder(spec)
+    initialise(network)
+    ref = publish(network, data_dir, "reward", name="", card={"kind": REWARD})
+    return ref, reward_model.DualEncoderModel(network), spec.image_size

@@ -1,0 +1,109 @@
+"""What benchmarks talk to: services as users run them, servers of our own, untrained models, REST calls."""
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+import orjson
+import torch
+from torch import nn
+
+from freerein.cli.services import Stack, choose, free_ports
+from freerein.learning import weights
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
+from freerein.types.common import ModelRef
+
+_START_TIMEOUT_S = 60.0
+_STOP_TIMEOUT_S = 10.0
+_CALL_TIMEOUT_S = 60.0
+T = TypeVar("T")
+
+
+@asynccontextmanager
+async def run_service(service: str, *, data_dir: Path, module: str = "", **environ: str) -> AsyncGenerator[Stack, None]:
+    """Runs a service on free ports, ready when the block begins.
+
+    Args:
+        service: The service's name.
+        data_dir: Its data directory.
+        module: Module for `python -m`; empty for the installed service.
+        environ: Additional environment variables.
+    """
+    ports = free_ports([service])
+    modules = {service: module} if module else choose([service])
+    async with Stack(modules, data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
+        await stack.ready(timeout_s=_START_TIMEOUT_S)
+        yield stack
+
+
+@asynccontextmanager
+async def run_server(module: str, *arguments: str) -> AsyncGenerator[int, None]:
+    """Runs `python -m MODULE ARGUMENTS`, a server that calls `serve_until_stdin_closes`; yields its port.
+
+    Raises:
+        RuntimeError: The process ended before it listened.
+    """
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(sys.executable, "-m", module, *arguments, stdin=pipe, stdout=pipe)
+    if process.stdin is None or process.stdout is None:
+        raise TypeError("asyncio must connect the pipes that it was asked for")
+    try:
+        line = await process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"`python -m {module} {' '.join(arguments)}` must print its port; it ended before.")
+        yield int(line)
+    finally:
+        process.stdin.close()
+        await asyncio.wait_for(process.wait(), _STOP_TIMEOUT_S)
+
+
+async def serve_until_stdin_closes(port: int) -> None:
+    """Prints the port for the parent process; returns when the parent closes the pipe, or ends."""
+    sys.stdout.write(f"{port}\n")
+    sys.stdout.flush()
+    await asyncio.to_thread(sys.stdin.buffer.read)
+
+
+def initialise(network: nn.Module) -> None:
+    """Draws the weights of a network. Benchmarks use untrained networks: training does not change the time."""
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+
+
+def publish(network: nn.Module, data_dir: Path, service: str, *, name: str, card: Mapping[str, Any]) -> ModelRef:
+    """Saves a network as the active model of a service."""
+    folder = data_dir / "unpublished"
+    folder.mkdir(parents=True)
+    save_model(network, folder, card=dict(card))
+    store = ModelStore(data_dir / "models" / service)
+    ref = store.publish(name, folder)
+    store.activate(ref)
+    return ref
+
+
+def rest_client(url: str) -> httpx.AsyncClient:
+    """Returns an HTTP client of a REST API."""
+    return httpx.AsyncClient(base_url=url, timeout=_CALL_TIMEOUT_S, trust_env=False)
+
+
+def rest_call(
+    client: httpx.AsyncClient,
+    path: str,
+    body: bytes,
+    parse: Callable[[Any], T],
+    *,
+    media_type: str = "application/json",
+) -> Callable[[], Awaitable[T]]:
+    """Returns a function that posts a prepared body and parses the JSON reply."""
+
+    async def call() -> T:
+        response = await client.post(path, content=body, headers={"content-type": media_type})
+        response.raise_for_status()
+        return parse(orjson.loads(response.content))
+
+    return call

@@ -1,0 +1,189 @@
+"""`ControlService`: observations of a robot on one stream, action chunks back."""
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
+from freerein.serving.health import Health
+from freerein.types.common import Camera, Draining, Error
+from freerein.types.imitation import Chunk, ControlResponse, GetSpecResponse, Hello
+from freerein_imitation.core.act import ActContext, Policies, PolicyBatcher, spec_response, timing
+from freerein_imitation.core.control_queue import ControlQueue, PendingObservation, RejectedMessage, Requests
+
+MAX_VALID_FOR_S = 60.0
+_TOLERANCE = 1e-3  # relative, of times and scales
+_LAST_NS = 2**64 - 1
+_MOST_SHOWN = 16
+_LONGEST_SHOWN = 32
+
+
+class ControlService:
+    """Answers `Control`.
+
+    Args:
+        models: The policies.
+        batcher: Runs `PolicyRunner.run_batch` on the model's thread.
+        health: Tells when the service drains.
+        drain_s: Time to drain that streams are told, in seconds.
+    """
+
+    def __init__(self, models: Policies, batcher: PolicyBatcher, *, health: Health, drain_s: float) -> None:
+        self._models = models
+        self._batcher = batcher
+        self._health = health
+        self._drain_s = drain_s
+
+    async def control(self, requests: Requests) -> AsyncIterator[ControlResponse]:
+        """Yields the spec, then a chunk or an error for each observation that no newer one replaced.
+
+        Args:
+            requests: Messages; an `InvalidMessage` in place of one that could not be parsed.
+
+        Raises:
+            FailedPrecondition: The first message is not a Hello, a later one is, or robot and model disagree.
+            ServiceError: The Hello's model, goal or state is invalid, as in `ActService.act`.
+        """
+        queue = ControlQueue()
+        reading = asyncio.ensure_future(queue.fill(requests))
+        draining = asyncio.ensure_future(self._close_when_draining(queue))
+        session: _ControlSession | None = None
+        try:
+            while (entry := await queue.next()) is not None:
+                if isinstance(entry, Hello):
+                    session = await self._open(entry)
+                    yield ControlResponse(spec=session.spec)
+                elif isinstance(entry, RejectedMessage):
+                    yield _error(entry.seq, entry.error)
+                elif session is not None:
+                    yield await session.act(entry, queue)
+            if reading.done():
+                reading.result()  # raises a protocol violation, or a bug
+            if self._health.draining:
+                yield ControlResponse(draining=Draining(self._drain_s))
+        finally:
+            reading.cancel()
+            draining.cancel()
+            await asyncio.gather(reading, draining, return_exceptions=True)
+
+    async def _open(self, hello: Hello) -> "_ControlSession":
+        model, policy = await self._models.resolve(hello.model)
+        spec = spec_response(model, policy.spec)
+        _check_agreement(spec, hello)
+        context = await ActContext.create(model, policy, hello.goal, max_steps=hello.max_steps_per_goal)
+        return _ControlSession(spec, context, hello, self._batcher)
+
+    async def _close_when_draining(self, queue: ControlQueue) -> None:
+        await self._health.wait_for_drain()
+        queue.close()
+
+
+class _ControlSession:
+    """One robot's stream after its Hello: holds the policy state.
+
+    Attributes:
+        spec: The model's spec.
+    """
+
+    def __init__(self, spec: GetSpecResponse, context: ActContext, hello: Hello, batcher: PolicyBatcher) -> None:
+        self.spec = spec
+        self._context = context
+        self._batcher = batcher
+        self._state = context.decode_state(hello.state)
+        self._has_state = bool(hello.state)
+        self._elapsed = 0  # control steps since the observation of the state, up to the last one that failed
+        self._valid_for_s = hello.valid_for_s or (spec.horizon + 2) * spec.control_dt_s
+
+    async def act(self, pending: PendingObservation, queue: ControlQueue) -> ControlResponse:
+        """Returns the chunk for an observation, or its error, which leaves the policy state unchanged."""
+        observed, start_ns = pending.observed, time.perf_counter_ns()
+        self._elapsed += pending.elapsed
+        elapsed = self._elapsed if self._has_state else 0
+        try:
+            request = await self._context.parse(
+                observed.observation, observed.executed_actions, self._state, elapsed=elapsed
+            )
+            decode_ns = time.perf_counter_ns() - start_ns
+            done = await self._batcher.submit(request, key=self._context.model, timeout_s=self._valid_for_s)
+        except ServiceError as error:
+            return _error(observed.seq, error)
+        result = done.output
+        self._state, self._has_state, self._elapsed = result.state, True, 0
+        chunk = Chunk(
+            actions=result.actions,
+            goal_reached=result.reached,
+            goal_confidence=result.confidence,
+            goal_index=result.state.goal_index,
+            goal_abandoned=result.state.abandoned,
+            state=self._context.encode_state(result.state),
+            observation_time_ns=observed.observation_time_ns,
+            valid_until_ns=min(observed.observation_time_ns + round(self._valid_for_s * 1e9), _LAST_NS),
+            dropped=queue.dropped,
+            timing=timing(pending.arrived_ns, decode_ns, done),
+        )
+        return ControlResponse(seq=observed.seq, chunk=chunk)
+
+
+def _error(seq: int, error: ServiceError) -> ControlResponse:
+    message = Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
+    return ControlResponse(seq=seq, error=message)
+
+
+def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
+    """Checks that robot and model have the same cameras, actions and control rate."""
+    if not 0.0 <= hello.valid_for_s <= MAX_VALID_FOR_S:
+        raise InvalidInput(
+            f"`valid_for_s` must be in [0, {MAX_VALID_FOR_S:g}] seconds; got {hello.valid_for_s:g}.",
+            field="hello.valid_for_s",
+            hint="Leave it 0 for two control steps beyond the chunk.",
+        )
+    expected, got = spec.action, hello.action
+    compared = (
+        ("cameras", spec.cameras, _with_name(hello.cameras, spec.cameras)),
+        ("action.size", expected.size, got.size),
+        ("action.choices", expected.choices, got.choices),
+        ("action.names", expected.names, got.names),
+        ("action.unit", expected.unit, got.unit),
+        ("action.scale", expected.scale, got.scale),
+        ("control_dt_s", spec.control_dt_s, hello.control_dt_s),
+    )
+    differences = [
+        f"{name}: {_shown(model)} for the model, {_shown(robot)} for the robot"
+        for name, model, robot in compared
+        if not _equal(model, robot)
+    ]
+    if differences:
+        raise FailedPrecondition(
+            f"Robot and model must agree; they do not: {'; '.join(differences)}.",
+            field="hello",
+            hint="Use a model that was trained for this robot; GetSpec returns a model's spec.",
+        )
+
+
+def _with_name(cameras: tuple[Camera, ...], expected: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """Returns a robot's cameras; a single one without a name gets the model's."""
+    if len(cameras) == len(expected) == 1 and not cameras[0].name:
+        return (replace(cameras[0], name=expected[0].name),)
+    return cameras
+
+
+def _equal(expected: object, got: object) -> bool:
+    if isinstance(expected, tuple) and isinstance(got, tuple):
+        return len(expected) == len(got) and all(map(_equal, expected, got))
+    if isinstance(expected, float) and isinstance(got, float):
+        return math.isclose(expected, got, rel_tol=_TOLERANCE)
+    return expected == got
+
+
+def _shown(value: object) -> str:
+    """Returns a value for an error message; a robot's names are shown when short and printable."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_shown, value[:_MOST_SHOWN]))}{', ...' if len(value) > _MOST_SHOWN else ''})"
+    if isinstance(value, Camera):
+        return f"{_shown(value.name)} {value.height} x {value.width} x {value.channels}"
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value) or "none"
+    return text if len(text) <= _LONGEST_SHOWN and text.isascii() and text.isprintable() else f"{len(text)} characters"

@@ -1,0 +1,113 @@
+"""Training data of a language policy: trajectories with goal texts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freerein.errors import InvalidInput
+from freerein.learning.split import train_validation_split
+from freerein_imitation.training.trajectories import TrajectoryDataset
+
+
+@dataclass(frozen=True, eq=False)
+class TimestepBatch:
+    """B timesteps.
+
+    Attributes:
+        frames: uint8 (B, H, W, C).
+        texts: Embeddings of the goal texts, float32 (B, W).
+        actions: float32 (B, A) or int64 (B, 1).
+    """
+
+    frames: Tensor
+    texts: Tensor
+    actions: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class GoalTextDataset:
+    """Trajectories, each with its goal text.
+
+    Attributes:
+        trajectories: Frames and executed actions.
+        texts: Goal text of each trajectory.
+        embeddings: Embedding of each distinct goal text, float32 (W,).
+    """
+
+    trajectories: TrajectoryDataset
+    texts: tuple[str, ...]
+    embeddings: dict[str, npt.NDArray[np.float32]]
+
+    def __len__(self) -> int:
+        """Returns the timesteps of all trajectories together."""
+        return int(self._ends[-1])
+
+    @cached_property
+    def _ends(self) -> npt.NDArray[np.int64]:
+        return np.cumsum(self.trajectories.lengths())
+
+    def subset(self, items: Sequence[int]) -> "GoalTextDataset":
+        """Returns some of the trajectories, without copying frames."""
+        texts = tuple(self.texts[item] for item in items)
+        return GoalTextDataset(self.trajectories.subset(items), texts, self.embeddings)
+
+    def distinct_embeddings(self) -> Tensor:
+        """Returns the embeddings of the distinct goal texts, float32 (n, W)."""
+        return torch.from_numpy(np.stack([self.embeddings[text] for text in sorted(set(self.texts))]))
+
+    def collate(self, timesteps: npt.NDArray[np.int64], *, device: torch.device) -> TimestepBatch:
+        """Returns a batch of timesteps, int64 (B,), which count over all trajectories."""
+        items = np.searchsorted(self._ends, timesteps, side="right")
+        places = list(zip(items.tolist(), (timesteps - self._ends[items]).tolist(), strict=True))  # from each end
+        frames = np.stack([self.trajectories.frames[item][t] for item, t in places])
+        texts = np.stack([self.embeddings[self.texts[item]] for item, _ in places])
+        actions = np.stack([self.trajectories.actions[item][t] for item, t in places])
+        return TimestepBatch(*(torch.from_numpy(each).to(device) for each in (frames, texts, actions)))
+
+
+def split_by_text(dataset: GoalTextDataset, *, fraction: float, seed: int) -> tuple[GoalTextDataset, GoalTextDataset]:
+    """Returns training and validation trajectories; `fraction` of each goal text's trajectories are for validation.
+
+    A goal text with a single trajectory is for training only.
+
+    Raises:
+        InvalidInput: No goal text has two trajectories.
+    """
+    training, validation = list[int](), list[int]()
+    for text in sorted(set(dataset.texts)):
+        items = [item for item, each in enumerate(dataset.texts) if each == text]
+        sides = train_validation_split(items, fraction=fraction, seed=seed) if len(items) > 1 else (items, [])
+        training += sides[0]
+        validation += sides[1]
+    if not validation:
+        raise InvalidInput(
+            "A fit needs at least 2 trajectories of a goal text, one of them for validation; "
+            f"got {len(dataset.texts)} trajectories, each with a goal text of its own.",
+            field="dataset",
+            hint="Roll out each policy more than once.",
+        )
+    return dataset.subset(sorted(training)), dataset.subset(sorted(validation))
+
+
+def random_crop(frames: Tensor, *, min_scale: float, generator: torch.Generator) -> Tensor:
+    """Returns random crops of frames, of the same aspect ratio, resized to the whole frame (nearest neighbour).
+
+    Args:
+        frames: uint8 (B, H, W, C).
+        min_scale: Smallest area of a crop as a fraction of the frame's, in (0, 1].
+        generator: On the CPU.
+    """
+    scale, *offsets = torch.rand(3, len(frames), 1, generator=generator)  # (B, 1) each
+    side = (min_scale + (1 - min_scale) * scale).sqrt()
+    rows, columns = (
+        ((torch.arange(length) + 0.5) * side + offset * (1 - side) * length).long()  # (B, length)
+        for length, offset in zip(frames.shape[1:3], offsets, strict=True)
+    )
+    frame = torch.arange(len(frames))[:, None]
+    pixels = (frame * frames.shape[1] + rows)[:, :, None] * frames.shape[2] + columns[:, None]  # (B, H, W)
+    return frames.flatten(0, 2).index_select(0, pixels.flatten().to(frames.device)).view(frames.shape)

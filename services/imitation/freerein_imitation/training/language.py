@@ -1,0 +1,167 @@
+"""Distillation into a language policy, from frames, executed actions and goal texts of single-task policies."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freerein.learning import weights
+from freerein.learning.config import bounded
+from freerein.learning.fit_config import FitConfig
+from freerein.learning.optimiser import fit_step
+from freerein.learning.train_state import TrainState
+from freerein_imitation import objectives
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.model.policy import PolicyNetworkSpec
+from freerein_imitation.model.text_encoder import TextEncoder
+from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
+from freerein_imitation.training.trajectories import TrajectoryDataset
+
+State = TrainState[LanguageNetwork]
+
+_NORMALISATION_FRAMES = 2000
+_EVALUATION_TIMESTEPS = 1024
+_EVALUATION_BATCH = 128
+
+
+@dataclass(frozen=True)
+class LanguageConfig(FitConfig):
+    """Configuration of a fit of a language policy.
+
+    Attributes:
+        policy: Kind of policy.
+        camera: Camera whose frames to train on; may be empty where the dataset has one.
+        min_crop_scale: Smallest area of a random crop, as a fraction of the frame's; 1 for no crops.
+        features: Size of the image features.
+        text_features: Size of the text features.
+        hidden_size: Units of the two hidden layers.
+        max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
+        validation_fraction: Fraction of each goal text's trajectories held out to choose the best weights.
+    """
+
+    policy: Literal["language"] = "language"
+    camera: str = ""
+    min_crop_scale: float = bounded(0.95, least=0.5, most=1.0)
+    steps: int = bounded(1000, least=1, most=10_000_000)
+    features: int = bounded(128, least=8, most=1024)
+    text_features: int = bounded(32, least=1, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
+
+    def network_spec(self, sizes: PolicyNetworkSpec, *, text_size: int = 384, text_components: int = 1) -> LanguageSpec:
+        """Returns the spec of the network for a dataset's frame and action sizes."""
+        return LanguageSpec(
+            **asdict(sizes),
+            text_size=text_size,
+            text_components=text_components,
+            features=self.features,
+            text_features=self.text_features,
+            hidden_size=self.hidden_size,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LanguageLearner:
+    """Learner of a language policy; an item is a timestep.
+
+    Attributes:
+        config: Configuration.
+        spec: Spec of the network.
+        training: Training trajectories.
+        validation: Validation trajectories.
+        text_encoder: File of the text encoder.
+        fingerprint: Fingerprint of the dataset and the text encoder.
+        device: Device to train on.
+    """
+
+    config: LanguageConfig
+    spec: LanguageSpec
+    training: GoalTextDataset
+    validation: GoalTextDataset
+    text_encoder: bytes
+    fingerprint: str
+    device: torch.device
+
+    @classmethod
+    def prepare(
+        cls,
+        config: LanguageConfig,
+        sizes: PolicyNetworkSpec,
+        trajectories: TrajectoryDataset,
+        texts: Sequence[str],
+        text_encoder: bytes,
+        *,
+        fingerprint: str,
+        device: torch.device,
+    ) -> "LanguageLearner":
+        """Returns the learner for trajectories with goal texts; encodes every distinct text once.
+
+        Args:
+            config: Configuration.
+            sizes: Frame and action sizes.
+            trajectories: Frames and executed actions of single-task policies.
+            texts: Goal text of each trajectory.
+            text_encoder: File of the frozen text encoder.
+            fingerprint: Fingerprint of the dataset.
+            device: Device to train on.
+
+        Raises:
+            InvalidInput: No goal text has two trajectories.
+        """
+        encoder, distinct = TextEncoder(text_encoder), sorted(set(texts))
+        embeddings = dict(zip(distinct, encoder(distinct), strict=True))
+        dataset = GoalTextDataset(trajectories, tuple(texts), embeddings)
+        training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
+        components = principal_components(training.distinct_embeddings()).shape[1]
+        spec = config.network_spec(sizes, text_size=encoder.size, text_components=components)
+        fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
+        return cls(config, spec, training, validation, text_encoder, fingerprint, device)
+
+    @property
+    def size(self) -> int:
+        """Training timesteps."""
+        return len(self.training)
+
+    def init(self, generator: torch.Generator) -> State:
+        """Returns the state before the first update."""
+        network = LanguageNetwork(self.spec)
+        weights.initialise(network, generator=generator)
+        frames = torch.from_numpy(self.training.trajectories.sample_frames(_NORMALISATION_FRAMES))
+        network.fit_normalisation(frames, self.training.distinct_embeddings())
+        network = network.to(self.device)
+        return TrainState(network, torch.optim.Adam(network.parameters(), self.config.lr, fused=True), generator)
+
+    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
+        """Returns the state after one update on some timesteps, and its metrics."""
+        config = self.config
+        batch = self.training.collate(items, device=self.device)
+        if config.min_crop_scale < 1:
+            frames = random_crop(batch.frames, min_scale=config.min_crop_scale, generator=state.generator)
+            batch = replace(batch, frames=frames)
+        loss = action_loss(state.network, batch).mean()
+        return fit_step(state, loss, config)
+
+    @torch.no_grad()
+    def evaluate(self, state: State) -> float:
+        """Returns the mean action loss over validation timesteps, the same ones each time."""
+        count = len(self.validation)
+        timesteps = np.arange(0, count, math.ceil(count / _EVALUATION_TIMESTEPS))
+        parts = np.split(timesteps, range(_EVALUATION_BATCH, len(timesteps), _EVALUATION_BATCH))
+        batches = (self.validation.collate(part, device=self.device) for part in parts)
+        return torch.cat([action_loss(state.network, batch) for batch in batches]).mean().item()
+
+
+def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
+    """Returns the action loss of each timestep, float (B,): squared error, or cross-entropy of discrete actions."""
+    predicted, choices = network(batch.frames, batch.texts), network.spec.action_choices
+    if choices:
+        return objectives.action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
+    return objectives.squared_error(predicted, batch.actions)

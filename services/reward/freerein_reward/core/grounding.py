@@ -1,0 +1,165 @@
+"""`GroundingCore`: locates noun phrases in images, and captions images with spatial relations."""
+
+import asyncio
+from collections.abc import Sequence
+from functools import partial
+from itertools import permutations
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+import PIL.Image
+
+from freerein.errors import InvalidInput
+from freerein.serving.batcher import Batcher
+from freerein.serving.call_timer import CallTimer
+from freerein.serving.model_cache import ModelCache
+from freerein.types.common import ModelRef
+from freerein.types.reward import (
+    DescribeRequest,
+    DescribeResponse,
+    Description,
+    Grounding,
+    GroundRequest,
+    GroundResponse,
+)
+from freerein_reward.core import inputs
+from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
+from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
+from freerein_reward.model import GROUNDING, PhraseLocations
+from freerein_reward.relations import SpatialRelation, caption
+from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
+
+MAX_GROUND_PHRASES = 64
+MAX_DESCRIBE_PHRASES = 16
+MAX_DESCRIBE_IMAGES = 256
+DEFAULT_EPSILON = 0.1
+MAX_EPSILON = 0.5
+_MIN_PRESENCE = 0.5
+_IMAGES_AT_ONCE = 16
+
+
+class GroundingCore:
+    """Core of the RPCs `Ground` and `Describe`."""
+
+    def __init__(
+        self,
+        models: ModelCache[RewardModel | GroundingModel],
+        batcher: Batcher[InferenceItem, InferenceOutput],
+        *,
+        timeout_s: float,
+    ) -> None:
+        self._models = models
+        self._batcher = batcher
+        self._timeout_s = timeout_s
+
+    async def ground(self, request: GroundRequest) -> GroundResponse:
+        """Returns the location of each phrase in an image.
+
+        Raises:
+            InvalidInput: A phrase or the image is invalid, or the model is a reward model.
+            UnsupportedMedia: The image is not in the declared encoding.
+            OutputNotFinite: The model overflowed.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        timer = CallTimer()
+        inputs.check_phrases(request.phrases, least=1, most=MAX_GROUND_PHRASES)
+        ref, model = await self._resolve(request.model)
+        decode = partial(inputs.decode_image, request.image, model.preprocess, phrases=len(request.phrases))
+        image, size = await timer.decode(asyncio.to_thread(decode))
+        found = await self._locate(model, image, request.phrases, timer)
+        groundings = await asyncio.to_thread(_groundings, found, request.phrases, size)
+        return GroundResponse(groundings, ref, timer.timing())
+
+    async def describe(self, request: DescribeRequest) -> DescribeResponse:
+        """Returns captions of the spatial relations that images show (table 4.1).
+
+        Raises:
+            InvalidInput: A phrase, an image or `epsilon` is invalid, or the model is a reward model.
+            UnsupportedMedia: An image is not in the declared encoding.
+            OutputNotFinite: The model overflowed.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        timer = CallTimer()
+        _check_describe(request)
+        epsilon = DEFAULT_EPSILON if request.epsilon is None else request.epsilon
+        ref, model = await self._resolve(request.model)
+        await timer.decode(asyncio.to_thread(inputs.check_pixels, request.images))
+        descriptions: list[Description] = []
+        frames = inputs.EncodedFrames(request.images, range(len(request.images)))
+        for start in range(0, len(frames), _IMAGES_AT_ONCE):
+            stop = min(start + _IMAGES_AT_ONCE, len(frames))
+            decode = partial(inputs.model_inputs, frames, model.preprocess, start=start, stop=stop)
+            found = await self._locate(model, await timer.decode(asyncio.to_thread(decode)), request.phrases, timer)
+            descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon))
+        return DescribeResponse(tuple(descriptions), ref, timer.timing())
+
+    async def _resolve(self, ref: ModelRef) -> tuple[ModelRef, GroundingModel]:
+        ref, model = await self._models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
+        if not isinstance(model, GroundingModel):
+            raise wrong_kind(ref, got="reward", expected="grounding")
+        return ref, model
+
+    async def _locate(
+        self, model: GroundingModel, images: npt.NDArray[np.uint8], phrases: tuple[str, ...], timer: CallTimer
+    ) -> PhraseLocations:
+        """Locates phrases in a few images, in a batch of their own."""
+        item = GroundItem(model, images, phrases)
+        done = self._batcher.submit(item, key=object(), timeout_s=self._timeout_s)
+        return cast(PhraseLocations, await timer.infer(done))
+
+
+def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) -> list[tuple[str, ...]]:
+    """Returns for each image a caption of each ordered pair of phrases that it shows (table 4.1).
+
+    Args:
+        found: Locations of the phrases.
+        phrases: P noun phrases.
+        epsilon: Object width as a fraction of the image width.
+    """
+    relations = pairwise_relations(found.x, found.y, found.presence >= _MIN_PRESENCE, epsilon=epsilon)  # (N, P, P)
+    pairs = tuple(permutations(range(len(phrases)), 2))
+    return [
+        tuple(
+            caption(phrases[first], SpatialRelation(of_image[first, second]), phrases[second])
+            for first, second in pairs
+            if of_image[first, second] != NO_CAPTION
+        )
+        for of_image in relations
+    ]
+
+
+def _groundings(found: PhraseLocations, phrases: Sequence[str], size: tuple[int, int]) -> tuple[Grounding, ...]:
+    """Returns the locations in the first image, in pixels of that image; `size` is its height and width."""
+    height, width = size
+    return tuple(
+        Grounding(
+            phrase=phrase,
+            heatmap=_resize(found.heatmaps[0, index], height=height, width=width),
+            x=float(found.x[0, index]) * width,
+            y=float(found.y[0, index]) * height,
+            presence=float(found.presence[0, index]),
+        )
+        for index, phrase in enumerate(phrases)
+    )
+
+
+def _resize(heatmap: npt.NDArray[np.float32], *, height: int, width: int) -> npt.NDArray[np.float32]:
+    scaled = PIL.Image.fromarray(heatmap).resize((width, height), PIL.Image.Resampling.BILINEAR)
+    return np.clip(np.asarray(scaled, np.float32), 0.0, 1.0)
+
+
+def _check_describe(request: DescribeRequest) -> None:
+    inputs.check_phrases(request.phrases, least=2, most=MAX_DESCRIBE_PHRASES)
+    if not 1 <= len(request.images) <= MAX_DESCRIBE_IMAGES:
+        raise InvalidInput(
+            f"`images` must hold 1 to {MAX_DESCRIBE_IMAGES} images; got {len(request.images)}.",
+            field="images",
+            hint="Send them in parts.",
+        )
+    if request.epsilon is not None and not 0.0 < request.epsilon <= MAX_EPSILON:
+        raise InvalidInput(
+            f"`epsilon` must be in (0, {MAX_EPSILON:g}]; got {request.epsilon:g}.",
+            field="epsilon",
+            hint=f"Leave it out for {DEFAULT_EPSILON:g}.",
+        )

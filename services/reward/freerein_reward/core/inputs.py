@@ -1,0 +1,206 @@
+"""Validation and decoding of requests: texts, images, frames by camera."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.errors import InvalidInput, TooLarge
+from freerein.learning.trajectories import TrajectoryArrays
+from freerein.types.common import Image
+from freerein.types.reward import RewardRequest
+
+MAX_CHARACTERS = 2_000
+MAX_RIVALS = 64
+MAX_FRAMES = 20_000
+MAX_HEATMAP_PIXELS = 12_000_000  # 64 MiB, the largest message, as FP32 in base64
+
+Pixels = npt.NDArray[np.uint8]
+Preprocess = Callable[[Pixels], Pixels]
+FrameSequence = TrajectoryArrays[np.uint8]
+"""Frames of one camera, uint8 (h, w, 1 or 3) each."""
+
+
+def check_goal_text(text: str) -> None:
+    """Raises InvalidInput when a goal text is empty, blank or too long."""
+    _check_text(text, "goal_text", "Describe the goal, such as: a red block on top of a yellow block.")
+
+
+def check_rivals(rivals: Sequence[str], goal_text: str) -> None:
+    """Raises InvalidInput when there are too many rivals, or one is empty, blank, too long or the goal text."""
+    if len(rivals) > MAX_RIVALS:
+        raise InvalidInput(
+            f"`rivals` must hold at most {MAX_RIVALS} texts; got {len(rivals)}.",
+            field="rivals",
+            hint="Send only texts that the goal could be mistaken for.",
+        )
+    for index, rival in enumerate(rivals):
+        _check_text(rival, f"rivals.{index}", "Leave it out, or describe another scene.")
+        if rival == goal_text:
+            raise InvalidInput(
+                f"`rivals` must differ from the goal text; rival {index} is the same.",
+                field=f"rivals.{index}",
+                hint="Leave it out.",
+            )
+
+
+def check_phrases(phrases: Sequence[str], *, least: int, most: int) -> None:
+    """Raises InvalidInput when there are too few or too many phrases, or one is empty, blank, too long or repeated."""
+    if not least <= len(phrases) <= most:
+        raise InvalidInput(
+            f"`phrases` must hold {least} to {most} noun phrases; got {len(phrases)}.",
+            field="phrases",
+            hint="Send one for each object, such as: a red block.",
+        )
+    for index, phrase in enumerate(phrases):
+        _check_text(phrase, f"phrases.{index}", "Name an object, such as: a red block.")
+        if phrase in phrases[:index]:
+            raise InvalidInput(
+                f"`phrases` must be distinct; phrase {index} is repeated.",
+                field=f"phrases.{index}",
+                hint="Send each phrase once.",
+            )
+
+
+def _check_text(text: str, field: str, hint: str) -> None:
+    if not 0 < len(text) <= MAX_CHARACTERS:
+        raise InvalidInput(
+            f"`{field}` must have 1 to {MAX_CHARACTERS} characters; got {len(text)}.", field=field, hint=hint
+        )
+    if text.isspace():
+        raise InvalidInput(f"`{field}` must hold words; got white space only.", field=field, hint=hint)
+
+
+def decode_image(image: Image, preprocess: Preprocess, *, phrases: int) -> tuple[Pixels, tuple[int, int]]:
+    """Returns the model's input, uint8 (1, H, W, 3), and the image's own height and width.
+
+    Raises:
+        InvalidInput: The image is corrupt or too large, or its heatmaps for so many phrases would be.
+        UnsupportedMedia: The data is not in the declared encoding.
+    """
+    pixels = phrases * images.pixel_count(image, field="image")
+    if pixels > MAX_HEATMAP_PIXELS:
+        raise InvalidInput(
+            f"All heatmaps together must have at most {MAX_HEATMAP_PIXELS} pixels; got {pixels} for {phrases} phrases.",
+            field="image",
+            hint="Scale the image down, or send fewer phrases per call.",
+        )
+    decoded = images.decode(image, field="image")
+    return preprocess(decoded)[None], (decoded.shape[0], decoded.shape[1])
+
+
+def check_pixels(encoded: Sequence[Image]) -> None:
+    """Checks the total size of encoded images by their headers.
+
+    Raises:
+        InvalidInput: They are too large together, or a header is corrupt.
+        UnsupportedMedia: The data of one is not in the declared encoding.
+    """
+    total = sum(images.pixel_count(image, field=f"images.{index}") for index, image in enumerate(encoded))
+    if total > images.MAX_REQUEST_PIXELS:
+        raise InvalidInput(
+            f"`images` must have at most {images.MAX_REQUEST_PIXELS} pixels in total; got {total}.",
+            field="images",
+            hint="Scale the images down: the model's input is smaller.",
+        )
+
+
+class EncodedFrames:
+    """The encoded images of one camera, decoded when indexed; `indices` are those in the request."""
+
+    def __init__(self, encoded: Sequence[Image], indices: Sequence[int]) -> None:
+        self._encoded = encoded
+        self._indices = indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, frame: int, /) -> Pixels:
+        index = self._indices[frame]
+        return images.decode(self._encoded[index], field=f"images.{index}")
+
+
+def model_inputs(frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int) -> Pixels:
+    """Returns the model's inputs of the frames in [start, stop), uint8 (N, H, W, 3).
+
+    Raises:
+        InvalidInput: An image is corrupt.
+        UnsupportedMedia: The data of an image is not in the declared encoding.
+    """
+    return np.stack([preprocess(frames[index]) for index in range(start, stop)])
+
+
+def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[str, FrameSequence]:
+    """Returns the frames of a request from the cameras of a model; other cameras are ignored.
+
+    Raises:
+        InvalidInput: A camera is missing, cameras differ in their number of frames, or frames have a wrong format.
+        UnsupportedMedia: The data of an image is not in the declared encoding.
+        TooLarge: There are too many frames.
+    """
+    if bool(request.frames) == bool(request.images):
+        raise InvalidInput(
+            f"Exactly one of `frames` and `images` must be given; got {'both' if request.images else 'neither'}.",
+            field="frames",
+            hint="Send `images` over REST, `frames` over gRPC.",
+        )
+    field = "frames" if request.frames else "images"
+    _check_count(len(request.images) // len(cameras), field)  # before any header is read
+    given = _tensor_frames(request.frames) if request.frames else _encoded_frames(request.images)
+    chosen = _choose_cameras(given, cameras, field)
+    counts = {camera: len(frames) for camera, frames in chosen.items()}
+    if len(set(counts.values())) > 1:
+        raise InvalidInput(
+            "Every camera must have the same number of frames; "
+            f"got {', '.join(f'{count} of {camera}' for camera, count in counts.items())}.",
+            field=field,
+            hint="A frame is one moment, seen by every camera of the model.",
+        )
+    _check_count(max(counts.values()), field)
+    return chosen
+
+
+def _tensor_frames(frames: Mapping[str, npt.NDArray[Any]]) -> Mapping[str, FrameSequence]:
+    for array in frames.values():
+        if array.dtype != np.uint8 or array.ndim != 4 or array.shape[3] not in (1, 3) or 0 in array.shape:
+            raise InvalidInput(
+                "`frames` must be UINT8 of shape (N, H, W, C), N at least 1 and C 1 or 3; "
+                f"got {array.dtype} {array.shape}.",
+                field="frames",
+                hint="Put channels last, and scale floats to 0..255.",
+            )
+    return frames
+
+
+def _encoded_frames(encoded: Sequence[Image]) -> Mapping[str, FrameSequence]:
+    check_pixels(encoded)
+    indices: dict[str, list[int]] = {}
+    for index, image in enumerate(encoded):
+        indices.setdefault(image.camera, []).append(index)
+    return {camera: EncodedFrames(encoded, own) for camera, own in indices.items()}
+
+
+def _choose_cameras(
+    given: Mapping[str, FrameSequence], cameras: Sequence[str], field: str
+) -> Mapping[str, FrameSequence]:
+    """Returns the frames of a model's cameras; a single camera may be unnamed on either side."""
+    if len(cameras) == len(given) == 1 and ("" in cameras or "" in given):
+        return {cameras[0]: next(iter(given.values()))}
+    missing = [camera for camera in cameras if camera not in given]
+    if missing:
+        raise InvalidInput(
+            f"The model needs the cameras {', '.join(cameras)}; of the {len(given)} cameras given, "
+            f"none is {' or '.join(missing)}.",
+            field=field,
+            hint="Name the camera of every image, and send every camera of the model.",
+        )
+    return {camera: given[camera] for camera in cameras}
+
+
+def _check_count(count: int, field: str) -> None:
+    if count > MAX_FRAMES:
+        raise TooLarge(
+            f"A request must have at most {MAX_FRAMES} frames; got {count}.", field=field, hint="Send them in parts."
+        )

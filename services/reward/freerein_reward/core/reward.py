@@ -1,0 +1,134 @@
+"""`RewardCore`: rewards of frames against a goal text, and embeddings of goal texts."""
+
+import asyncio
+from collections.abc import Mapping
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.serving.batcher import Batcher
+from freerein.serving.call_timer import CallTimer
+from freerein.serving.model_cache import ModelCache
+from freerein.types.common import ModelRef
+from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
+from freerein_reward.core.goal_cache import GoalCache
+from freerein_reward.core.inference import InferenceItem, InferenceOutput, ScoreItem, Scores
+from freerein_reward.core.inputs import FrameSequence, check_goal_text, check_rivals, model_inputs, request_frames
+from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
+from freerein_reward.relations import rival_captions
+
+_FRAMES_AT_ONCE = 64
+
+
+class RewardCore:
+    """Core of the RPCs `Reward` and `EmbedGoal`."""
+
+    def __init__(
+        self,
+        models: ModelCache[RewardModel | GroundingModel],
+        batcher: Batcher[InferenceItem, InferenceOutput],
+        goals: GoalCache,
+        *,
+        timeout_s: float,
+    ) -> None:
+        self._models = models
+        self._batcher = batcher
+        self._goals = goals
+        self._timeout_s = timeout_s
+
+    async def reward(self, request: RewardRequest) -> RewardResponse:
+        """Returns the reward of every frame for a goal text (section 4.2).
+
+        Raises:
+            InvalidInput: A text or a frame is invalid, a camera is missing, a binary reward has no rivals, or the model
+                is a grounding model and the mode is not raw.
+            TooLarge: There are too many frames.
+            OutputNotFinite: The model overflowed.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        timer = CallTimer()
+        check_goal_text(request.goal_text)
+        check_rivals(request.rivals, request.goal_text)
+        texts = _goal_and_rivals(request)
+        ref, model = await self._resolve(request.model, allow_grounding=request.mode == "raw")
+        frames = await timer.decode(asyncio.to_thread(request_frames, request, model.cameras))
+        parts = []
+        count = len(frames[model.cameras[0]])
+        for start in range(0, count, _FRAMES_AT_ONCE):
+            stop = min(start + _FRAMES_AT_ONCE, count)
+            views = await timer.decode(asyncio.to_thread(_views, frames, model, start, stop))
+            key = ref if count == 1 else object()  # single frames share a batch with those of other requests
+            parts.append(await self._infer(ScoreItem(ref, model, texts, views), key, timer))
+        similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
+        winners = _winners(similarities)
+        return RewardResponse(
+            rewards=(winners == 0).astype(np.float32) if request.mode == "binary" else similarities[:, 0],
+            similarities=similarities[:, 0],
+            winners=winners,
+            texts=texts,
+            truncated=any(goal.truncated for goal in parts[0].goals),
+            unknown_words=model.unknown_words(request.goal_text),
+            model=ref,
+            timing=timer.timing(),
+        )
+
+    async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
+        """Returns the embedding of a goal text.
+
+        Raises:
+            InvalidInput: The text is empty, blank or too long, or the model is a grounding model.
+            OutputNotFinite: The model overflowed.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        timer = CallTimer()
+        check_goal_text(request.goal_text)
+        ref, model = await self._resolve(request.model, allow_grounding=False)
+        goal = self._goals.find(ref, request.goal_text)
+        if goal is None:
+            (goal,) = (await self._infer(ScoreItem(ref, model, (request.goal_text,)), ref, timer)).goals
+        return EmbedGoalResponse(
+            embedding=goal.vector,
+            truncated=goal.truncated,
+            unknown_words=model.unknown_words(request.goal_text),
+            model=ref,
+            timing=timer.timing(),
+        )
+
+    async def _resolve(self, ref: ModelRef, *, allow_grounding: bool) -> tuple[ModelRef, RewardModel]:
+        """Returns a reward model; a grounding model's raw similarities are the base reward of section 4.2."""
+        ref, model = await self._models.resolve(ref)
+        if not isinstance(model, RewardModel) or (isinstance(model, GroundingModel) and not allow_grounding):
+            raise wrong_kind(ref, got="grounding", expected="reward")
+        return ref, model
+
+    async def _infer(self, item: ScoreItem, key: object, timer: CallTimer) -> Scores:
+        return cast(Scores, await timer.infer(self._batcher.submit(item, key=key, timeout_s=self._timeout_s)))
+
+
+def _views(
+    frames: Mapping[str, FrameSequence], model: RewardModel, start: int, stop: int
+) -> dict[str, npt.NDArray[np.uint8]]:
+    return {
+        camera: model_inputs(sequence, model.preprocess, start=start, stop=stop) for camera, sequence in frames.items()
+    }
+
+
+def _goal_and_rivals(request: RewardRequest) -> tuple[str, ...]:
+    rivals = request.rivals or rival_captions(request.goal_text)
+    if not rivals and request.mode == "binary":
+        raise InvalidInput(
+            "A binary reward needs rivals; none were given, and the goal text has no relation to derive them from.",
+            field="rivals",
+            hint="Send `rivals`, descriptions of other outcomes, or use mode raw.",
+        )
+    return request.goal_text, *rivals
+
+
+def _winners(similarities: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """Returns the index of each frame's most similar text; the goal text, index 0, must beat all rivals strictly."""
+    if similarities.shape[1] == 1:
+        return np.zeros(len(similarities), np.int64)
+    rivals = similarities[:, 1:]
+    return np.where(similarities[:, 0] > rivals.max(axis=1), 0, 1 + rivals.argmax(axis=1)).astype(np.int64)

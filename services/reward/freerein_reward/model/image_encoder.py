@@ -1,0 +1,162 @@
+"""A small version of CLIP's ModifiedResNet: a stem of three convolutions, anti-aliased strides, attention pooling.
+
+Two departures from CLIP: there are two stages, so that the feature map keeps a quarter of the image's resolution
+(objects are a tenth of the image wide); and pooling can return keypoint positions instead of appearance, for spatial
+relations. Batch normalisation as in CLIP: normalising by each image's own statistics would make an object's features
+depend on what else is shown.
+"""
+
+from collections import OrderedDict
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein_reward.model.spec import DualEncoderSpec
+
+_EXPANSION = 4
+_HEAD_CHANNELS = 16
+
+
+class ClipImageEncoder(nn.Module):
+    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
+
+    def __init__(self, spec: DualEncoderSpec) -> None:
+        super().__init__()
+        width, channels = spec.width, 2 * _EXPANSION * spec.width
+        self.stem = _stem(width)
+        self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
+        self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
+        self.pool: AttentionPool | KeypointPool = (
+            KeypointPool(channels, spec.keypoints, hidden=spec.hidden, embedding_dim=spec.embedding_dim)
+            if spec.keypoints
+            else AttentionPool(channels, embedding_dim=spec.embedding_dim)
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Returns unnormalised embeddings (N, D) of images uint8 (N, H, W, 3)."""
+        embeddings: Tensor = self.pool(self.feature_maps(images))
+        return embeddings
+
+    def feature_maps(self, images: Tensor) -> Tensor:
+        """Returns the feature maps before pooling, (N, C, H / 4, W / 4), of images uint8 (N, H, W, 3)."""
+        pixels = images.permute(0, 3, 1, 2).float().sub_(127.5).div_(64.0)  # (N, 3, H, W), channels last in memory
+        maps: Tensor = self.layer2(self.layer1(self.stem(pixels)))
+        return maps
+
+    @property
+    def attention_pool(self) -> "AttentionPool":
+        """The attention pooling; a TypeError with keypoint pooling."""
+        if not isinstance(self.pool, AttentionPool):
+            raise TypeError("This image encoder pools keypoints; expected attention pooling.")
+        return self.pool
+
+    @property
+    def keypoint_pool(self) -> "KeypointPool":
+        """The keypoint pooling; a TypeError with attention pooling."""
+        if not isinstance(self.pool, KeypointPool):
+            raise TypeError("This image encoder pools by attention; expected keypoint pooling.")
+        return self.pool
+
+
+class AttentionPool(nn.Module):
+    """CLIP's attention pooling: multi-head attention whose query is the mean of all cells; no position embedding.
+
+    With one query per image, keys and values need not be computed per cell: q . (K x) is (K^T q) . x, and the weighted
+    sum of V x is V times the weighted sum of x.
+    """
+
+    def __init__(self, channels: int, *, embedding_dim: int) -> None:
+        super().__init__()
+        self._heads = (channels // _HEAD_CHANNELS, _HEAD_CHANNELS)
+        self.query = nn.Linear(channels, channels)
+        self.key = nn.Linear(channels, channels, bias=False)  # softmax is invariant to a bias
+        self.value = nn.Linear(channels, channels, bias=False)
+        self.out = nn.Linear(channels, embedding_dim, bias=False)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""
+        cells = maps.flatten(start_dim=2)  # (N, C, S)
+        cells = torch.cat([cells.mean(dim=2, keepdim=True), cells], dim=2)  # (N, C, 1 + S)
+        query = self.query(cells[:, :, 0]).view(-1, *self._heads) * _HEAD_CHANNELS**-0.5  # (N, heads, C')
+        scores = torch.einsum("nhk,hkc->nhc", query, self.key.weight.view(*self._heads, -1))  # (N, heads, C)
+        attended = (scores @ cells).softmax(dim=2) @ cells.transpose(1, 2)  # (N, heads, C)
+        values = torch.einsum("nhc,hkc->nhk", attended, self.value.weight.view(*self._heads, -1))  # (N, heads, C')
+        embeddings: Tensor = self.out(values.flatten(start_dim=1))  # (N, D)
+        return embeddings
+
+    def cell_embeddings(self, maps: Tensor) -> Tensor:
+        """Returns the embedding that each cell of maps (N, C, h, w) would have with all attention on it: (N, S, D)."""
+        embeddings: Tensor = self.out(self.value(maps.flatten(start_dim=2).transpose(1, 2)))
+        return embeddings
+
+
+class KeypointPool(nn.Module):
+    """Keypoints by spatial soft-argmax, each with a presence probability, then an MLP.
+
+    Each keypoint's softmax runs over all cells and one "absent" class whose logit is 0. Two hidden layers, because
+    relations are not linear in positions.
+    """
+
+    def __init__(self, channels: int, keypoints: int, *, hidden: int, embedding_dim: int) -> None:
+        super().__init__()
+        self.logits = nn.Linear(channels, keypoints)
+        layers = (nn.Linear(3 * keypoints, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
+        self.mlp = nn.Sequential(*layers, nn.Linear(hidden, embedding_dim))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""
+        embeddings: Tensor = self.mlp(self.keypoints(maps).flatten(start_dim=1))
+        return embeddings
+
+    def keypoints(self, maps: Tensor) -> Tensor:
+        """Returns row and column in [-1, 1], both times the presence, and presence in [0, 1]: (N, keypoints, 3)."""
+        scores = self.logits(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2)  # (N, keypoints, S)
+        share = functional.pad(scores, (0, 1)).softmax(dim=2)[:, :, :-1]
+        rows, columns = ((torch.arange(cells, device=maps.device) + 0.5) / cells * 2 - 1 for cells in maps.shape[2:])
+        return share @ functional.pad(torch.cartesian_prod(rows, columns), (0, 1), value=1.0)
+
+
+class Bottleneck(nn.Module):
+    """CLIP's residual block, with average pooling instead of strides; the output has 4 * planes channels."""
+
+    def __init__(self, channels: int, planes: int, *, stride: int) -> None:
+        super().__init__()
+        outputs = planes * _EXPANSION
+        self.residual = nn.Sequential(
+            *_conv_norm(channels, planes, kernel=1),
+            nn.ReLU(inplace=True),
+            *_conv_norm(planes, planes, kernel=3),
+            nn.ReLU(inplace=True),
+            *_average_pool(stride),
+            *_conv_norm(planes, outputs, kernel=1),
+        )
+        is_identity = stride == 1 and channels == outputs
+        layers = () if is_identity else (*_average_pool(stride), *_conv_norm(channels, outputs, kernel=1))
+        self.shortcut = nn.Sequential(*layers)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Returns (N, 4 planes, h / stride, w / stride) of x (N, channels, h, w)."""
+        return functional.relu(self.residual(x) + self.shortcut(x), inplace=True)
+
+
+def _stem(width: int) -> nn.Sequential:
+    layers: OrderedDict[str, nn.Module] = OrderedDict()
+    for place, (before, after, stride) in enumerate(((3, width, 2), (width, width, 1), (width, 2 * width, 1)), start=1):
+        layers[f"conv{place}"], layers[f"norm{place}"] = _conv_norm(before, after, kernel=3, stride=stride)
+        layers[f"relu{place}"] = nn.ReLU(inplace=True)
+    return nn.Sequential(layers)
+
+
+def _stage(channels: int, planes: int, depth: int, *, stride: int) -> nn.Sequential:
+    first = Bottleneck(channels, planes, stride=stride)
+    return nn.Sequential(first, *(Bottleneck(_EXPANSION * planes, planes, stride=1) for _ in range(depth - 1)))
+
+
+def _conv_norm(before: int, after: int, *, kernel: int, stride: int = 1) -> tuple[nn.Module, nn.Module]:
+    convolution = nn.Conv2d(before, after, kernel, stride=stride, padding=kernel // 2, bias=False)
+    return convolution, nn.BatchNorm2d(after)
+
+
+def _average_pool(stride: int) -> tuple[nn.Module, ...]:
+    return (nn.AvgPool2d(stride),) if stride > 1 else ()

@@ -1,0 +1,50 @@
+"""The architecture of a dual encoder."""
+
+from dataclasses import dataclass
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class DualEncoderSpec:
+    """Architecture of a dual encoder.
+
+    Attributes:
+        cameras: Camera names; the image embedding is the mean over cameras. One empty name for any image.
+        vocabulary: Words of the training texts.
+        image_size: Height and width of the image encoder's input, in pixels; a multiple of 4.
+        width: Channels of the image encoder's stem; a multiple of 8.
+        depth: Bottlenecks per stage of the image encoder.
+        keypoints: Keypoints of the image encoder's pooling, for relations; 0 for attention pooling, for nouns.
+        hidden: Units of each hidden layer after keypoint pooling.
+        text_width: Channels of the text encoder; a multiple of 16.
+        text_depth: Layers of the text encoder.
+        embedding_dim: Dimension of the embeddings.
+        presence_heat: Grad-CAM peak at which an object is present with probability 1/2; of a grounding model.
+
+    Raises:
+        InvalidInput: There are no cameras or no words, or a size is not a multiple.
+    """
+
+    cameras: tuple[str, ...]
+    vocabulary: tuple[str, ...]
+    image_size: int = bounded(64, least=16, most=512)
+    width: int = bounded(8, least=8, most=128)
+    depth: int = bounded(1, least=1, most=8)
+    keypoints: int = bounded(0, least=0, most=512)
+    hidden: int = bounded(256, least=1, most=4096)
+    text_width: int = bounded(64, least=16, most=1024)
+    text_depth: int = bounded(2, least=1, most=12)
+    embedding_dim: int = bounded(64, least=8, most=1024)
+    presence_heat: float = bounded(1.0, least=1e-6, most=1e6)
+
+    def __post_init__(self) -> None:
+        is_uneven = self.image_size % 4 or self.width % 8 or self.text_width % 16
+        if not self.cameras or not self.vocabulary or is_uneven:
+            raise InvalidInput(
+                "A dual encoder needs a camera, a vocabulary, an `image_size` that is a multiple of 4, a `width` of 8 "
+                f"and a `text_width` of 16; got {len(self.cameras)} cameras, {len(self.vocabulary)} words, "
+                f"{self.image_size}, {self.width} and {self.text_width}.",
+                hint="Leave sizes out for the defaults.",
+            )

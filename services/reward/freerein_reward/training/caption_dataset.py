@@ -1,0 +1,230 @@
+"""The caption dataset of a reward model: images, and the spatial relations that the grounding model found in them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freerein.atomic_files import write_atomic
+from freerein.data import Dataset
+from freerein.errors import InvalidInput
+from freerein.learning import tensor_files
+from freerein.learning.split import train_validation_split
+from freerein_reward.model import GradCamModel, preprocess
+from freerein_reward.relations import WORDINGS, SpatialRelation, caption, classify_relation
+from freerein_reward.training.config import RewardConfig
+
+NO_CAPTION = -1
+"""Instead of a relation: no caption mentions this pair."""
+
+_MIRRORED = np.array(
+    [
+        SpatialRelation.RIGHT_OF,
+        SpatialRelation.LEFT_OF,
+        SpatialRelation.ON_TOP_OF,
+        SpatialRelation.BELOW,
+        SpatialRelation.APART_FROM,
+    ]
+)
+_CANONICAL_WORDING = 0.7
+"""Probability of a relation's first wording, which captions and the sim's goal texts use."""
+
+_IMAGES_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class CaptionDataset:
+    """Images with captions.
+
+    Attributes:
+        views: uint8 (N, H, W, 3) per camera.
+        phrases: P noun phrases.
+        relations: int8 (N, P, P), relation of the row's phrase to the column's, or `NO_CAPTION`.
+        sides: int8 (N, P, P), side of the row's phrase at any distance: `LEFT_OF`, `RIGHT_OF` or `NO_CAPTION`.
+    """
+
+    views: tuple[npt.NDArray[np.uint8], ...]
+    phrases: tuple[str, ...]
+    relations: npt.NDArray[np.int8]
+    sides: npt.NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.relations)
+
+    def subset(self, items: npt.NDArray[np.int64]) -> "CaptionDataset":
+        """Returns the images at some indices, int64 (n,)."""
+        views = tuple(view[items] for view in self.views)
+        return CaptionDataset(views, self.phrases, self.relations[items], self.sides[items])
+
+    def mirrored(self, flips: npt.NDArray[np.bool_]) -> "CaptionDataset":
+        """Returns the dataset with the images where `flips`, bool (N,), mirrored left to right, captions included."""
+        views = tuple(np.where(flips[:, None, None, None], view[:, :, ::-1], view) for view in self.views)
+        relations, sides = (
+            np.where(flips[:, None, None] & (values != NO_CAPTION), _MIRRORED[values], values).astype(np.int8)
+            for values in (self.relations, self.sides)
+        )
+        return CaptionDataset(views, self.phrases, relations, sides)
+
+    def shifted(self, offsets: npt.NDArray[np.int64], *, limit: int) -> "CaptionDataset":
+        """Returns the dataset with images shifted by whole pixels, edges replicated; captions stay.
+
+        Args:
+            offsets: int64 (N, 2), rows and columns, in [-limit, limit].
+            limit: Largest offset.
+        """
+        views = tuple(_shift(view, offsets, limit) for view in self.views)
+        return CaptionDataset(views, self.phrases, self.relations, self.sides)
+
+    def split(
+        self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
+    ) -> tuple["CaptionDataset", "CaptionDataset"]:
+        """Returns the training and the validation images, of whole trajectories; images without captions are dropped.
+
+        Args:
+            lengths: int64 (n,), timesteps of each trajectory, with sum N.
+            fraction: Validation fraction of the trajectories.
+            seed: Seed of the split.
+
+        Raises:
+            InvalidInput: There is only one trajectory, or a side has no captions.
+        """
+        trajectories = np.repeat(np.arange(len(lengths)), lengths)  # (N,)
+        has_caption = (self.relations != NO_CAPTION).any(axis=(1, 2))
+        training, validation = (
+            np.flatnonzero(has_caption & np.isin(trajectories, side))
+            for side in train_validation_split(np.arange(len(lengths)), fraction=fraction, seed=seed)
+        )
+        if not len(training) or not len(validation):
+            raise InvalidInput(
+                f"Training and validation images must show two of the {len(self.phrases)} phrases; "
+                f"{len(training)} and {len(validation)} images do.",
+                field="config.phrases",
+                hint="Try the phrases on one image with Ground; name objects by colour.",
+            )
+        return self.subset(training), self.subset(validation)
+
+
+def caption_images(
+    dataset: Dataset,
+    grounding: GradCamModel,
+    config: RewardConfig,
+    path: Path,
+    *,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> CaptionDataset:
+    """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
+
+    Args:
+        dataset: The dataset.
+        grounding: Locates the phrases in the frames of the first camera.
+        config: Cameras, phrases and thresholds.
+        path: Cache of the captions, read when it exists, else written.
+        on_progress: Called with the fraction done, in [0, 1].
+    """
+    size = grounding.network.spec.image_size
+    views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
+    if path.is_file():
+        cached = tensor_files.parse(path.read_bytes())
+        relations, sides = cached["relations"].numpy(), cached["sides"].numpy()
+    else:
+        relations, sides = _relations(views[0], grounding, config, on_progress)
+        tensors = {"relations": torch.from_numpy(relations), "sides": torch.from_numpy(sides)}
+        write_atomic(path, tensor_files.dump(tensors))
+    return CaptionDataset(views, config.phrases, relations, sides)
+
+
+def ordered_pairs(count: int) -> npt.NDArray[np.int64]:
+    """Returns every ordered pair of `count` phrases, int64 (pairs, 2)."""
+    return np.array(list(permutations(range(count), 2)), np.int64)
+
+
+def pairwise_relations(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], is_shown: npt.NDArray[np.bool_], *, epsilon: float
+) -> npt.NDArray[np.int8]:
+    """Returns the relation of each ordered pair by table 4.1, int8 (N, P, P), `NO_CAPTION` where one is not shown.
+
+    Args:
+        x: (N, P), to the right.
+        y: (N, P), down.
+        is_shown: bool (N, P).
+        epsilon: Object width in the unit of x and y.
+    """
+    positions = np.stack([x, y], axis=-1)  # (N, P, 2)
+    relations = classify_relation(positions[:, :, None], positions[:, None], epsilon=epsilon)  # (N, P, P)
+    both = is_shown[:, :, None] & is_shown[:, None] & ~np.eye(x.shape[1], dtype=bool)
+    return np.where(both, relations, NO_CAPTION).astype(np.int8)
+
+
+def pairwise_sides(x: npt.NDArray[np.float64], relations: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
+    """Returns left or right at any distance, int8 (N, P, P), of x (N, P), where `relations` has captions."""
+    left = np.where(x[:, :, None] < x[:, None], SpatialRelation.LEFT_OF, SpatialRelation.RIGHT_OF)
+    return np.where(relations == NO_CAPTION, NO_CAPTION, left).astype(np.int8)
+
+
+def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
+    """Returns int8 (N, P, P) without its diagonal, in the order of `ordered_pairs`: int64 (N, pairs)."""
+    first, second = ordered_pairs(values.shape[1]).T
+    return values[:, first, second].astype(np.int64)
+
+
+def relation_captions(
+    phrases: Sequence[str], pairs: npt.NDArray[np.int64], *, rng: np.random.Generator | None = None
+) -> tuple[str, ...]:
+    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair.
+
+    Args:
+        phrases: Noun phrases.
+        pairs: int64 (pairs, 2), indices into `phrases`.
+        rng: Draws the wordings; None for the canonical ones.
+    """
+    return tuple(
+        caption(phrases[first], relation, phrases[second], wording=_wording(relation, rng))
+        for first, second in pairs
+        for relation in SpatialRelation
+    )
+
+
+def _relations(
+    frames: npt.NDArray[np.uint8],
+    grounding: GradCamModel,
+    config: RewardConfig,
+    on_progress: Callable[[float], None],
+) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int8]]:
+    """Returns relations and sides, int8 (N, P, P) each, of frames (N, H, W, 3)."""
+    relations, sides = [], []
+    for start in range(0, len(frames), _IMAGES_AT_ONCE):
+        found = grounding.ground(frames[start : start + _IMAGES_AT_ONCE], config.phrases)
+        is_shown = found.presence >= config.min_presence
+        relations.append(pairwise_relations(found.x, found.y, is_shown, epsilon=config.epsilon))
+        sides.append(pairwise_sides(found.x, relations[-1]))
+        on_progress(min(1.0, (start + _IMAGES_AT_ONCE) / len(frames)))
+    return np.concatenate(relations), np.concatenate(sides)
+
+
+def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
+    """Returns frames (N, H, W, C) as uint8 (N, size, size, 3), without a copy where they have that shape."""
+    if frames.shape[1:] == (size, size, 3):
+        return frames
+    return np.stack([preprocess(frame, size=size) for frame in frames])
+
+
+def _wording(relation: SpatialRelation, rng: np.random.Generator | None) -> str:
+    wordings = WORDINGS[relation]
+    if rng is None or rng.random() < _CANONICAL_WORDING:
+        return wordings[0]
+    return wordings[rng.integers(len(wordings))]
+
+
+def _shift(view: npt.NDArray[np.uint8], offsets: npt.NDArray[np.int64], limit: int) -> npt.NDArray[np.uint8]:
+    height, width = view.shape[1:3]
+    padded = np.pad(view, ((0, 0), (limit, limit), (limit, limit), (0, 0)), mode="edge")
+    return np.stack(
+        [
+            image[row : row + height, column : column + width]
+            for image, (row, column) in zip(padded, offsets + limit, strict=True)
+        ]
+    )

@@ -1,0 +1,234 @@
+"""`Segmenter`: labels trajectories with skills. Validates requests, runs the model in batches, decodes its output."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.errors import InvalidInput, OutputNotFinite, ServiceError, TooLarge
+from freerein.serving.batcher import Batcher
+from freerein.serving.call_timer import CallTimer
+from freerein.serving.model_cache import ModelCache
+from freerein.types.common import Image, ModelRef
+from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein_segmentation.core import decoding
+
+MAX_TIMESTEPS = 20_000
+MAX_MIN_SEGMENT = 1_000
+MAX_SMOOTHING = 100.0
+
+
+class SkillModel(Protocol):
+    """A trained segmentation model, as the core uses it.
+
+    Attributes:
+        skills: Names of the skills.
+        height: Frame height in pixels.
+        width: Frame width in pixels.
+        channels: 1 or 3.
+        action_size: Numbers per action; 0 for a model without actions.
+        action_choices: Number of discrete actions; 0 for continuous ones.
+    """
+
+    skills: tuple[str, ...]
+    height: int
+    width: int
+    channels: int
+    action_size: int
+    action_choices: int
+
+    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
+        """Returns P(y_t = k), eq. 2.1, float32 (T, K), of frames (T, H, W, C) and actions (T, A), in bounded memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Item:
+    model: SkillModel
+    frames: npt.NDArray[np.uint8]
+    actions: npt.NDArray[Any] | None
+
+
+Probabilities = npt.NDArray[np.float32]
+
+
+def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
+    """Returns the skill probabilities of each trajectory, or its error."""
+    return [_check_output(item, item.model.probabilities(item.frames, item.actions)) for item in items]
+
+
+class Segmenter:
+    """The core of the segmentation service."""
+
+    def __init__(
+        self, models: ModelCache[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
+    ) -> None:
+        self._models = models
+        self._batcher = batcher
+        self._timeout_s = timeout_s
+
+    async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
+        """Returns the skills and the expected inputs of a model.
+
+        Raises:
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        ref, model = await self._models.resolve(request.model)
+        return ListSkillsResponse(
+            skills=model.skills,
+            model=ref,
+            height=model.height,
+            width=model.width,
+            channels=model.channels,
+            action_size=model.action_size,
+            action_choices=model.action_choices,
+        )
+
+    async def segment(self, request: SegmentRequest) -> SegmentResponse:
+        """Returns a label for every timestep of a trajectory.
+
+        Raises:
+            InvalidInput: An option, the frames or the actions are not what the model expects.
+            TooLarge: The trajectory is too long.
+            NotFound, FailedPrecondition: There is no such model, or no active one.
+        """
+        timer = CallTimer()
+        ref, model, frames = await timer.decode(self._inputs(request))
+        item = _Item(model, frames, request.actions)
+        probabilities = await timer.infer(self._batcher.submit(item, key=ref, timeout_s=self._timeout_s))
+        labels, confidence, segments = await asyncio.to_thread(
+            decoding.decode,
+            probabilities,
+            skills=model.skills,
+            smoothing=request.smoothing,
+            min_segment=request.min_segment,
+        )
+        return SegmentResponse(labels, confidence, segments, model.skills, ref, timer.timing())
+
+    async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
+        _check_options(request)
+        ref, model = await self._models.resolve(request.model)
+        frames = await _frames(request)
+        _check_trajectory(model, frames, request.actions)
+        return ref, model, frames
+
+
+def _check_output(item: _Item, probabilities: Probabilities) -> Probabilities | ServiceError:
+    expected = (len(item.frames), len(item.model.skills))
+    if probabilities.shape != expected:
+        raise ValueError(f"the model returned {probabilities.shape}, expected {expected}")
+    if np.isfinite(probabilities).all():
+        return probabilities
+    return OutputNotFinite(
+        "The model's output must be finite; it overflowed.",
+        field="actions",
+        hint="Scale actions as in the training data.",
+    )
+
+
+def _check_options(request: SegmentRequest) -> None:
+    if request.min_segment > MAX_MIN_SEGMENT:
+        raise InvalidInput(
+            f"`min_segment` must be at most {MAX_MIN_SEGMENT} timesteps; got {request.min_segment}.",
+            field="min_segment",
+            hint="5 is usual, as in the dissertation.",
+        )
+    if not 0.0 <= request.smoothing <= MAX_SMOOTHING:
+        raise InvalidInput(
+            f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {request.smoothing:g}.",
+            field="smoothing",
+            hint="One or two timesteps are usual.",
+        )
+
+
+async def _frames(request: SegmentRequest) -> npt.NDArray[np.uint8]:
+    """Returns the request's frames, uint8 (T, H, W, C); encoded images are decoded off the event loop."""
+    if (request.frames is None) == (not request.images):
+        raise InvalidInput(
+            f"Exactly one of `frames` and `images` must be given; got {'both' if request.images else 'neither'}.",
+            field="frames",
+            hint="Send `images` over REST, `frames` over gRPC.",
+        )
+    if request.frames is not None:
+        return _check_frames(request.frames)
+    return await asyncio.to_thread(_decode, request.images)
+
+
+def _check_frames(frames: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
+        raise InvalidInput(
+            "`frames` must be UINT8 of shape (T, H, W, C), T at least 1 and C 1 or 3; "
+            f"got {frames.dtype} {frames.shape}.",
+            field="frames",
+            hint="Put channels last, and scale floats to 0..255.",
+        )
+    return frames
+
+
+def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
+    if len(encoded) > MAX_TIMESTEPS:
+        raise InvalidInput(
+            f"`images` must hold at most {MAX_TIMESTEPS} images; got {len(encoded)}.",
+            field="images",
+            hint="Send the trajectory in parts.",
+        )
+    total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # all have one size
+    if total > images.MAX_REQUEST_PIXELS:
+        raise InvalidInput(
+            f"`images` must have at most {images.MAX_REQUEST_PIXELS} pixels in total; got {total}.",
+            field="images",
+            hint="Scale the images to the size that ListSkills returns.",
+        )
+    first = images.decode(encoded[0], field="images.0")
+    frames = np.empty((len(encoded), *first.shape), np.uint8)
+    frames[0] = first
+    for t, image in enumerate(encoded[1:], start=1):
+        pixels = images.decode(image, field=f"images.{t}")
+        if pixels.shape != first.shape:
+            raise InvalidInput(
+                f"`images` must all have one size; image 0 has {first.shape}, image {t} has {pixels.shape}.",
+                field=f"images.{t}",
+                hint="Scale them to one size, all gray or all colour.",
+            )
+        frames[t] = pixels
+    return frames
+
+
+def _check_trajectory(model: SkillModel, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> None:
+    if len(frames) > MAX_TIMESTEPS:
+        raise TooLarge(
+            f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
+            field="frames",
+            hint="Send the trajectory in parts.",
+        )
+    expected = (model.height, model.width, model.channels)
+    if frames.shape[1:] != expected:
+        raise InvalidInput(
+            f"Frames must have height, width and channels {expected}, as in training; got {frames.shape[1:]}.",
+            field="frames",
+            hint="Scale the frames, or name another model.",
+        )
+    if model.action_size:
+        _check_actions(model, actions, len(frames))
+
+
+def _check_actions(model: SkillModel, actions: npt.NDArray[Any] | None, timesteps: int) -> None:
+    dtype = np.dtype(np.int64 if model.action_choices else np.float32)
+    expected = (timesteps, model.action_size)
+    if actions is None or actions.dtype != dtype or actions.shape != expected:
+        got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
+        raise InvalidInput(
+            f"`actions` must be {dtype} {expected}, one row per frame; got {got}.",
+            field="actions",
+            hint="Send the executed action of each timestep, in the format that ListSkills returns.",
+        )
+    low, high = (0, model.action_choices - 1) if model.action_choices else (-1.0, 1.0)
+    if not ((actions >= low) & (actions <= high)).all():  # False for NaN
+        raise InvalidInput(
+            f"`actions` must be finite and in [{low:g}, {high:g}]; some are not.",
+            field="actions",
+            hint="Scale actions as in the training data.",
+        )

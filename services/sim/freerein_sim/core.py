@@ -1,0 +1,320 @@
+"""The core of the sim service: sessions with leases, quotas and idempotent calls; worlds run in worker processes."""
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Coroutine
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from freerein.errors import (
+    AlreadyExists,
+    Internal,
+    InvalidInput,
+    NotFound,
+    Overloaded,
+    SessionNotFound,
+    Unavailable,
+    WorkerLost,
+)
+from freerein.types import sim
+from freerein_sim.session import Session, session_not_found, with_defaults
+from freerein_sim.workers.pool import WorkerPool
+from freerein_sim.workers.protocol import check_frames
+from freerein_sim.workers.worker import worker_lost
+
+MAX_COUNT = 100_000
+_REAP_EVERY_S = 1.0
+
+R = TypeVar("R")
+
+
+class SimCore:
+    """The sessions of one service, for one event loop.
+
+    Calls on one session are serialised. A call whose caller goes away is completed, so that it can be repeated. After a
+    session's worker dies, the next call on it raises `WorkerLost`.
+
+    Args:
+        pool: The worker processes; started and closed with the sessions.
+        max_sessions: Greatest number of open sessions.
+        clock: Monotonic clock, in seconds.
+    """
+
+    def __init__(
+        self, pool: WorkerPool, *, max_sessions: int = 64, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._pool = pool
+        self._max_sessions = max_sessions
+        self._clock = clock
+        self._sessions: dict[str, Session] = {}
+        self._created: dict[str, tuple[sim.CreateSessionRequest, asyncio.Task[sim.CreateSessionResponse]]] = {}
+        self._creating = 0
+        self._in_flight: set[asyncio.Task[Any]] = set()
+        self._reaper: asyncio.Task[None] | None = None
+        self._draining = False
+
+    def __len__(self) -> int:
+        """Returns the number of open sessions."""
+        return len(self._sessions)
+
+    async def start(self) -> None:
+        """Starts the workers, and the task that closes expired sessions.
+
+        Raises:
+            WorkerLost: A worker cannot start.
+        """
+        await self._pool.start()
+        self._reaper = asyncio.create_task(self._reap_periodically())
+
+    async def drain(self) -> None:
+        """Refuses new sessions and demonstrations, and returns when the calls in flight have finished.
+
+        Open sessions go on, so that clients can take snapshots.
+        """
+        self._draining = True
+        if self._in_flight:
+            await asyncio.wait(set(self._in_flight))
+
+    async def close(self) -> None:
+        """Drains, then stops the workers, which ends all sessions."""
+        await self.drain()
+        if self._reaper is not None:
+            self._reaper.cancel()
+        await self._pool.close()
+        self._sessions.clear()
+
+    async def list_tasks(self, request: sim.ListTasksRequest) -> sim.ListTasksResponse:
+        """Returns the tasks. Raises Unavailable while the workers are starting."""
+        return sim.ListTasksResponse(tuple(self._tasks().values()))
+
+    async def create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        """Creates a session, or returns the one created with the same idempotency key.
+
+        Raises:
+            InvalidInput: A value is out of range.
+            NotFound: There is no such task.
+            AlreadyExists: The key was used with another request.
+            Overloaded: The session limit is reached.
+            Unavailable: The service is stopping.
+        """
+        self._check_serving()
+        earlier, making = self._created.get(request.idempotency_key, (request, None))
+        if earlier != request:
+            raise AlreadyExists(
+                "`idempotency_key` must be new, or come with the request it first came with; got another request.",
+                field="idempotency_key",
+                hint="Choose another key.",
+            )
+        if making is None:
+            making = self._run(self._create(with_defaults(request, self._task(request.task))))
+            if request.idempotency_key:
+                self._created[request.idempotency_key] = request, making
+        response = await asyncio.shield(making)
+        self._renew(response.session)
+        return response
+
+    async def reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
+        """Begins new episodes, as `VectorEnv.reset`; `step_id` goes on counting."""
+
+        async def work(session: Session) -> sim.ResetResponse:
+            session.check_frames(request.cameras)
+            return await session.worker.call(request, sim.ResetResponse)
+
+        return await self._exclusively(request.session, work)
+
+    async def step(self, request: sim.StepRequest) -> sim.StepResponse:
+        """Steps every environment once, as `VectorEnv.step`; repeating the last step returns its recorded response.
+
+        Raises:
+            StepOutOfOrder: `step_id` is neither the next nor the last, or the last step differed.
+        """
+
+        async def work(session: Session) -> sim.StepResponse:
+            response = session.recorded_response(request)
+            if response is None:
+                session.check_frames(request.cameras, times=2)  # if all episodes end there are final frames, too
+                response = await session.worker.call(request, sim.StepResponse)
+                session.step_id, session.last_step = request.step_id, (request, response)
+            return response
+
+        return await self._exclusively(request.session, work)
+
+    async def render(self, request: sim.RenderRequest) -> sim.RenderResponse:
+        """Renders, as `VectorEnv.render`."""
+
+        async def work(session: Session) -> sim.RenderResponse:
+            cameras = request.cameras or tuple(camera.name for camera in session.task.cameras)
+            session.check_frames(cameras, height=request.height, width=request.width)
+            return await session.worker.call(request, sim.RenderResponse)
+
+        return await self._exclusively(request.session, work)
+
+    async def snapshot(self, request: sim.SnapshotRequest) -> sim.SnapshotResponse:
+        """Returns the complete state, as `VectorEnv.snapshot`."""
+        return await self._exclusively(
+            request.session, lambda session: session.worker.call(request, sim.SnapshotResponse)
+        )
+
+    async def restore(self, request: sim.RestoreRequest) -> sim.RestoreResponse:
+        """Restores a snapshot, as `VectorEnv.restore`; earlier steps can then not be repeated."""
+
+        async def work(session: Session) -> sim.RestoreResponse:
+            response = await session.worker.call(request, sim.RestoreResponse)
+            session.step_id, session.last_step = response.step_id, None
+            return response
+
+        return await self._exclusively(request.session, work)
+
+    async def demonstrate(self, request: sim.DemonstrateRequest) -> AsyncIterator[sim.DemonstrateResponse]:
+        """Yields trajectories in order, computed a few ahead; closing the iterator cancels the rest.
+
+        Raises:
+            InvalidInput: Unknown skill or camera, or a value out of range.
+            NotFound: There is no such task.
+            FailedPrecondition: The expert failed repeatedly.
+            Unavailable: The service is stopping.
+        """
+        task = self._task(request.task)
+        if not (1 <= request.count <= MAX_COUNT and request.first <= request.count):
+            raise InvalidInput(
+                f"`count` must be 1 to {MAX_COUNT} and `first` at most `count`; got {request.count}, {request.first}.",
+                field="count",
+            )
+        cameras = request.cameras or (task.cameras[0].name,)
+        check_frames(task, cameras, height=request.height, width=request.width, images=task.max_episode_steps)
+        making: deque[asyncio.Task[sim.DemonstrateResponse]] = deque()
+        try:
+            for index in range(request.first, request.count):
+                self._check_serving()
+                making.append(asyncio.create_task(self._pool.demonstrate(replace(request, first=index))))
+                if len(making) == self._pool.demonstrators:
+                    yield await making.popleft()
+            while making:
+                yield await making.popleft()
+        finally:
+            for each in making:
+                each.cancel()
+            await asyncio.gather(*making, return_exceptions=True)
+
+    async def close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
+        """Closes a session; does nothing for an unknown one."""
+
+        async def work(session: Session) -> None:
+            self._forget(session)
+            await session.worker.call(request, sim.CloseSessionResponse)
+
+        with contextlib.suppress(SessionNotFound, WorkerLost):
+            await self._exclusively(request.session, work)
+        return sim.CloseSessionResponse()
+
+    def reap(self) -> None:
+        """Closes expired sessions; called every second."""
+        for session in [session for session in self._sessions.values() if self._has_expired(session)]:
+            self._forget(session)
+            self._run(_close_quietly(session))
+
+    async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        try:
+            self._check_quota()
+            self._creating += 1
+            try:
+                return await self._place(request)
+            finally:
+                self._creating -= 1
+        except BaseException:
+            self._created.pop(request.idempotency_key, None)
+            raise
+
+    async def _place(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        worker = await self._pool.place(request.num_envs)
+        try:
+            response = await worker.call(request, sim.CreateSessionResponse)
+        except BaseException:
+            worker.load -= request.num_envs
+            raise
+        expires_at = self._clock() + request.lease_s
+        self._sessions[response.session] = Session(response.session, request, response.task, worker, expires_at)
+        return response
+
+    async def _exclusively(self, session_id: str, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
+        """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled.
+
+        Raises:
+            SessionNotFound: Unknown session, or it ended while the call waited.
+            WorkerLost: Its worker died.
+        """
+        session = self._find(session_id)
+        self._renew(session_id)
+        await session.lock.acquire()
+        return await asyncio.shield(self._run(self._work(session, work)))
+
+    async def _work(self, session: Session, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
+        try:
+            if session.id not in self._sessions:
+                raise worker_lost() if session.worker.is_lost else session_not_found()
+            return await work(session)
+        except (WorkerLost, Internal):
+            self._forget(session)
+            raise
+        finally:
+            self._renew(session.id)
+            session.lock.release()
+
+    def _run(self, work: Coroutine[Any, Any, R]) -> "asyncio.Task[R]":
+        """Starts a task that `drain` waits for."""
+        task = asyncio.create_task(work)
+        self._in_flight.add(task)
+        task.add_done_callback(self._in_flight.discard)
+        return task
+
+    def _forget(self, session: Session) -> None:
+        """Removes a session; may be called twice."""
+        if self._sessions.pop(session.id, None) is not None:
+            self._created.pop(session.request.idempotency_key, None)
+            session.worker.load -= session.request.num_envs
+
+    def _find(self, session_id: str) -> Session:
+        session = self._sessions.get(session_id)
+        if session is None or self._has_expired(session):
+            raise session_not_found()
+        return session
+
+    def _renew(self, session_id: str) -> None:
+        if (session := self._sessions.get(session_id)) is not None:
+            session.expires_at = self._clock() + session.request.lease_s
+
+    def _has_expired(self, session: Session) -> bool:
+        return self._clock() >= session.expires_at and not session.lock.locked()
+
+    async def _reap_periodically(self) -> None:
+        while True:
+            await asyncio.sleep(_REAP_EVERY_S)
+            self.reap()
+
+    def _task(self, name: str) -> sim.Task:
+        if (task := self._tasks().get(name)) is None:
+            raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
+        return task
+
+    def _tasks(self) -> dict[str, sim.Task]:
+        if not self._pool.tasks:
+            raise Unavailable("The workers are still starting.", hint="Try again in a second.")
+        return self._pool.tasks
+
+    def _check_quota(self) -> None:
+        if len(self._sessions) + self._creating >= self._max_sessions:
+            raise Overloaded(
+                f"At most {self._max_sessions} sessions may be open at once; the limit is reached.",
+                hint="Close one, or wait until a lease ends.",
+            )
+
+    def _check_serving(self) -> None:
+        if self._draining:
+            raise Unavailable("The service is about to stop.", hint="Ask another replica, or try again later.")
+
+
+async def _close_quietly(session: Session) -> None:
+    with contextlib.suppress(WorkerLost):
+        await session.worker.call(sim.CloseSessionRequest(session.id), sim.CloseSessionResponse)

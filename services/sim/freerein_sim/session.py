@@ -1,0 +1,105 @@
+"""One session: its worker, its lease and its last step."""
+
+import asyncio
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from freerein.errors import InvalidInput, SessionNotFound, StepOutOfOrder
+from freerein.types import sim
+from freerein_sim.workers.protocol import check_frames
+from freerein_sim.workers.worker import Worker
+
+MAX_ENVS = 64
+DEFAULT_LEASE_S = 60.0
+MAX_LEASE_S = 3600.0
+_SEED_BITS = 53  # exact in JSON of any language
+
+
+@dataclass(eq=False)
+class Session:
+    """An open session.
+
+    Attributes:
+        id: 32 hexadecimal digits.
+        request: The request that created it, with its defaults filled in.
+        task: Its task.
+        worker: The worker process that holds its environments.
+        expires_at: End of its lease, on the service's clock.
+        step_id: Number of steps made.
+        last_step: Request and response of the last step, to answer its repetition.
+        lock: Held by the call in progress.
+    """
+
+    id: str
+    request: sim.CreateSessionRequest
+    task: sim.Task
+    worker: Worker
+    expires_at: float
+    step_id: int = 0
+    last_step: tuple[sim.StepRequest, sim.StepResponse] | None = None
+    lock: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+    def check_frames(self, cameras: Sequence[str], *, height: int = 0, width: int = 0, times: int = 1) -> None:
+        """Checks the size of a reply with `times` frames of every environment and camera."""
+        height, width = height or self.request.height, width or self.request.width
+        check_frames(self.task, cameras, height=height, width=width, images=times * self.request.num_envs)
+
+    def recorded_response(self, request: sim.StepRequest) -> sim.StepResponse | None:
+        """Returns the response to the last step if this repeats it, None if this is the next step.
+
+        Raises:
+            StepOutOfOrder: `step_id` is neither the last nor the next, or the last step differed.
+        """
+        if self.last_step is not None and request.step_id == self.step_id:
+            last, response = self.last_step
+            if not _is_repeated(request, last):
+                raise StepOutOfOrder(
+                    f"Step {request.step_id} was made already; got it again with other actions or cameras.",
+                    field="step_id",
+                    hint="Repeat a step only unchanged. The next step's `step_id` is one more.",
+                )
+            return response
+        if request.step_id != self.step_id + 1:
+            raise StepOutOfOrder(
+                f"`step_id` must be {self.step_id + 1}, one more than the last; got {request.step_id}.",
+                field="step_id",
+                hint="Count steps from 1; Reset does not restart the count, Restore returns the step to go on from.",
+            )
+        return None
+
+
+def with_defaults(request: sim.CreateSessionRequest, task: sim.Task) -> sim.CreateSessionRequest:
+    """Returns the request with its defaults filled in.
+
+    Raises:
+        InvalidInput: A value is out of range.
+    """
+    check_frames(task, (), height=request.height, width=request.width, images=0)
+    num_envs, lease_s = request.num_envs or 1, request.lease_s or DEFAULT_LEASE_S
+    if not 1 <= num_envs <= MAX_ENVS:
+        raise InvalidInput(f"`num_envs` must be 1 to {MAX_ENVS}; got {num_envs}.", field="num_envs")
+    if not 0 < lease_s <= MAX_LEASE_S:
+        raise InvalidInput(
+            f"`lease_s` must be above 0 and at most {MAX_LEASE_S:.0f} seconds; got another.", field="lease_s"
+        )
+    seed = secrets.randbits(_SEED_BITS) if request.seed is None else request.seed
+    return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed)
+
+
+def session_not_found() -> SessionNotFound:
+    """Returns the error for an unknown session."""
+    return SessionNotFound(
+        "There is no such session: it was never made, was closed, or its lease has ended.",
+        field="session",
+        hint="Create one. Any call renews its lease.",
+    )
+
+
+def _is_repeated(request: sim.StepRequest, last: sim.StepRequest) -> bool:
+    return (
+        request.cameras == last.cameras
+        and request.actions.dtype == last.actions.dtype
+        and request.actions.shape == last.actions.shape
+        and request.actions.tobytes() == last.actions.tobytes()
+    )

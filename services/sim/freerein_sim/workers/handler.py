@@ -1,0 +1,150 @@
+"""The child's side: holds sessions, answers one call after the other."""
+
+import logging
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any
+from uuid import uuid4
+
+from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
+from freerein.types import sim
+from freerein_sim.workers import demonstrations, protocol
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds.world import TaskDefinition, World
+
+_LOG = logging.getLogger(__name__)
+
+
+class RequestHandler:
+    """Answers the requests to one worker process, and holds its sessions."""
+
+    def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
+        self._tasks = tasks
+        self._sessions: dict[str, VectorEnv] = {}
+        self._demonstration_worlds: dict[str, World] = {}  # by task
+        self._answers: dict[type[Any], Callable[[Any], object]] = {
+            sim.ListTasksRequest: self._list_tasks,
+            sim.CreateSessionRequest: self._create_session,
+            sim.ResetRequest: self._reset,
+            sim.StepRequest: self._step,
+            sim.RenderRequest: self._render,
+            sim.SnapshotRequest: self._snapshot,
+            sim.RestoreRequest: self._restore,
+            sim.DemonstrateRequest: self._demonstrate,
+            sim.CloseSessionRequest: self._close_session,
+        }
+
+    def handle(self, request: object) -> object:
+        """Returns the response to a request of `protocol.CALLS`.
+
+        Raises:
+            ServiceError: The request is refused. After `Internal` its session is closed.
+        """
+        try:
+            return self._answers[type(request)](request)
+        except ServiceError:
+            raise
+        except Exception as error:  # a bug in one session must not end the others
+            _LOG.exception("a world failed")
+            self._discard(getattr(request, "session", ""))
+            raise Internal("The world failed; its session has ended.", hint="Create the session anew.") from error
+
+    def close(self) -> None:
+        """Frees every world."""
+        for envs in self._sessions.values():
+            envs.close()
+        for world in self._demonstration_worlds.values():
+            world.close()
+        self._sessions.clear()
+        self._demonstration_worlds.clear()
+
+    def _list_tasks(self, _request: sim.ListTasksRequest) -> sim.ListTasksResponse:
+        return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
+
+    def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        """Creates a session; the service has filled in the request's defaults."""
+        task, seed = self._task(request.task), request.seed or 0
+        session = uuid4().hex
+        self._sessions[session] = VectorEnv(
+            task,
+            num_envs=request.num_envs,
+            seed=seed,
+            height=request.height,
+            width=request.width,
+            privileged=request.privileged,
+        )
+        return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
+
+    def _reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
+        return self._envs(request.session).reset(request.envs, request.seed, cameras=request.cameras)
+
+    def _step(self, request: sim.StepRequest) -> sim.StepResponse:
+        return self._envs(request.session).step(request.actions, request.cameras)
+
+    def _render(self, request: sim.RenderRequest) -> sim.RenderResponse:
+        return self._envs(request.session).render(request.cameras, height=request.height, width=request.width)
+
+    def _snapshot(self, request: sim.SnapshotRequest) -> sim.SnapshotResponse:
+        return sim.SnapshotResponse(self._envs(request.session).snapshot())
+
+    def _restore(self, request: sim.RestoreRequest) -> sim.RestoreResponse:
+        envs = self._envs(request.session)
+        envs.restore(request.snapshot)
+        return sim.RestoreResponse(envs.step_id)
+
+    def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
+        if request.task not in self._demonstration_worlds:
+            self._demonstration_worlds[request.task] = self._task(request.task).make()
+        return demonstrations.make_demonstration(self._demonstration_worlds[request.task], request)
+
+    def _close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
+        self._discard(request.session)
+        return sim.CloseSessionResponse()
+
+    def _task(self, name: str) -> TaskDefinition:
+        if (task := self._tasks.get(name)) is None:
+            raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
+        return task
+
+    def _envs(self, session: str) -> VectorEnv:
+        if (envs := self._sessions.get(session)) is None:
+            raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
+        return envs
+
+    def _discard(self, session: str) -> None:
+        if (envs := self._sessions.pop(session, None)) is not None:
+            envs.close()
+
+
+def serve(connection: socket.socket, handler: RequestHandler) -> None:
+    """Answers requests from a socket in order, until the other end closes it."""
+    try:
+        while (head := _receive(connection, protocol.HEADER_BYTES)) is not None:
+            header = protocol.decode_header(head)
+            if (body := _receive(connection, header.length)) is None:
+                return
+            for part in _reply(handler, header, body):
+                connection.sendall(part)
+    except (BrokenPipeError, ConnectionResetError):
+        return  # the service is gone
+
+
+def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
+    """Returns the frame of the response."""
+    try:
+        request = protocol.decode(body, protocol.CALLS[header.call][0])
+        return protocol.encode(handler.handle(request), call=header.call, number=header.number)
+    except ServiceError as error:
+        return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
+
+
+def _receive(connection: socket.socket, length: int) -> bytearray | None:
+    """Returns the next `length` bytes; None when the other end closed."""
+    data = bytearray(length)
+    view = memoryview(data)
+    while view:
+        received = connection.recv_into(view)
+        if not received:
+            return None
+        view = view[received:]
+    return data

@@ -1,0 +1,141 @@
+"""The protocol between the service and its worker processes: framed messages of the public API over a socket pair.
+
+    message length (4) | call (1) | request number (8) | message, protobuf
+
+Little-endian. A reply carries the call and number of its request; an error the call `REFUSED` and an `Error`.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from freerein import wire
+from freerein.errors import InvalidInput, ServiceError, TooLarge, by_code
+from freerein.types import sim
+from freerein.types.common import Error
+
+MAX_MESSAGE_BYTES = 65 * 2**20
+"""The service's message limit of 64 MiB, and 1 MiB of overhead."""
+
+MAX_SIZE_PX = 256
+MAX_FRAME_BYTES = 63 * 2**20
+"""Frames in one reply."""
+
+REFUSED = 0
+CALLS: tuple[tuple[type[Any], type[Any]], ...] = (
+    (Error, Error),  # REFUSED; never a request
+    (sim.ListTasksRequest, sim.ListTasksResponse),
+    (sim.CreateSessionRequest, sim.CreateSessionResponse),
+    (sim.ResetRequest, sim.ResetResponse),
+    (sim.StepRequest, sim.StepResponse),
+    (sim.RenderRequest, sim.RenderResponse),
+    (sim.SnapshotRequest, sim.SnapshotResponse),
+    (sim.RestoreRequest, sim.RestoreResponse),
+    (sim.DemonstrateRequest, sim.DemonstrateResponse),  # one trajectory: the one at `first`
+    (sim.CloseSessionRequest, sim.CloseSessionResponse),
+)
+"""Request and response of each call."""
+
+_NUMBERS = {request: number for number, (request, _) in enumerate(CALLS)}
+_HEADER = struct.Struct("<IBQ")
+HEADER_BYTES = _HEADER.size
+
+
+@dataclass(frozen=True)
+class Header:
+    """Header of a frame.
+
+    Attributes:
+        length: Bytes of the message.
+        call: Index into `CALLS`.
+        number: Request number, counted by the sender.
+    """
+
+    length: int
+    call: int
+    number: int
+
+
+def call_of(request: object) -> int:
+    """Returns a request's index into `CALLS`."""
+    return _NUMBERS[type(request)]
+
+
+def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:
+    """Returns a dataclass as (header, message).
+
+    Raises:
+        TooLarge: The message is longer than `MAX_MESSAGE_BYTES`.
+    """
+    body = wire.pack(message).SerializeToString()
+    _check_length(len(body))
+    return _HEADER.pack(len(body), call, number), body
+
+
+def decode_header(data: bytes | bytearray) -> Header:
+    """Returns the header of `HEADER_BYTES` bytes.
+
+    Raises:
+        TooLarge: It announces more than `MAX_MESSAGE_BYTES`; nothing is allocated.
+    """
+    header = Header(*_HEADER.unpack(data))
+    _check_length(header.length)
+    return header
+
+
+def decode(data: bytes | bytearray, cls: type[wire.T]) -> wire.T:
+    """Returns the dataclass of a message."""
+    message = wire.message_type(cls)()
+    message.MergeFromString(cast(bytes, data))  # it reads any buffer; its stub knows bytes only
+    return wire.unpack(message, cls)
+
+
+def error_message(error: ServiceError) -> Error:
+    """Returns an error as a message."""
+    return Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
+
+
+def error_from(message: Error) -> ServiceError:
+    """Returns the error of a message."""
+    return by_code(message.code)(
+        message.detail, field=message.field, hint=message.hint, retry_after_s=message.retry_after_s or None
+    )
+
+
+def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: int, images: int) -> None:
+    """Checks the size of a reply before anything is rendered. Ignores unknown cameras: the worker refuses them.
+
+    Args:
+        task: The task.
+        cameras: Requested cameras.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        images: Greatest number of images per camera in the reply.
+
+    Raises:
+        InvalidInput: The frames are too large.
+    """
+    if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
+        raise InvalidInput(
+            f"`height` and `width` must be at most {MAX_SIZE_PX} pixels; got {height} and {width}.", field="height"
+        )
+    frame_bytes = sum(
+        images * (height or camera.height) * (width or camera.width) * camera.channels
+        for camera in task.cameras
+        if camera.name in cameras
+    )
+    if frame_bytes > MAX_FRAME_BYTES:
+        raise InvalidInput(
+            f"The frames of one reply must have at most {MAX_FRAME_BYTES} bytes; these may have {frame_bytes}.",
+            field="cameras",
+            hint="Ask for fewer or smaller cameras, or hold fewer environments.",
+        )
+
+
+def _check_length(length: int) -> None:
+    if length > MAX_MESSAGE_BYTES:
+        raise TooLarge(
+            f"A message to or from a worker must be at most {MAX_MESSAGE_BYTES} bytes; got {length}.",
+            hint="Ask for fewer environments, cameras or pixels at once.",
+        )

@@ -1,0 +1,256 @@
+"""A vector of environments of one task, stepped together: a session without a service. Synchronous, single-threaded."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
+from freerein.types.common import Camera
+from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
+from freerein_sim.workers import snapshots
+from freerein_sim.worlds.world import TaskDefinition, check_actions, check_view
+
+
+class VectorEnv:
+    """N environments of one task. Environment i draws from `SeedSequence(seed).spawn(N)[i]`.
+
+    A refused call changes nothing.
+
+    Args:
+        task: The task.
+        num_envs: N.
+        seed: Seeds the generators.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        privileged: Whether replies hold `Truth`.
+
+    Attributes:
+        task: The task.
+        num_envs: N.
+        step_id: Steps made in total; not changed by `reset`, set by `restore`.
+
+    Raises:
+        InvalidInput: Unsupported frame size.
+    """
+
+    def __init__(
+        self,
+        task: TaskDefinition,
+        *,
+        num_envs: int,
+        seed: int,
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
+    ) -> None:
+        self.task = task
+        self.num_envs = num_envs
+        self.step_id = 0
+        self._height, self._width = height, width
+        self._privileged = privileged
+        self._cameras(camera.name for camera in task.spec.cameras)
+        self._worlds = [task.make() for _ in range(num_envs)]
+        self._rngs = _generators(seed, num_envs)
+        self._steps = np.zeros(num_envs, np.int64)
+        self._is_reset = False
+        self._try_viewsd: set[Camera] = set()
+
+    def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
+        """Begins new episodes.
+
+        Args:
+            envs: Indices of environments; empty for all.
+            seed: Re-seeds all generators first; None keeps them.
+            cameras: Cameras to render.
+
+        Raises:
+            InvalidInput: Unknown environment or camera, or a repeated environment.
+            FailedPrecondition: The first reset is not of all environments.
+        """
+        chosen = self._chosen(envs)
+        views = self._cameras(cameras)
+        self._try_views(views)
+        if seed is not None:
+            self._rngs = _generators(seed, self.num_envs)
+        for i in chosen:
+            self._begin(i)
+        self._is_reset = True
+        return ResetResponse(self._frames(views, range(self.num_envs)), self._truth() if self._privileged else None)
+
+    def step(self, actions: npt.NDArray[Any], cameras: Sequence[str] = ()) -> StepResponse:
+        """Steps every environment once; one whose episode ends is reset in the same call.
+
+        Args:
+            actions: float32 or int64 (N, size), matching the task's action spec.
+            cameras: Cameras to render.
+
+        Raises:
+            InvalidInput: The actions do not match the spec, or unknown camera.
+            FailedPrecondition: There was no reset yet.
+        """
+        self._check_reset("Step")
+        check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
+        views = self._cameras(cameras)
+        self._try_views(views)
+        results = [world.step(action) for world, action in zip(self._worlds, actions, strict=True)]
+        self._steps += 1
+        self.step_id += 1
+        terminated = np.array([result.terminated for result in results])
+        truncated = ~terminated & (self._steps >= self.task.spec.max_episode_steps)
+        truth = self._truth() if self._privileged else None
+        ended = np.flatnonzero(terminated | truncated).tolist()
+        final_frames = self._frames(views, ended)
+        for i in ended:
+            self._begin(i)
+        return StepResponse(
+            step_id=self.step_id,
+            frames=self._frames(views, range(self.num_envs)),
+            reward=np.zeros(self.num_envs, np.float32),
+            terminated=terminated,
+            truncated=truncated,
+            diverged=np.array([result.diverged for result in results]),
+            final_frames=final_frames,
+            truth=truth,
+        )
+
+    def render(self, cameras: Sequence[str] = (), *, height: int = 0, width: int = 0) -> RenderResponse:
+        """Returns the current frames; no cameras means all, a size of 0 the session's.
+
+        Raises:
+            InvalidInput: Unknown camera, or unsupported size.
+            FailedPrecondition: There was no reset yet.
+        """
+        self._check_reset("Render")
+        names = cameras or [camera.name for camera in self.task.spec.cameras]
+        return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
+
+    def snapshot(self) -> bytes:
+        """Returns the complete state; after `restore` the same actions give the same bits.
+
+        Raises:
+            FailedPrecondition: There was no reset yet.
+            Unimplemented: The task's worlds have no exact snapshots.
+        """
+        self._check_snapshots()
+        self._check_reset("Snapshot")
+        states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
+        envs = tuple(snapshots.EnvState(steps, rng, world.snapshot()) for steps, rng, world in states)
+        return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
+
+    def restore(self, snapshot: bytes) -> None:
+        """Restores a snapshot.
+
+        Raises:
+            InvalidInput: The bytes are not a snapshot.
+            FailedPrecondition: It has another task, number of environments or build.
+            Unimplemented: The task's worlds have no exact snapshots.
+        """
+        self._check_snapshots()
+        state = snapshots.decode(snapshot)
+        self._check_compatible(state)
+        if any(env.steps >= self.task.spec.max_episode_steps for env in state.envs):
+            raise InvalidInput("`snapshot` must be of episodes that go on; got one that is over.", field="snapshot")
+        self._restore_worlds([env.world for env in state.envs])
+        self._rngs = [env.rng for env in state.envs]
+        self._steps = np.array([env.steps for env in state.envs], np.int64)
+        self.step_id = state.step_id
+        self._is_reset = True
+
+    def close(self) -> None:
+        """Closes the worlds, on the thread that rendered; may be called twice."""
+        for world in self._worlds:
+            world.close()
+
+    def _begin(self, env: int) -> None:
+        self._worlds[env].reset(self._rngs[env])
+        self._steps[env] = 0
+
+    def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> Frames:
+        frames = {view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views}
+        for row, env in enumerate(envs):
+            for view in views:
+                frames[view.name][row] = self._worlds[env].render(view.name, height=view.height, width=view.width)
+        return frames
+
+    def _truth(self) -> Truth:
+        truths = [world.truth() for world in self._worlds]
+        return Truth(
+            state=np.stack([truth.state for truth in truths]),
+            reward=np.array([truth.reward for truth in truths], np.float32),
+            success=np.array([truth.success for truth in truths], np.bool_),
+        )
+
+    def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> list[Camera]:
+        """Returns the named cameras with the size at which to render them."""
+        spec = self.task.spec
+        views = []
+        for name in dict.fromkeys(names):
+            own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
+            view = Camera(name, height or self._height or own.height, width or self._width or own.width, own.channels)
+            check_view(spec, name, height=view.height, width=view.width)
+            views.append(view)
+        return views
+
+    def _try_views(self, views: Sequence[Camera]) -> None:
+        """Renders each new view once, so that one that cannot be rendered is refused before a step."""
+        untried = set(views) - self._try_viewsd
+        if untried and not self._is_reset:
+            self._worlds[0].reset(np.random.default_rng(0))
+        for view in untried:
+            self._worlds[0].render(view.name, height=view.height, width=view.width)
+        self._try_viewsd |= untried
+
+    def _restore_worlds(self, states: Sequence[bytes]) -> None:
+        """Restores all worlds, or none."""
+        before = [world.snapshot() for world in self._worlds] if self._is_reset else []
+        try:
+            for world, state in zip(self._worlds, states, strict=True):
+                world.restore(state)
+        except InvalidInput:
+            for world, state in zip(self._worlds, before, strict=False):
+                world.restore(state)
+            raise
+
+    def _chosen(self, envs: Sequence[int]) -> Sequence[int]:
+        if len(set(envs)) != len(envs) or not all(0 <= i < self.num_envs for i in envs):
+            raise InvalidInput(
+                f"`envs` must name environments 0 to {self.num_envs - 1}, each once; got others, or one twice.",
+                field="envs",
+                hint="Leave it empty to reset all.",
+            )
+        if not self._is_reset and 0 < len(envs) < self.num_envs:
+            raise FailedPrecondition(
+                f"The first reset must be of all {self.num_envs} environments; got {len(envs)}.",
+                field="envs",
+                hint="Leave `envs` empty.",
+            )
+        return envs or range(self.num_envs)
+
+    def _check_reset(self, call: str) -> None:
+        if not self._is_reset:
+            raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call Reset first.")
+
+    def _check_snapshots(self) -> None:
+        if not self.task.spec.exact_snapshots:
+            raise Unimplemented(
+                "This task's worlds have no exact snapshots.", hint="Replay seed and actions from the last reset."
+            )
+
+    def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
+        if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
+            got = "of another task or build"
+        elif len(snapshot.envs) != self.num_envs:
+            got = f"of {len(snapshot.envs)} environments"
+        else:
+            return
+        raise FailedPrecondition(
+            f"`snapshot` must be of this session's task and build, and of {self.num_envs} environments; got one {got}.",
+            field="snapshot",
+            hint="Create a session like the one that the snapshot was taken from.",
+        )
+
+
+def _generators(seed: int, num_envs: int) -> list[np.random.Generator]:
+    return [snapshots.generator(child) for child in np.random.SeedSequence(seed).spawn(num_envs)]

@@ -1,0 +1,158 @@
+"""Initial states of blocks and gripper: one sampler for each kind of task, a pure function of a generator."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein_sim.worlds.blocks import COLOURS, scene
+from freerein_sim.worlds.blocks.goals import BLOCK_M, Position
+
+PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
+"""Position of each hidden block on the pad, in the order of `COLOURS`: float64 (4, 3)."""
+
+_PLACES, _PITCH_M = 6, 0.08
+"""Number of places on the line and their spacing, which leaves room for a block and an open gripper."""
+
+_LINE_JITTER_M, _PLACE_JITTER_M = 0.01, 0.0015
+_PAIR_M, _PAIR_SPREAD_M = (-0.07, 0.07), BLOCK_M
+_ABOVE_Y_M, _ABOVE_Z_M = (-0.2, 0.2), (0.13, 0.22)
+
+_LOW_M, _HIGH_M = np.array([-0.2, BLOCK_M / 2]), np.array([0.2, 0.19])
+"""Range of scattered blocks, y and z: visible to the front camera, and within reach of the gripper."""
+
+_NEAR_M = 2.5 * BLOCK_M
+_ODDS = (1 / 2, 1 / 6, 1 / 6, 1 / 6)
+"""Probabilities of two scattered blocks being anywhere, near one another, stacked, and side by side."""
+
+_GRASP_PROBABILITY = 0.3
+"""Probability of trying a grasp. About one in six has no room, so a block is held in a quarter of the states."""
+
+_GRASP_ABOVE_M = (0.0, 0.03)
+_PALM_HALF_Y_M, _PALM_ABOVE_M = 0.063, 0.032
+"""Half width of the palm, and its height above the midpoint of the fingers."""
+
+_ROUNDING_M = 1e-9
+
+Point = npt.NDArray[np.float64]
+"""float64 (2,): y and z in metres; (N, 2) for N points."""
+
+
+@dataclass(frozen=True, eq=False)
+class GripperState:
+    """Pose and finger opening of the gripper.
+
+    Attributes:
+        at: Midpoint between the fingers.
+        finger_m: Distance of each finger from the midpoint.
+        target_m: Target of that distance; smaller than `finger_m` when the fingers press on a block.
+    """
+
+    at: Point
+    finger_m: float
+    target_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """State before the first action.
+
+    Attributes:
+        blocks: float64 (N, 3), centres of the blocks in metres.
+        gripper: The gripper.
+    """
+
+    blocks: Position
+    gripper: GripperState
+
+
+InitialStateSampler = Callable[[np.random.Generator], InitialState]
+"""Draws an initial state."""
+
+
+def line(rng: np.random.Generator) -> InitialState:
+    """Returns four blocks on the table, far enough apart for the gripper above them."""
+    places = (np.arange(_PLACES) - (_PLACES - 1) / 2) * _PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
+    ys = rng.choice(places, size=len(COLOURS), replace=False)
+    return _on_table(rng, ys + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape))
+
+
+def pair(rng: np.random.Generator) -> InitialState:
+    """Returns two blocks on the table, too far apart for any goal to hold."""
+    return _on_table(rng, rng.permutation(_PAIR_M) + rng.uniform(-_PAIR_SPREAD_M / 2, _PAIR_SPREAD_M / 2, size=2))
+
+
+def scatter(rng: np.random.Generator) -> InitialState:
+    """Returns two of the four blocks anywhere in the plane, one possibly in the gripper; the other two are parked."""
+    arrange = (_anywhere, _near, _stacked, _beside)[rng.choice(len(_ODDS), p=_ODDS)]
+    shown = arrange(rng, rng.uniform(_LOW_M, _HIGH_M))
+    blocks = PARKED_M.copy()
+    blocks[rng.choice(len(COLOURS), size=2, replace=False)] = np.insert(shown, 0, 0.0, axis=1)
+    holding = _grasp(rng, shown) if rng.random() < _GRASP_PROBABILITY else None
+    return InitialState(blocks, holding or _free_gripper(rng, shown))
+
+
+def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> InitialState:
+    blocks = np.stack([np.zeros_like(ys), ys, np.full_like(ys, BLOCK_M / 2)], axis=1)
+    finger_m = rng.uniform(*scene.FINGER_M)
+    at = np.array([rng.uniform(*_ABOVE_Y_M), rng.uniform(*_ABOVE_Z_M)])
+    return InitialState(blocks, GripperState(at, finger_m, finger_m))
+
+
+def _anywhere(rng: np.random.Generator, first: Point) -> Point:
+    while True:
+        second = rng.uniform(_LOW_M, _HIGH_M)
+        if np.abs(second - first).max() > BLOCK_M:
+            return np.stack([first, second])
+
+
+def _near(rng: np.random.Generator, first: Point) -> Point:
+    while True:
+        blocks = _anywhere(rng, first)
+        if np.linalg.norm(blocks[1] - first) < _NEAR_M:
+            return blocks
+
+
+def _stacked(rng: np.random.Generator, first: Point) -> Point:
+    """Returns a block on the table and one that rests on it."""
+    y, z = first[0], _LOW_M[1]
+    upper_y = np.clip(y + rng.uniform(-BLOCK_M / 2, BLOCK_M / 2), _LOW_M[0], _HIGH_M[0])
+    return np.array([(y, z), (upper_y, z + BLOCK_M)])
+
+
+def _beside(rng: np.random.Generator, first: Point) -> Point:
+    """Returns a block on the table and one beside it, towards the middle."""
+    y, z = first[0], _LOW_M[1]
+    return np.array([(y, z), (y - np.sign(y) * rng.uniform(BLOCK_M, _NEAR_M), z)])
+
+
+def _free_gripper(rng: np.random.Generator, blocks: Point) -> GripperState:
+    """Draws a gripper state that collides with no block."""
+    limits = np.transpose([scene.GRIPPER_Y_M, scene.GRIPPER_Z_M])
+    while True:
+        finger_m = rng.uniform(*scene.FINGER_M)
+        gripper = GripperState(rng.uniform(*limits), finger_m, finger_m)
+        if _is_clear(gripper, blocks):
+            return gripper
+
+
+def _grasp(rng: np.random.Generator, blocks: Point) -> GripperState | None:
+    """Draws a gripper closed on one of the blocks; None if it would collide with the other or the table."""
+    for block in rng.permutation(blocks):
+        at = np.add(block, (0.0, rng.uniform(*_GRASP_ABOVE_M)))
+        gripper = GripperState(at, BLOCK_M / 2 - scene.FINGER_BASE_M, scene.FINGER_M[0])
+        if at[1] > scene.GRIPPER_Z_M[0] and _is_clear(gripper, blocks):
+            return gripper
+    return None
+
+
+def _is_clear(gripper: GripperState, blocks: Point) -> bool:
+    """Returns whether neither the fingers nor the palm intersect a block."""
+    aside, above = np.abs(blocks[:, 0] - gripper.at[0]), blocks[:, 1] - gripper.at[1]
+    inner_m = scene.FINGER_BASE_M + gripper.finger_m
+    outer_m = inner_m + 2 * scene.FINGER_HALF_M[1]
+    between = aside < inner_m - BLOCK_M / 2 + _ROUNDING_M
+    beyond = (aside > outer_m + BLOCK_M / 2) | (np.abs(above) > scene.FINGER_HALF_M[0] + BLOCK_M / 2)
+    off_palm = (aside > _PALM_HALF_Y_M + BLOCK_M / 2) | (above < _PALM_ABOVE_M - BLOCK_M / 2)
+    return bool(((between | beyond) & off_palm).all())

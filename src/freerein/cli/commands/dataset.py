@@ -1,0 +1,145 @@
+"""`freerein dataset`: inspects and checks datasets; finds the ones that other commands name."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.errors import InvalidInput, NotFound
+
+if TYPE_CHECKING:
+    from freerein.data import Dataset, DatasetSummary, Problem
+    from freerein.types.common import Trajectory
+
+app = typer.Typer(help="Inspect and check datasets.", no_args_is_help=True)
+
+_MOST_GOAL_TEXTS = 6
+
+_Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
+
+
+@app.command("list")
+@command
+def list_datasets(as_json: AsJson = False) -> None:
+    """List the datasets in the data directory."""
+    from freerein.cli.settings import CliSettings
+
+    names = sorted(path.parent.name for path in (CliSettings().data_dir / "datasets").glob("*/meta"))
+    if as_json:
+        print_json({"datasets": names})
+    else:
+        show_table(("dataset",), [(name,) for name in names])
+
+
+@app.command()
+@command
+def inspect(name: _Name, as_json: AsJson = False) -> None:
+    """Show the contents of a dataset."""
+    from freerein import data
+
+    summary = data.inspect(dataset_root(name))
+    if as_json:
+        print_json({"dataset": name, **asdict(summary)})
+    else:
+        show_table(("", ""), _rows(name, summary))
+
+
+@app.command()
+@command
+def verify(name: _Name, as_json: AsJson = False) -> None:
+    """Read every file of a dataset and list damage; exit code 1 where there is any."""
+    from freerein import data
+
+    _report(name, data.verify, as_json=as_json, verdict="is undamaged")
+
+
+@app.command()
+@command
+def check(name: _Name, as_json: AsJson = False) -> None:
+    """List what prevents learning skills from a dataset; exit code 1 where there is anything."""
+    from freerein import data
+
+    _report(name, data.check, as_json=as_json, verdict="is fit for training")
+
+
+def _report(name: str, examine: "Callable[[Path], list[Problem]]", *, as_json: bool, verdict: str) -> None:
+    problems = examine(dataset_root(name))
+    if as_json:
+        print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
+    elif problems:
+        show_table(("where", "problem", "fix"), [(each.where, each.sentence, each.hint) for each in problems])
+    else:
+        typer.echo(f"The dataset {name} {verdict}.")
+    if problems:
+        raise typer.Exit(1)
+
+
+def dataset_root(name: str) -> Path:
+    """Returns the folder of a dataset in the data directory, whether or not it exists."""
+    from freerein.cli.settings import CliSettings
+    from freerein.data import dataset_path
+
+    return dataset_path(CliSettings().data_dir, name)
+
+
+def read_trajectory(dataset: "Dataset", index: int) -> "Trajectory":
+    """Returns a trajectory of a dataset.
+
+    Raises:
+        NotFound: The index is out of range.
+    """
+    if index >= len(dataset):
+        raise NotFound(
+            f"The index must be below {len(dataset)}, the number of trajectories; got {index}.",
+            field="index",
+            hint="`freerein dataset inspect` shows the dataset.",
+        )
+    return dataset[index]
+
+
+def choose_camera(dataset: "Dataset", camera: str) -> str:
+    """Returns the named camera; the first one where the name is empty.
+
+    Raises:
+        InvalidInput: There is no such camera.
+    """
+    cameras = tuple(dataset.spec.cameras)
+    if camera and camera not in cameras:
+        raise InvalidInput(
+            f"The camera must be one of {', '.join(cameras)}; got another name.",
+            field="camera",
+            hint="Leave it out for the first.",
+        )
+    return camera or cameras[0]
+
+
+def _goal_texts(summary: "DatasetSummary") -> str:
+    """Returns the trajectories' own goal texts, most frequent first."""
+    counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
+    own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
+    return (
+        "; ".join([*own[:_MOST_GOAL_TEXTS], *(["..."] if len(own) > _MOST_GOAL_TEXTS else [])]) or "none of their own"
+    )
+
+
+def _rows(name: str, summary: "DatasetSummary") -> list[tuple[str, str]]:
+    spec = summary.spec
+    cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
+    action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers"
+    return [
+        ("dataset", name),
+        ("task", spec.task),
+        ("goal texts", _goal_texts(summary)),
+        ("trajectories", f"{summary.trajectories}, of {summary.shortest} to {summary.longest} timesteps"),
+        ("timesteps", f"{summary.frames}, {summary.duration_s / 60:.1f} minutes at {spec.fps} Hz"),
+        ("cameras", cameras),
+        ("action", action),
+        ("skills", ", ".join(f"{skill} ({count})" for skill, count in summary.skill_counts.items()) or "none"),
+        ("untagged", str(summary.untagged)),
+        ("true labels", str(summary.labelled)),
+        ("size", f"{summary.data_bytes / 1e6:.1f} MB"),
+        ("fingerprint", summary.fingerprint),
+    ]

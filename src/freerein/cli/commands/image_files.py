@@ -1,0 +1,53 @@
+"""Image files of the command line, read as the services expect them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from freerein.errors import NotFound
+
+if TYPE_CHECKING:
+    from freerein.types.common import Image
+
+FILES = "[CAMERA=]FILE"
+"""Syntax of an image option; the camera is needed where the model has several."""
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+
+
+def read_images(named: Sequence[str]) -> "tuple[Image, ...]":
+    """Returns images; those of a folder in the order of their names.
+
+    Args:
+        named: Files or folders, each as `FILES` describes.
+
+    Raises:
+        NotFound: A file does not exist, or a folder holds no image.
+        UnsupportedMedia: A file is not PNG, JPEG or WebP.
+    """
+    return tuple(_read(path, camera) for text in named for camera, path in _files(text))
+
+
+def _files(text: str) -> list[tuple[str, Path]]:
+    camera, equals, rest = text.partition("=")
+    if not equals or Path(text).exists():
+        camera, rest = "", text
+    path = Path(rest)
+    if path.is_file():
+        return [(camera, path)]
+    found = sorted(file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES)
+    if not found:
+        raise NotFound(
+            "An image must be a file, or a folder of PNG, JPEG or WebP files; got neither.",
+            field="image",
+            hint="Write now.png, or front=now.png where the model has several cameras.",
+        )
+    return [(camera, file) for file in found]
+
+
+def _read(path: Path, camera: str) -> "Image":
+    from freerein import images
+    from freerein.types.common import Image
+
+    data = path.read_bytes()
+    return Image(images.sniff(data, field="image"), 0, 0, data, camera)

@@ -1,0 +1,194 @@
+"""`freerein reward`: rewards images against a goal text, and finds noun phrases in them."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from freerein.cli.commands.image_files import FILES, read_images
+from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.errors import InvalidInput
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from freerein.clients import RewardClient
+    from freerein.types.common import Image
+    from freerein.types.reward import Grounding, RewardRequest, RewardResponse
+
+_IMAGES_PER_REQUEST = 16
+_BYTES_PER_REQUEST = 32 * 2**20
+_DARK, _LIGHT, _GAP = 0.35, (255, 170, 40), 4
+
+_Images = Annotated[list[str] | None, typer.Argument(metavar=FILES, help="Image files, or folders of frames in order.")]
+_Rivals = Annotated[
+    list[str] | None, typer.Option(help="Rival text; repeatable. By default the goal with every other relation.")
+]
+_Heatmap = Annotated[
+    Path | None, typer.Option(metavar="OUT.png", help="Draw the heatmap of each --phrase in the first image.")
+]
+_Phrases = Annotated[list[str] | None, typer.Option(help="Noun phrase to find, such as `a red block`; repeatable.")]
+
+
+@command
+def reward(
+    image: _Images = None,
+    *,
+    goal: Annotated[str, typer.Option(help="Goal text.")],
+    rival: _Rivals = None,
+    raw: Annotated[bool, typer.Option("--raw", help="Return the similarity instead of 0 or 1.")] = False,
+    dataset: Annotated[str, typer.Option(help="Reward a trajectory of this dataset instead of images.")] = "",
+    index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
+    model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
+    version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
+    heatmap: _Heatmap = None,
+    phrase: _Phrases = None,
+    as_json: AsJson = False,
+) -> None:
+    """Reward images against a goal text."""
+    from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import RewardClient
+    from freerein.types.common import ModelRef
+    from freerein.types.reward import RewardRequest
+
+    _check(image, dataset, heatmap, phrase)
+    asked = RewardRequest(
+        goal_text=goal, rivals=tuple(rival or ()), mode="raw" if raw else "binary", model=ModelRef(model, version)
+    )
+    parts = list(_from_dataset(asked, dataset, index) if dataset else _from_files(asked, image or ()))
+    answer = _joined(call(RewardClient, "reward", lambda client: _ask(client, parts)))
+    print_json(wire.to_json(answer)) if as_json else _show(answer)
+    if heatmap:
+        groundings = _draw(parts[0], tuple(phrase or ()), heatmap)
+        _show_places(groundings, heatmap, as_json=as_json)
+
+
+def _check(image: list[str] | None, dataset: str, heatmap: Path | None, phrase: list[str] | None) -> None:
+    if bool(image) == bool(dataset):
+        raise InvalidInput(
+            f"Exactly one of images and a dataset must be given; got {'both' if dataset else 'neither'}.",
+            field="image",
+            hint="Write freerein reward now.png --goal '...', or --dataset NAME --index I.",
+        )
+    if bool(heatmap) != bool(phrase):
+        raise InvalidInput(
+            f"--heatmap and --phrase must be given together; got {'no phrase' if heatmap else 'no file'}.",
+            field="heatmap",
+            hint="Write --heatmap out.png --phrase 'a red block'.",
+        )
+    if heatmap and heatmap.suffix.lower() != ".png":
+        raise InvalidInput(
+            "The heatmap file must end in .png; got another ending.",
+            field="heatmap",
+            hint="Write --heatmap out.png.",
+        )
+
+
+def _from_files(asked: "RewardRequest", named: Sequence[str]) -> "Iterator[RewardRequest]":
+    """Yields requests of a few timesteps each, with the images of all cameras."""
+    from dataclasses import replace
+
+    by_camera: dict[str, list[Image]] = {}
+    for one in read_images(named):
+        by_camera.setdefault(one.camera, []).append(one)
+    longest = max(map(len, by_camera.values()))
+    for start in range(0, longest, _IMAGES_PER_REQUEST):
+        some = tuple(one for own in by_camera.values() for one in own[start : start + _IMAGES_PER_REQUEST])
+        yield replace(asked, images=some)
+
+
+def _from_dataset(asked: "RewardRequest", name: str, index: int) -> "Iterator[RewardRequest]":
+    """Yields requests with the frames of a trajectory from all cameras, each small enough for a message."""
+    from dataclasses import replace
+
+    from freerein.cli.commands.dataset import dataset_root, read_trajectory
+    from freerein.data import Dataset
+
+    frames = read_trajectory(Dataset(dataset_root(name)), index).frames
+    timesteps = next(iter(frames.values())).shape[0]
+    per_request = max(1, _BYTES_PER_REQUEST * timesteps // sum(array.nbytes for array in frames.values()))
+    for start in range(0, timesteps, per_request):
+        yield replace(asked, frames={camera: array[start : start + per_request] for camera, array in frames.items()})
+
+
+async def _ask(client: "RewardClient", parts: "Sequence[RewardRequest]") -> "list[RewardResponse]":
+    return [await client.reward(part) for part in parts]
+
+
+def _draw(first: "RewardRequest", phrases: tuple[str, ...], path: Path) -> "tuple[Grounding, ...]":
+    """Writes the heatmaps of phrases in the first image; returns the groundings."""
+    from freerein import images
+    from freerein.cli.connection import call
+    from freerein.clients import RewardClient
+    from freerein.types.reward import GroundRequest
+
+    image = first.images[0] if first.images else images.encode(next(iter(first.frames.values()))[0])
+    groundings = call(RewardClient, "reward", lambda client: client.ground(GroundRequest(image, phrases))).groundings
+    path.write_bytes(images.encode(_heatmaps(images.decode(image), groundings)).data)
+    return groundings
+
+
+def _heatmaps(image: "npt.NDArray[np.uint8]", groundings: "Sequence[Grounding]") -> "npt.NDArray[np.uint8]":
+    """Returns an image uint8 (H, W, 1 or 3) beside a heatmap for each phrase, uint8 (H, W', 3)."""
+    import numpy as np
+
+    colour = np.broadcast_to(image, (*image.shape[:2], 3))
+    gap = np.full((image.shape[0], _GAP, 3), 255, np.uint8)
+    panels = [colour, *(panel for grounding in groundings for panel in (gap, _lit(colour, grounding)))]
+    return np.concatenate(panels, axis=1)
+
+
+def _lit(image: "npt.NDArray[np.uint8]", grounding: "Grounding") -> "npt.NDArray[np.uint8]":
+    """Returns the image darkened outside the heatmap, with a cross at the phrase's pixel."""
+    import numpy as np
+
+    heat = grounding.heatmap[:, :, np.newaxis]
+    lit = image * (_DARK + (1 - _DARK) * heat) * (1 - heat / 2) + np.array(_LIGHT, np.float32) * (heat / 2)
+    height, width = image.shape[:2]
+    x, y = min(int(grounding.x), width - 1), min(int(grounding.y), height - 1)
+    arm = max(1, min(height, width) // 20)
+    lit[y, max(0, x - arm) : x + arm + 1] = 255
+    lit[max(0, y - arm) : y + arm + 1, x] = 255
+    return lit.astype(np.uint8)
+
+
+def _joined(answers: "Sequence[RewardResponse]") -> "RewardResponse":
+    """Returns the answers to parts of a request as one answer."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    return replace(
+        answers[0],
+        rewards=np.concatenate([answer.rewards for answer in answers]),
+        similarities=np.concatenate([answer.similarities for answer in answers]),
+        winners=np.concatenate([answer.winners for answer in answers]),
+    )
+
+
+def _show(answer: "RewardResponse") -> None:
+    rows = [
+        (str(moment), f"{reward:.3g}", f"{similarity:.3f}", answer.texts[winner])
+        for moment, (reward, similarity, winner) in enumerate(
+            zip(answer.rewards, answer.similarities, answer.winners, strict=True)
+        )
+    ]
+    show_table(("frame", "reward", "similarity", "fits best"), rows)
+    typer.echo(f"{len(rows)} frames, model {answer.model.name} {answer.model.version}")
+    if answer.unknown_words:
+        typer.echo(f"The model does not know {answer.unknown_words} words of the goal; the rewards are unreliable.")
+    if answer.truncated:
+        typer.echo("A text was too long for the model and was truncated.")
+
+
+def _show_places(groundings: "Sequence[Grounding]", path: Path, *, as_json: bool) -> None:
+    places = [{"phrase": found.phrase, "x": found.x, "y": found.y, "presence": found.presence} for found in groundings]
+    if as_json:
+        print_json({"heatmap": str(path), "groundings": places})
+        return
+    rows = [(found.phrase, f"{found.x:.1f}", f"{found.y:.1f}", f"{found.presence:.2f}") for found in groundings]
+    show_table(("phrase", "x", "y", "presence"), rows)
+    typer.echo(f"Heatmaps: {path}")

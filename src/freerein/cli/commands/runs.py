@@ -1,0 +1,235 @@
+"""`freerein runs`: start, list, watch, cancel and resume runs; their metrics and artifacts."""
+
+import asyncio
+import os
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import aclosing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal, TypeVar
+
+import typer
+
+from freerein.cli import job_display
+from freerein.cli.config_options import Settings, configuration
+from freerein.cli.job_progress import metrics_text, steps_text
+from freerein.cli.output import AsJson, command, print_json, show_table
+
+if TYPE_CHECKING:
+    from freerein.clients import OrchestratorClient
+    from freerein.types.jobs import MetricRow
+    from freerein.types.orchestrator import Run
+
+T = TypeVar("T")
+
+app = typer.Typer(
+    help="Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.", no_args_is_help=True
+)
+
+_Kind = Annotated[
+    Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"],
+    typer.Argument(metavar="KIND", help="collect, fit, ppo, distill, evaluate or pipeline."),
+]
+_Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
+_Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]
+_Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the end and draw the curves.")]
+_Metrics = Annotated[
+    list[str] | None, typer.Option("--metric", help="Metric to draw; repeatable. Default: the most relevant ones.")
+]
+_FromStep = Annotated[int, typer.Option(min=0, help="First step to print.")]
+_MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
+_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, as listed by `freerein runs list`.")]
+_Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
+_Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file, `-` for stdout; default NAME.")]
+
+_STDOUT = Path("-")
+
+
+@app.command()
+@command
+def start(
+    kind: _Kind,
+    *,
+    settings: Settings = None,
+    config: _Config = None,
+    key: _Key = "",
+    watch: _Watch = False,
+    as_json: AsJson = False,
+) -> None:
+    """Start a run."""
+    from freerein.types.orchestrator import StartRunRequest
+
+    request = StartRunRequest(kind, configuration(settings, config), key)
+    _show_or_watch(_call(lambda client: client.start_run(request)).run, watch=watch, as_json=as_json)
+
+
+@app.command("list")
+@command
+def list_runs(as_json: AsJson = False) -> None:
+    """List all runs, newest first."""
+    _show(_call(_all_runs), as_json=as_json)
+
+
+@app.command("watch")
+@command
+def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
+    """Watch a run to its end, with its curves."""
+    _watch(run, metrics=metrics or None, as_json=as_json)
+
+
+@app.command()
+@command
+def metrics(run: _Id, from_step: _FromStep = 0, max_rows: _MaxRows = 1000, as_json: AsJson = False) -> None:
+    """Print the metrics of a run."""
+    job_display.show_metrics(_call(lambda client: _rows(client, run, from_step, max_rows)), as_json=as_json)
+
+
+@app.command()
+@command
+def cancel(run: _Id, as_json: AsJson = False) -> None:
+    """Cancel a run; its last checkpoint is kept."""
+    from freerein.types.orchestrator import CancelRunRequest
+
+    _show([_call(lambda client: client.cancel_run(CancelRunRequest(run))).run], as_json=as_json)
+
+
+@app.command()
+@command
+def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
+    """Resume a failed or cancelled run from its last checkpoint."""
+    from freerein.types.orchestrator import ResumeRunRequest
+
+    _show_or_watch(_call(lambda client: client.resume_run(ResumeRunRequest(run))).run, watch=watch, as_json=as_json)
+
+
+@app.command()
+@command
+def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
+    """List the artifacts of a run, or fetch one."""
+    if not name:
+        _list_artifacts(run, as_json=as_json)
+    elif out == _STDOUT:
+        _call(lambda client: _fetch(client, run, name, sys.stdout.buffer))
+    else:
+        path = out or Path(name)
+        size = _call(lambda client: _download(client, run, name, path))
+        print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
+
+
+async def _all_runs(client: "OrchestratorClient") -> "list[Run]":
+    from freerein.types.orchestrator import ListRunsRequest
+
+    runs: list[Run] = []
+    token = ""
+    while True:
+        page = await client.list_runs(ListRunsRequest(page_token=token))
+        runs += page.runs
+        if not (token := page.next_page_token):
+            return runs
+
+
+async def _rows(client: "OrchestratorClient", run_id: str, from_step: int, max_rows: int) -> "Sequence[MetricRow]":
+    from freerein.types.orchestrator import GetMetricsRequest
+
+    return (await client.get_metrics(GetMetricsRequest(run_id, from_step, max_rows))).rows
+
+
+async def _download(client: "OrchestratorClient", run_id: str, name: str, path: Path) -> int:
+    """Writes an artifact to a file, whole or not at all; returns its size in bytes."""
+    from freerein.atomic_files import TEMP_SUFFIX
+
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}{TEMP_SUFFIX}")
+    try:
+        with unfinished.open("wb") as file:
+            size = await _fetch(client, run_id, name, file)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return size
+
+
+async def _fetch(client: "OrchestratorClient", run_id: str, name: str, file: BinaryIO) -> int:
+    """Writes the parts of an artifact; returns its size in bytes."""
+    from freerein.types.orchestrator import GetArtifactRequest
+
+    size = 0
+    async with aclosing(client.get_artifact(GetArtifactRequest(run_id, name))) as parts:
+        async for part in parts:
+            size += file.write(part.data)
+    return size
+
+
+def _show_or_watch(run: "Run", *, watch: bool, as_json: bool) -> None:
+    if watch:
+        _watch(run.id, as_json=as_json)
+    else:
+        _show([run], as_json=as_json)
+
+
+def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) -> None:
+    """Shows a run until it ends.
+
+    Raises:
+        FailedPrecondition: It did not succeed.
+    """
+    from freerein.cli.job_events import follow_run
+
+    run = job_display.watch(
+        _connect,
+        lambda client: follow_run(client, run_id),
+        lambda client: _rows(client, run_id, 0, 0),
+        name=f"run {run_id[:8]}",
+        command=f"freerein runs watch {run_id}",
+        metrics=metrics,
+        as_json=as_json,
+    )
+    if not as_json:
+        _show([run], as_json=False)
+
+
+def _connect() -> "OrchestratorClient":
+    from freerein.cli.connection import connect
+    from freerein.clients import OrchestratorClient
+
+    return connect(OrchestratorClient, "orchestrator")
+
+
+def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
+    async def call() -> T:
+        async with _connect() as client:
+            return await ask(client)
+
+    return asyncio.run(call())
+
+
+def _show(runs: "Sequence[Run]", *, as_json: bool) -> None:
+    from freerein import wire
+
+    if as_json:
+        for run in runs:
+            print_json(wire.to_json(run))
+        return
+    rows = [
+        (
+            run.id,
+            run.kind,
+            run.state,
+            steps_text(run),
+            f"{run.model.name} {run.model.version}" if run.model else "",
+            run.error or metrics_text(run),
+        )
+        for run in runs
+    ]
+    show_table(("run", "kind", "state", "steps", "model", "metrics"), rows)
+
+
+def _list_artifacts(run_id: str, *, as_json: bool) -> None:
+    from freerein import wire
+    from freerein.types.orchestrator import ListArtifactsRequest
+
+    found = _call(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
+    if as_json:
+        for artifact in found:
+            print_json(wire.to_json(artifact))
+        return
+    show_table(("artifact", "bytes"), [(artifact.name, str(artifact.size)) for artifact in found])

@@ -1,0 +1,125 @@
+"""`freerein sim`: lists simulated tasks and records demonstrations into datasets."""
+
+from collections.abc import AsyncGenerator, Callable
+from contextlib import aclosing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
+
+if TYPE_CHECKING:
+    from freerein.clients import SimClient
+    from freerein.clients.dataset_recorder import DatasetRecorder
+    from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, Task
+
+app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True)
+
+
+@app.command()
+@command
+def tasks(as_json: AsJson = False) -> None:
+    """List the tasks."""
+    from freerein import wire
+    from freerein.cli.connection import call
+    from freerein.clients import SimClient
+    from freerein.types.sim import ListTasksRequest
+
+    found = call(SimClient, "sim", lambda client: client.list_tasks(ListTasksRequest()))
+    if as_json:
+        print_json(wire.to_json(found))
+        return
+    columns = ("task", "world", "cameras", "action", "rate", "skills")
+    show_table(columns, [_row(task) for task in found.tasks])
+
+
+@app.command()
+@command
+def demonstrate(
+    task: Annotated[str, typer.Argument(help="Name of the task; see `freerein sim tasks`.")],
+    *,
+    out: Annotated[str, typer.Option(help="Name of the dataset; an unfinished recording is continued.")],
+    count: Annotated[int, typer.Option(min=1, help="Number of trajectories in the dataset.")] = 100,
+    skill: Annotated[list[str] | None, typer.Option(help="Allowed skill; repeatable. All by default.")] = None,
+    min_skills: Annotated[int, typer.Option(min=0, help="Fewest different skills per trajectory; 0 means 1.")] = 0,
+    max_skills: Annotated[int, typer.Option(min=0, help="Most different skills per trajectory; 0 means all.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    camera: Annotated[list[str] | None, typer.Option(help="Camera; repeatable. The first by default.")] = None,
+    height: Annotated[int, typer.Option(min=0, help="Frame height in pixels; 0 means the camera's.")] = 0,
+    width: Annotated[int, typer.Option(min=0, help="Frame width in pixels; 0 means the camera's.")] = 0,
+    behaviour: Annotated[Literal["expert", "random"], typer.Option(help="Who chooses the actions.")] = "expert",
+    truth: Annotated[bool, typer.Option("--truth", help="Store true labels beside the data, for evaluation.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Record demonstrations of a task into a dataset."""
+    from freerein.cli.commands.dataset import dataset_root
+    from freerein.cli.connection import call
+    from freerein.clients import SimClient
+    from freerein.types.sim import DemonstrateRequest
+
+    request = DemonstrateRequest(
+        task=task,
+        behaviour=behaviour,
+        skills=tuple(skill or ()),
+        min_skills=min_skills,
+        max_skills=max_skills,
+        count=count,
+        seed=seed,
+        cameras=tuple(camera or ()),
+        height=height,
+        width=width,
+        privileged=truth,
+    )
+    with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
+        held = call(SimClient, "sim", lambda client: record(client, request, dataset_root(out), on_count=on_count))
+    if as_json:
+        print_json({"dataset": out, "trajectories": held})
+    else:
+        typer.echo(f"The dataset {out} holds {held} trajectories.")
+
+
+async def record(
+    client: "SimClient", request: "DemonstrateRequest", root: Path, *, on_count: Callable[[int], None]
+) -> int:
+    """Records demonstrations until a dataset holds `request.count`; trajectories that it holds already stay.
+
+    Args:
+        client: The sim service.
+        request: What to demonstrate; `first` is filled in.
+        root: Folder of the dataset.
+        on_count: Called with the number of trajectories on disk, at the start and after each one.
+
+    Returns:
+        Number of trajectories in the dataset.
+
+    Raises:
+        FailedPrecondition: The dataset was recorded with other options.
+        ServiceError: The service refused, or is gone.
+    """
+    from freerein.cli.streams import reconnecting
+    from freerein.clients.dataset_recorder import DatasetRecorder
+    from freerein.types.sim import ListTasksRequest
+
+    with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
+        on_count(len(recording))
+        if not recording.is_complete:
+            async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:
+                async for demonstration in demonstrations:
+                    recording.append(demonstration)
+                    on_count(len(recording))
+        return len(recording)
+
+
+async def _rest(client: "SimClient", recording: "DatasetRecorder") -> "AsyncGenerator[DemonstrateResponse, None]":
+    """Yields the demonstrations that the dataset does not hold yet."""
+    async with aclosing(client.demonstrate(recording.remaining)) as demonstrations:
+        async for demonstration in demonstrations:
+            yield demonstration
+    recording.check_complete()
+
+
+def _row(task: "Task") -> tuple[str, ...]:
+    cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras)
+    action = f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers"
+    return task.name, task.world, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)

@@ -1,0 +1,97 @@
+"""`freerein up`: runs the services as child processes, with a live table of their states."""
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import aclosing, contextmanager, suppress
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from freerein.cli.output import AsJson, command
+from freerein.errors import FailedPrecondition
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from freerein.cli.services import ServiceStatus, Stack
+
+_COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
+
+_Services = Annotated[list[str] | None, typer.Argument(help="Services to run; all installed ones by default.")]
+_FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on free ports instead of the standard ones.")]
+_Show = Callable[[tuple["ServiceStatus", ...]], None]
+
+
+@command
+def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
+    """Run the services until Ctrl-C; restart them when they crash."""
+    from freerein.cli.services import Stack, choose, configured_ports
+    from freerein.cli.services import free_ports as find_free_ports
+    from freerein.cli.settings import CliSettings
+
+    chosen = choose(services or ())
+    ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, os.environ)
+    stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
+    with _display(as_json=as_json) as show:
+        asyncio.run(_run(stack, show))
+
+
+async def _run(stack: "Stack", show: _Show) -> None:
+    """Runs the services until a signal arrives or all have failed. A second signal kills them."""
+    this = asyncio.current_task()
+    assert this is not None  # noqa: S101  # a coroutine runs in a task
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, this.cancel)
+    with suppress(asyncio.CancelledError):
+        async with stack, aclosing(stack.watch()) as changes:
+            async for statuses in changes:
+                show(statuses)
+                if all(status.has_failed for status in statuses):
+                    raise FailedPrecondition(
+                        "At least one service must run; all have failed.",
+                        hint="Run `freerein doctor`.",
+                    )
+    show(stack.statuses)
+
+
+@contextmanager
+def _display(*, as_json: bool) -> Iterator[_Show]:
+    """Yields a function that shows statuses: a live table on a terminal, else a line per change."""
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console()
+    if console.is_terminal and not as_json:
+        with Live(console=console, auto_refresh=False) as live:
+            yield lambda statuses: live.update(_table(statuses), refresh=True)
+        return
+    shown: dict[str, str] = {}
+
+    def show_changes(statuses: tuple["ServiceStatus", ...]) -> None:
+        for status in statuses:
+            line = json.dumps(asdict(status)) if as_json else _line(status)
+            if shown.get(status.service) != line:
+                shown[status.service] = line
+                typer.echo(line)
+
+    yield show_changes
+
+
+def _line(status: "ServiceStatus") -> str:
+    detail = f"REST {status.rest_url}  gRPC {status.grpc_address}" if status.state == "ready" else status.reason
+    return f"{status.service:<13} {status.state:<13} {detail}".rstrip()
+
+
+def _table(statuses: tuple["ServiceStatus", ...]) -> "Table":
+    from rich.table import Table
+
+    table = Table("service", "state", "REST", "gRPC", "restarts", "", caption="Ctrl-C stops all services", box=None)
+    for status in statuses:
+        colour = _COLOURS.get(status.state, "yellow")
+        state = f"[{colour}]{status.state}[/]"
+        table.add_row(status.service, state, status.rest_url, status.grpc_address, str(status.restarts), status.reason)
+    return table

@@ -1,0 +1,160 @@
+"""Shows the progress of a fit or run: live curves on a terminal; elsewhere one line, or JSON document, per change."""
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
+from contextlib import aclosing, contextmanager, suppress
+from typing import TYPE_CHECKING, TypeVar
+
+import typer
+
+from freerein.cli.job_progress import Job, JobProgress, by_relevance, metrics_text, steps_text
+from freerein.cli.output import print_json, show_table
+from freerein.errors import FailedPrecondition, Unavailable
+from freerein.types.jobs import MetricRow
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from freerein.clients.channel import Client
+    from freerein.types.learning import Fit
+    from freerein.types.orchestrator import Run
+
+C = TypeVar("C", bound="Client")
+J = TypeVar("J", "Fit", "Run")
+
+INTERRUPTED = 130
+"""The exit code after Ctrl-C."""
+
+_REDRAW_S = 0.1
+_CURVES, _CURVE_LINES, _BAR_WIDTH = 4, 2, 30
+_MIN_WIDTH, _MAX_WIDTH, _LABELS_WIDTH = 10, 60, 50
+_COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled": "yellow"}
+
+
+def watch(
+    connect: "Callable[[], C]",
+    changes: "Callable[[C], AsyncGenerator[J, None]]",
+    history: "Callable[[C], Awaitable[Sequence[MetricRow]]]",
+    *,
+    name: str,
+    command: str,
+    as_json: bool,
+    metrics: Sequence[str] | None = None,
+) -> "J":
+    """Shows a fit or run until it ends; returns its last state. Ctrl-C ends the program, not the fit or run.
+
+    Args:
+        connect: Returns a client of its service.
+        changes: Yields its state after each change.
+        history: Returns its metrics so far.
+        name: What it is called.
+        command: The command that watches it again.
+        as_json: Whether each change is printed as a JSON document.
+        metrics: Names of the metrics to draw; None for the most relevant ones.
+
+    Raises:
+        FailedPrecondition: It did not succeed.
+    """
+
+    async def show_all() -> "J":
+        progress = JobProgress()
+        with _display(name, progress, metrics, as_json=as_json) as show:
+            async with connect() as client, aclosing(changes(client)) as jobs:
+                with suppress(Unavailable):  # `changes` waits for a service that restarts
+                    progress.add_rows(await history(client))
+                async for job in jobs:
+                    progress.add(job, at_s=time.monotonic())
+                    show(job)
+        return job
+
+    try:
+        last = asyncio.run(show_all())
+    except KeyboardInterrupt:
+        typer.echo(f"The {name} continues; `{command}` watches it again.", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    if last.state != "succeeded":
+        sentence = f"The {name} must succeed; its state is {last.state}. {last.error}".rstrip()
+        raise FailedPrecondition(sentence, hint="Its log.txt in the data directory says more.")
+    return last
+
+
+@contextmanager
+def _display(
+    name: str, progress: JobProgress, metrics: Sequence[str] | None, *, as_json: bool
+) -> Iterator[Callable[[Job], None]]:
+    """Yields a function that shows a state."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from freerein import wire
+
+    console, drawn_s = Console(), 0.0
+    if as_json:
+        yield lambda job: print_json(wire.to_json(job))
+    elif not console.is_terminal:
+        yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {metrics_text(job)}".rstrip())
+    else:
+
+        def redraw(_job: Job) -> None:
+            nonlocal drawn_s
+            if time.monotonic() - drawn_s > _REDRAW_S:  # history arrives faster than it can be drawn
+                live.refresh()
+                drawn_s = time.monotonic()
+
+        def render() -> "RenderableType":
+            return draw(name, progress, metrics, width=console.width)
+
+        with Live(console=console, auto_refresh=False, get_renderable=render) as live:
+            yield redraw
+
+
+def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> "RenderableType":
+    """Returns the state of a fit or run, with its curves below.
+
+    Args:
+        name: What it is called.
+        progress: Its progress.
+        metrics: Names of the metrics to draw; None for the most relevant ones.
+        width: Characters per line of the terminal.
+    """
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from freerein.cli.terminal_plot import plot
+
+    if progress.job is None:
+        return Text(f"{name}  …", style="bold")
+    state = _state_line(name, progress.job, progress.seconds_left)
+    curves = Table.grid(padding=(0, 2, 1, 0))
+    plot_width = min(_MAX_WIDTH, max(_MIN_WIDTH, width - _LABELS_WIDTH))
+    for metric, values in progress.curves(metrics, most=_CURVES).items():
+        drawn = "\n".join(plot(values, width=plot_width, height=_CURVE_LINES))
+        span = f"\n{min(values):.4g} to {max(values):.4g}"
+        curves.add_row(metric, Text(drawn, "cyan"), Text.assemble((f"{values[-1]:.4g}", "bold"), (span, "dim")))
+    return Group(state, curves) if curves.row_count else state
+
+
+def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
+    """Prints rows of metrics."""
+    if as_json:
+        for row in rows:
+            print_json({"step": row.step, **row.metrics})
+        return
+    names = by_relevance({name for row in rows for name in row.metrics})
+    cells = [[str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows]
+    show_table(("step", *names), cells)
+
+
+def _state_line(name: str, job: Job, seconds_left: float | None) -> "RenderableType":
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    bar = ProgressBar(total=job.steps or None, completed=job.step, width=_BAR_WIDTH)
+    left = "" if seconds_left is None else f"{int(seconds_left) // 60}:{int(seconds_left) % 60:02} left"
+    line = Table.grid(padding=(0, 2))
+    state = Text(job.state, _COLOURS.get(job.state, ""))
+    line.add_row(Text(name, "bold", no_wrap=True), state, bar, steps_text(job), Text(left))
+    return line

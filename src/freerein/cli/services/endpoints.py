@@ -1,0 +1,143 @@
+"""Installed services, their addresses, and free ports."""
+
+import contextlib
+import socket
+import ssl
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.ports import PORTS, Ports, address
+
+GROUP = "freerein.services"
+LOOPBACK = "127.0.0.1"
+_MAX_PORT = 65535
+
+
+@dataclass(frozen=True)
+class Endpoints:
+    """Addresses of running services.
+
+    Attributes:
+        urls: REST URL by service.
+        addresses: gRPC address by service, `host:port`.
+    """
+
+    urls: Mapping[str, str]
+    addresses: Mapping[str, str]
+
+
+def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
+    """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports.
+
+    Raises:
+        InvalidInput: A service or an address is unknown.
+    """
+    addresses = {name: address(name, environ) for name in names}
+    scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
+    urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
+    return Endpoints(urls, addresses)
+
+
+def installed() -> dict[str, str]:
+    """Returns the module of each installed service, for `python -m`."""
+    found = {entry.name: entry.module.removesuffix(".__main__") for entry in entry_points(group=GROUP)}
+    return {name: found[name] for name in PORTS if name in found}
+
+
+def choose(names: Iterable[str]) -> dict[str, str]:
+    """Returns the modules of the named services; of all that are installed where no name is given.
+
+    Raises:
+        NotFound: A service is not installed, or none is.
+    """
+    modules = installed()
+    missing = [name for name in names if name not in modules]
+    if missing or not modules:
+        raise NotFound(
+            f"Services must be installed; installed are {', '.join(modules) or 'none'}, and {len(missing)} of those "
+            "requested are not.",
+            hint="Install the service's distribution, such as `pip install -e services/sim`.",
+        )
+    return {name: modules[name] for name in names} or modules
+
+
+def free_ports(names: Iterable[str]) -> dict[str, Ports]:
+    """Returns a free REST port and a free gRPC port on loopback for each service."""
+    with contextlib.ExitStack() as held:
+        return {name: Ports(_free_port(held), _free_port(held)) for name in names}
+
+
+def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict[str, Ports]:
+    """Returns the ports of services: the port table's, or for a single service those that the environment sets.
+
+    Args:
+        names: Keys of `PORTS`.
+        environ: The environment; `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read, 0 meaning a free port.
+
+    Raises:
+        InvalidInput: A variable holds no port, or is set for several services.
+    """
+    ports = {name: PORTS[name] for name in names}
+    for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
+        if not (value := environ.get(variable)):
+            continue
+        if len(ports) != 1:
+            raise InvalidInput(
+                f"{variable} sets the port of one service; got {len(ports)} services.",
+                field=variable,
+                hint=f"Unset {variable}, name one service, or use --free-ports.",
+            )
+        if not (value.isdecimal() and int(value) <= _MAX_PORT):
+            raise InvalidInput(
+                f"{variable} must be a port, 0 to {_MAX_PORT}; got another value.",
+                field=variable,
+                hint="Set it to a number such as 8104, or to 0 for a free port.",
+            )
+        (name,) = ports
+        port = int(value) or getattr(free_ports([name])[name], attribute)
+        ports[name] = replace(ports[name], **{attribute: port})
+    return ports
+
+
+def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:
+    """Checks that all ports are free.
+
+    Raises:
+        FailedPrecondition: A port is in use.
+    """
+    for service, pair in ports.items():
+        for port in (pair.rest, pair.grpc):
+            if not is_free(port, host=host):
+                raise FailedPrecondition(
+                    f"Port {port} must be free for {service}; it is in use.",
+                    hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
+                )
+
+
+def is_free(port: int, *, host: str = LOOPBACK) -> bool:
+    """Returns whether a port can be bound."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as candidate:
+        candidate.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            candidate.bind((host, port))
+        except OSError:
+            return False
+        return True
+
+
+def tls_context(certificate: str | None) -> ssl.SSLContext | bool:
+    """Returns the TLS verification of probes: only the given certificate, for any host name; the default for None."""
+    if certificate is None:
+        return True
+    context = ssl.create_default_context(cafile=certificate)
+    context.check_hostname = False
+    return context
+
+
+def _free_port(held: contextlib.ExitStack) -> int:
+    listener = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+    listener.bind((LOOPBACK, 0))
+    return int(listener.getsockname()[1])

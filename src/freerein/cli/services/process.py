@@ -1,0 +1,219 @@
+"""A supervised service process: started, probed, restarted after a crash, drained at the end."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import httpx
+
+CONFIGURATION_ERROR = 3
+DRAIN_S = 10.0
+
+State = Literal["starting", "not ready", "ready", "restarting", "given up", "misconfigured", "stopped"]
+
+_POLL_S = 0.1
+_POLL_WHEN_READY_S = 1.0
+_CONFIGURATION_ERROR_PREFIX = "cannot start: "
+
+
+@dataclass(frozen=True)
+class ServiceStatus:
+    """State of a service process.
+
+    Attributes:
+        service: Name of the service.
+        state: `given up` after too many crashes and `misconfigured` after a configuration error are final.
+        rest_url: URL of the REST API.
+        grpc_address: Address of the gRPC server, `host:port`.
+        pid: Process id; 0 while there is no process.
+        restarts: Number of restarts.
+        reason: Why the service is not ready; empty when it is.
+    """
+
+    service: str
+    state: State
+    rest_url: str
+    grpc_address: str
+    pid: int = 0
+    restarts: int = 0
+    reason: str = ""
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it will not be restarted."""
+        return self.state in ("given up", "misconfigured")
+
+
+@dataclass(frozen=True)
+class RestartPolicy:
+    """Exponential backoff of restarts, and when to give up.
+
+    Attributes:
+        first_delay_s: Delay before the first restart; it doubles with each further one.
+        longest_delay_s: Upper bound of the delay.
+        crashes: Number of crashes within `window_s` after which the service is given up.
+        window_s: Length of that window in seconds.
+    """
+
+    first_delay_s: float = 0.5
+    longest_delay_s: float = 5.0
+    crashes: int = 5
+    window_s: float = 60.0
+
+
+@dataclass(frozen=True)
+class ServiceCommand:
+    """How to start a service process.
+
+    Attributes:
+        module: Module for `python -m`.
+        environ: The whole environment.
+        log: File that stdout and stderr are appended to.
+    """
+
+    module: str
+    environ: Mapping[str, str]
+    log: Path
+
+
+class ServiceProcess:
+    """Keeps a service running while `run` runs.
+
+    Args:
+        command: How to start the process.
+        status: Initial status.
+        policy: When to restart it.
+        client: HTTP client of the readiness probe.
+        on_change: Called after each change of `status`.
+
+    Attributes:
+        status: Current status.
+    """
+
+    def __init__(
+        self,
+        command: ServiceCommand,
+        status: ServiceStatus,
+        policy: RestartPolicy,
+        *,
+        client: httpx.AsyncClient,
+        on_change: Callable[[], None],
+    ) -> None:
+        self.status = status
+        self._command = command
+        self._policy = policy
+        self._client = client
+        self._on_change = on_change
+        self._crashes: deque[float] = deque(maxlen=policy.crashes)
+
+    async def run(self) -> None:
+        """Keeps the service running until it has failed; drains it when cancelled."""
+        try:
+            await self._keep_running()
+        except asyncio.CancelledError:
+            self._change(state="stopped", pid=0, reason="")
+            raise
+
+    async def _keep_running(self) -> None:
+        while True:
+            code = await self._run_once()
+            self._crashes.append(time.monotonic())
+            reason = f"It was killed by signal {-code}." if code < 0 else f"It exited with code {code}."
+            if code == CONFIGURATION_ERROR:
+                self._change(state="misconfigured", pid=0, reason=_configuration_error(self._command.log))
+                return
+            if self._has_crashed_too_often():
+                self._change(state="given up", pid=0, reason=f"{reason} Its log says why.")
+                return
+            self._change(state="restarting", pid=0, reason=reason)
+            await asyncio.sleep(self._delay_s())
+            self._change(state="starting", restarts=self.status.restarts + 1)
+
+    async def _run_once(self) -> int:
+        """Runs one process of the service; returns its exit code. When cancelled, drains it first."""
+        self._command.log.parent.mkdir(parents=True, exist_ok=True)
+        with self._command.log.open("ab") as log:
+            process = await asyncio.create_subprocess_exec(
+                *(
+                    sys.executable,
+                    "-m",
+                    "freerein.cli.services.die_with_parent",
+                    str(os.getpid()),
+                    self._command.module,
+                ),
+                env=self._command.environ,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,  # so that Ctrl-C reaches only the parent, which drains the services
+            )
+        self._change(pid=process.pid)
+        watch = asyncio.create_task(self._watch_readiness())
+        try:
+            return await process.wait()
+        except asyncio.CancelledError:
+            watch.cancel()
+            await _drain(process)
+            raise
+        finally:
+            watch.cancel()
+            _kill_group(process.pid)  # its workers and training processes; the next process starts its own
+
+    async def _watch_readiness(self) -> None:
+        while True:
+            state, reason = await self._readiness()
+            self._change(state=state, reason=reason)
+            await asyncio.sleep(_POLL_WHEN_READY_S if state == "ready" else _POLL_S)
+
+    async def _readiness(self) -> tuple[State, str]:
+        try:
+            answer = await self._client.get(f"{self.status.rest_url}/readyz")
+            return ("ready", "") if answer.is_success else ("not ready", str(answer.json()["detail"]))
+        except httpx.ConnectError:
+            return "starting", "It does not listen yet."
+        except (httpx.HTTPError, ValueError, KeyError, TypeError):
+            return "not ready", "It does not answer the readiness probe."
+
+    def _has_crashed_too_often(self) -> bool:
+        is_full = len(self._crashes) == self._policy.crashes
+        return is_full and self._crashes[-1] - self._crashes[0] <= self._policy.window_s
+
+    def _delay_s(self) -> float:
+        recent = sum(self._crashes[-1] - crash <= self._policy.window_s for crash in self._crashes)
+        return min(self._policy.longest_delay_s, self._policy.first_delay_s * 2.0 ** (recent - 1))
+
+    def _change(self, **changes: object) -> None:
+        changed = replace(self.status, **changes)  # type: ignore[arg-type]  # fields of ServiceStatus
+        if changed != self.status:
+            self.status = changed
+            self._on_change()
+
+
+async def _drain(process: asyncio.subprocess.Process) -> None:
+    """Terminates a process; kills it after `DRAIN_S`."""
+    with contextlib.suppress(ProcessLookupError):
+        process.terminate()
+    try:
+        await asyncio.wait_for(process.wait(), DRAIN_S)
+    except TimeoutError:
+        _kill_group(process.pid)
+        await process.wait()
+
+
+def _kill_group(pid: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)
+
+
+def _configuration_error(log: Path) -> str:
+    """Returns the service's own error: the last line of its log."""
+    lines = log.read_bytes()[-4096:].decode(errors="replace").splitlines()
+    return lines[-1].removeprefix(_CONFIGURATION_ERROR_PREFIX) if lines else ""

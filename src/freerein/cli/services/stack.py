@@ -1,0 +1,160 @@
+"""Runs services as child processes on this machine, for `up`, `demo` and the end-to-end tests.
+
+async with Stack(choose(()), data_dir=Path("var"), environ=os.environ) as stack:
+    await stack.ready(timeout_s=30)
+    sim = SimClient(Channel(stack.addresses["sim"]))
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import aclosing
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import httpx
+
+from freerein.cli.services.endpoints import LOOPBACK, check_free, tls_context
+from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
+from freerein.errors import DeadlineExceeded, FailedPrecondition
+from freerein.ports import PORTS, Ports
+
+_RESTARTS = RestartPolicy()
+_WILDCARDS = ("0.0.0.0", "::")  # clients cannot connect to these
+_PROBE_TIMEOUT_S = 2.0
+
+
+class Stack:
+    """Services that run within `async with`, and are drained at its end.
+
+    The services die with this process and with the thread of its event loop. They log to
+    `<data_dir>/logs/<service>.log`.
+
+    Args:
+        services: Module for `python -m` by service; see `choose`.
+        data_dir: Data directory of the services.
+        environ: Environment of the services; ports, data directory and missing addresses are added.
+        ports: Ports by service, such as `free_ports` returns; None for the standard ports.
+        policy: When to restart a service that crashed.
+
+    Attributes:
+        addresses: gRPC address by service, `host:port`.
+        urls: REST URL by service.
+    """
+
+    def __init__(
+        self,
+        services: Mapping[str, str],
+        *,
+        data_dir: Path,
+        environ: Mapping[str, str],
+        ports: Mapping[str, Ports] | None = None,
+        policy: RestartPolicy = _RESTARTS,
+    ) -> None:
+        self._ports = {name: (ports or PORTS)[name] for name in services}
+        self._host = environ.get("FREEREIN_HOST") or LOOPBACK
+        host = LOOPBACK if self._host in _WILDCARDS else self._host
+        host = f"[{host}]" if ":" in host else host
+        certificate = environ.get("FREEREIN_TLS_CERT")
+        scheme = "https" if certificate else "http"
+        self.addresses = {name: f"{host}:{pair.grpc}" for name, pair in self._ports.items()}
+        self.urls = {name: f"{scheme}://{host}:{pair.rest}" for name, pair in self._ports.items()}
+        self._changed = asyncio.Event()
+        self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=tls_context(certificate))
+        self._tasks: list[asyncio.Task[None]] = []
+        unset = {name: value for name, value in _addresses(self.addresses).items() if not environ.get(name)}
+        shared = {**environ, **unset, "FREEREIN_DATA_DIR": str(data_dir)}
+        self._processes = [
+            ServiceProcess(
+                ServiceCommand(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
+                ServiceStatus(name, "starting", self.urls[name], self.addresses[name]),
+                policy,
+                client=self._client,
+                on_change=self._on_change,
+            )
+            for name, module in services.items()
+        ]
+
+    @property
+    def statuses(self) -> tuple[ServiceStatus, ...]:
+        """Current status of each service."""
+        return tuple(process.status for process in self._processes)
+
+    async def watch(self) -> AsyncGenerator[tuple[ServiceStatus, ...], None]:
+        """Yields the statuses, now and after every change.
+
+        Raises:
+            OSError: A service's log cannot be written.
+        """
+        while True:
+            changed = self._changed
+            for task in self._tasks:
+                if task.done():
+                    task.result()
+            yield self.statuses
+            await changed.wait()
+
+    async def ready(self, *, timeout_s: float) -> None:
+        """Waits until every service is ready.
+
+        Raises:
+            FailedPrecondition: A service failed.
+            DeadlineExceeded: A service is not ready after `timeout_s` seconds.
+        """
+        try:
+            async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
+                async for statuses in changes:
+                    _raise_if_failed(statuses)
+                    if all(status.state == "ready" for status in statuses):
+                        return
+        except TimeoutError:
+            waiting = "; ".join(f"{each.service}: {each.reason}" for each in self.statuses if each.state != "ready")
+            raise DeadlineExceeded(
+                f"All services must be ready within {timeout_s:g} s; got {waiting}", hint=_SEE_LOG
+            ) from None
+
+    async def __aenter__(self) -> Self:
+        """Starts the services.
+
+        Raises:
+            FailedPrecondition: A port is in use.
+        """
+        check_free(self._ports, host=self._host)
+        self._tasks = [asyncio.create_task(process.run()) for process in self._processes]
+        for task in self._tasks:
+            task.add_done_callback(lambda _: self._on_change())
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for task in self._tasks:
+            task.cancel()
+        results = await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._client.aclose()
+        for result in results:
+            if isinstance(result, Exception):
+                raise result
+
+    def _on_change(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+
+_SEE_LOG = "Read logs/<service>.log in the data directory, or run `freerein doctor`."
+
+
+def _raise_if_failed(statuses: tuple[ServiceStatus, ...]) -> None:
+    for status in statuses:
+        if status.has_failed:
+            raise FailedPrecondition(
+                f"The {status.service} service must start; it is {status.state}: {status.reason}", hint=_SEE_LOG
+            )
+
+
+def _environ(shared: Mapping[str, str], ports: Ports) -> dict[str, str]:
+    return {**shared, "FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
+
+
+def _addresses(addresses: Mapping[str, str]) -> dict[str, str]:
+    return {f"FREEREIN_{name.upper()}_ADDRESS": address for name, address in addresses.items()}

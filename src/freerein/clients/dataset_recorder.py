@@ -1,0 +1,143 @@
+"""Records demonstrations of the sim service into a dataset; an interrupted recording can be resumed.
+
+<root>/recording.json   the request; only the same request, up to its count, may resume
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from freerein import wire
+from freerein.atomic_files import write_atomic
+from freerein.clients.tasks import select_task
+from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
+from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
+
+_REQUEST_FILE = "recording.json"
+
+
+class DatasetRecorder:
+    """Writes the demonstrations of a request into a dataset, each once; a context manager.
+
+    Args:
+        root: The dataset's folder; existing trajectories are kept.
+        request: The request; its `first` is ignored.
+        tasks: Tasks of the sim service.
+
+    Raises:
+        NotFound: Unknown task.
+        InvalidInput: Unknown camera.
+        FailedPrecondition: The dataset was recorded with another request, or has another writer.
+    """
+
+    def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
+        spec = dataset_spec(
+            select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
+        )
+        as_json = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
+        self._request = request
+        self._writer = open_or_resume(root, spec, as_json)
+
+    def __len__(self) -> int:
+        """Returns the number of trajectories on disk."""
+        return len(self._writer)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all demonstrations are on disk."""
+        return len(self) >= self._request.count
+
+    @property
+    def remaining(self) -> DemonstrateRequest:
+        """The request for the demonstrations that are missing."""
+        return replace(self._request, first=len(self))
+
+    def append(self, demonstration: DemonstrateResponse) -> None:
+        """Writes the next demonstration durably, with labels if the request is privileged."""
+        self._writer.append(demonstration.trajectory, demonstration.labels if self._request.privileged else None)
+
+    def check_complete(self) -> None:
+        """Checks that a stream that ended without an error was complete.
+
+        Raises:
+            Unavailable: It was not.
+        """
+        if not self.is_complete:
+            raise Unavailable(
+                "The stream of demonstrations must be whole; it ended early.", hint="Record again to go on."
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._writer.close()
+
+
+def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Writer:
+    """Returns the writer of a new dataset, or of one whose recording was interrupted.
+
+    Args:
+        root: The dataset's folder.
+        spec: Properties that its trajectories share.
+        request: What is recorded, as JSON; must be equal to resume.
+
+    Raises:
+        FailedPrecondition: The dataset was recorded with another request, or has another writer.
+    """
+    writer = open_writer(root) if root.exists() else create(root, spec)
+    try:
+        earlier = _earlier_request(root)
+        if len(writer) and earlier != request:
+            raise FailedPrecondition(
+                "A recording can be resumed only with its own request; this dataset was recorded with another.",
+                hint="Choose another name for the dataset, or ask for the same with a larger count.",
+            )
+        if earlier != request:
+            write_atomic(root / _REQUEST_FILE, json.dumps(request).encode())
+    except BaseException:
+        writer.close()
+        raise
+    return writer
+
+
+def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:
+    """Returns the dataset spec of recordings of a task.
+
+    Args:
+        task: The task.
+        cameras: Cameras to record; empty for the task's first.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+
+    Raises:
+        InvalidInput: Unknown camera.
+    """
+    known = {camera.name: camera for camera in task.cameras}
+    unknown = [name for name in cameras if name not in known]
+    if unknown:
+        raise InvalidInput(
+            f"Cameras must be among the task's, {', '.join(known)}; {len(unknown)} of those asked for are not.",
+            field="cameras",
+            hint="Leave them out for the task's first.",
+        )
+    chosen = [known[name] for name in cameras] or list(task.cameras[:1])
+    return DatasetSpec(
+        fps=integer_fps(task.control_dt_s),
+        cameras={camera.name: (height or camera.height, width or camera.width, camera.channels) for camera in chosen},
+        action=task.action,
+        robot_type=task.world,
+        skills=task.skills,
+        task=task.goal_text or task.name,
+    )
+
+
+def _earlier_request(root: Path) -> object:
+    path = root / _REQUEST_FILE
+    return json.loads(path.read_bytes()) if path.is_file() else None

@@ -1,0 +1,139 @@
+"""A blocking session of the sim service with camera observations and Gymnasium spaces."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from freerein.clients.channel import Channel
+from freerein.clients.sim import SimClient
+from freerein.clients.sync_client import SyncClient
+from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
+from freerein.types.common import ActionSpec, Camera
+from freerein.types.sim import (
+    CloseSessionRequest,
+    CreateSessionRequest,
+    CreateSessionResponse,
+    Frames,
+    ResetRequest,
+    ResetResponse,
+    StepRequest,
+    StepResponse,
+    Task,
+    Truth,
+)
+
+Pixels = npt.NDArray[np.uint8]
+Observation = Pixels | dict[str, Pixels]
+
+CLOSE_TIMEOUT_S = 2.0
+
+
+class EnvSession:
+    """A session of the sim service.
+
+    Args:
+        channel: The connection to the sim service; closed with the session.
+        request: The session to create.
+        cameras: Cameras to observe; empty for the task's first.
+
+    Attributes:
+        task: The task.
+        observation_space: Of one environment: Box uint8 (H, W, C), or a Dict of Boxes for several cameras.
+        action_space: Of one environment: Box float32 (A,) in [-1, 1], or Discrete.
+    """
+
+    def __init__(self, channel: Channel, request: CreateSessionRequest, *, cameras: Sequence[str]) -> None:
+        self._sim = SyncClient(SimClient(channel))
+        with ExitStack() as on_error:
+            on_error.callback(self._sim.close)
+            created: CreateSessionResponse = self._sim.create_session(request)
+            self._session = created.session
+            on_error.callback(self.close)
+            self.task: Task = created.task
+            self._step_id = 0
+            self._cameras = tuple(cameras) or (self.task.cameras[0].name,)
+            self.observation_space = _observation_space(self.task, self._cameras, request.height, request.width)
+            self.action_space = _action_space(self.task.action)
+            on_error.pop_all()
+
+    def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
+        """Begins new episodes in `envs`, or in all environments if empty."""
+        reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self._cameras))
+        return reply
+
+    def step(self, actions: npt.ArrayLike) -> StepResponse:
+        """Steps all environments.
+
+        Args:
+            actions: (N, A) in [-1, 1], or (N,) discrete choices.
+
+        Raises:
+            ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
+                is counted as made; if it was not, later steps are refused.
+        """
+        request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self._cameras)
+        self._step_id += 1
+        try:
+            reply: StepResponse = self._sim.step(request)
+        except (InvalidInput, FailedPrecondition, Overloaded):
+            self._step_id -= 1
+            raise
+        return reply
+
+    def observation(self, frames: Mapping[str, Pixels]) -> Observation:
+        """Returns a copy of frames as an observation, or a batch of observations."""
+        copies = {camera: np.array(frames[camera]) for camera in self._cameras}
+        return copies if len(copies) > 1 else copies[self._cameras[0]]
+
+    def rgb_frames(self, frames: Mapping[str, Pixels]) -> Pixels:
+        """Returns the first camera's frames as RGB (..., H, W, 3)."""
+        pixels = frames[self._cameras[0]]
+        return np.repeat(pixels, 3, axis=-1) if pixels.shape[-1] == 1 else np.array(pixels)
+
+    def close(self) -> None:
+        """Closes the session and the channel; may be called twice."""
+        with suppress(ServiceError):  # if this fails, the session ends with its lease
+            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=CLOSE_TIMEOUT_S)
+        self._sim.close()
+
+    def _encoded(self, actions: npt.ArrayLike) -> npt.NDArray[Any]:
+        if isinstance(self.action_space, spaces.Discrete):
+            return np.asarray(actions, np.int64)[..., np.newaxis]
+        return np.asarray(actions, np.float32)
+
+
+def frames_of(frames: Frames, index: int) -> dict[str, Pixels]:
+    """Returns one environment's frames by camera, each uint8 (H, W, C)."""
+    return {camera: pixels[index] for camera, pixels in frames.items()}
+
+
+def truth_info(truth: Truth | None, index: int) -> dict[str, Any]:
+    """Returns the `info` entry of one environment's ground truth; empty unless the session is privileged."""
+    if truth is None:
+        return {}
+    state, reward, success = truth.state[index], truth.reward[index], truth.success[index]
+    return {"truth": {"state": np.array(state), "reward": float(reward), "success": bool(success)}}
+
+
+def _observation_space(task: Task, cameras: tuple[str, ...], height: int, width: int) -> spaces.Space[Any]:
+    by_name = {camera.name: camera for camera in task.cameras}
+    if unknown := [name for name in cameras if name not in by_name]:
+        raise InvalidInput(
+            f"`cameras` must be among {', '.join(by_name)}; got {len(unknown)} that are not.",
+            field="cameras",
+            hint="Name cameras of the task, or none for its first.",
+        )
+    boxes: dict[str, spaces.Space[Any]] = {name: _box(by_name[name], height, width) for name in cameras}
+    return spaces.Dict(boxes) if len(boxes) > 1 else boxes[cameras[0]]
+
+
+def _box(camera: Camera, height: int, width: int) -> spaces.Space[Any]:
+    return spaces.Box(0, 255, (height or camera.height, width or camera.width, camera.channels), np.uint8)
+
+
+def _action_space(action: ActionSpec) -> spaces.Space[Any]:
+    return spaces.Discrete(action.choices) if action.choices else spaces.Box(-1.0, 1.0, (action.size,), np.float32)

@@ -1,0 +1,263 @@
+"""Checks of a dataset: `inspect` summarises it, `verify` finds damage, `check` finds what prevents learning skills."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from freerein.data import layout, meta, truth
+from freerein.data.layout import DatasetSpec
+from freerein.data.meta import Row
+from freerein.data.reader import Dataset
+from freerein.data.trajectory_file import read_rows
+from freerein.errors import InvalidInput, ServiceError
+
+_GAP = "The data files must be numbered without a gap; this one is missing."
+_REBUILD = "Open the dataset while no writer is open: `meta/` is rebuilt from the data files."
+_RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
+
+
+@dataclass(frozen=True)
+class DatasetSummary:
+    """Counts and sizes of a dataset.
+
+    Attributes:
+        spec: Properties that the trajectories share.
+        trajectories: Number of trajectories.
+        frames: Total number of timesteps.
+        duration_s: Total duration in seconds.
+        shortest: Timesteps of the shortest trajectory; 0 for an empty dataset.
+        longest: Timesteps of the longest trajectory.
+        skill_counts: Number of trajectories in which each skill occurs.
+        untagged: Number of trajectories whose skills are unknown.
+        goal_text_counts: Number of trajectories of each goal text.
+        labelled: Number of trajectories with ground-truth labels.
+        data_bytes: Bytes of `data/`.
+        fingerprint: sha256 of the contents, in hexadecimal.
+    """
+
+    spec: DatasetSpec
+    trajectories: int
+    frames: int
+    duration_s: float
+    shortest: int
+    longest: int
+    skill_counts: dict[str, int]
+    untagged: int
+    goal_text_counts: dict[str, int]
+    labelled: int
+    data_bytes: int
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem of a dataset.
+
+    Attributes:
+        where: The file, relative to the dataset, or another subject.
+        sentence: What was expected and what was found.
+        hint: How to mend it.
+    """
+
+    where: str
+    sentence: str
+    hint: str
+
+
+def inspect(root: Path) -> DatasetSummary:
+    """Summarises a dataset.
+
+    Raises:
+        NotFound: There is no dataset in `root`.
+        InvalidInput: It cannot be opened; `verify` says why.
+    """
+    dataset = Dataset(root)
+    occurrences = Counter(skill for skills in dataset.skills for skill in skills)
+    frames = int(dataset.lengths.sum())
+    return DatasetSummary(
+        spec=dataset.spec,
+        trajectories=len(dataset),
+        frames=frames,
+        duration_s=frames / dataset.spec.fps,
+        shortest=int(dataset.lengths.min(initial=frames)),
+        longest=int(dataset.lengths.max(initial=0)),
+        skill_counts={skill: occurrences[skill] for skill in dataset.spec.skills},
+        untagged=dataset.skills.count(()),
+        goal_text_counts=dict(Counter(text for text in dataset.goal_texts if text)),
+        labelled=len(truth.labelled(root)),
+        data_bytes=sum(file.size for file in layout.numbered_files(root / "data")),
+        fingerprint=dataset.fingerprint,
+    )
+
+
+def verify(root: Path) -> list[Problem]:
+    """Returns all damage of a dataset, in order of trajectories.
+
+    Reads every data file and compares it with the hash recorded when it was written. Changes nothing.
+
+    Raises:
+        NotFound: There is no dataset in `root`.
+    """
+    try:
+        spec = meta.read_spec(root)
+    except InvalidInput as error:
+        return [Problem(layout.SPEC_FILE, error.detail, error.hint)]
+    if spec is None:
+        return list(_foreign_problems(root))
+    return [*_data_problems(root, spec), *_count_problems(root, spec), *_truth_problems(root, spec)]
+
+
+def check(root: Path) -> list[Problem]:
+    """Returns all problems that prevent learning skills from a dataset: tags, actions, empty trajectories.
+
+    Raises:
+        NotFound: There is no dataset in `root`.
+        InvalidInput: It cannot be opened; `verify` says why.
+    """
+    dataset = Dataset(root)
+    if len(dataset) == 0:
+        return [Problem("data", "A dataset must hold trajectories; this one is empty.", "Record demonstrations first.")]
+    trajectories = (problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index))
+    return [*_skill_problems(dataset), *trajectories]
+
+
+def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
+    recorded = meta.read_episodes(root, spec).select(["dataset_from_index", "data/sha256"]).to_pylist()
+    expected = first_frame = 0
+    tasks = dict[str, int]()
+    for file in layout.numbered_files(root / "data"):
+        yield from (Problem(_where("data", index), _GAP, _RESTORE) for index in range(expected, file.index))
+        expected, row = file.index + 1, recorded[file.index] if file.index < len(recorded) else None
+        first_frame = row["dataset_from_index"] if row else first_frame
+        try:
+            described = _check_data_file(
+                root, spec, index=file.index, first_frame=first_frame, sha256=row and row["data/sha256"], tasks=tasks
+            )
+            first_frame += described["length"]
+        except InvalidInput as error:
+            yield Problem(_where("data", file.index), error.detail, _RESTORE)
+            if row is None:
+                return  # the files after it cannot be checked without its length
+
+
+def _check_data_file(
+    root: Path, spec: DatasetSpec, *, index: int, first_frame: int, sha256: str | None, tasks: dict[str, int]
+) -> Row:
+    """Returns the episodes row of a data file.
+
+    Args:
+        root: The dataset's folder.
+        spec: The dataset's spec.
+        index: Index of the trajectory.
+        first_frame: Index of its first frame in the dataset.
+        sha256: Recorded hash, None if there is none.
+        tasks: Index of each goal text so far; a new one is added.
+
+    Raises:
+        InvalidInput: The file is corrupt, holds another trajectory, or has changed.
+    """
+    path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
+    described = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)
+    rows = read_rows(path, index=index, columns=schema.names)
+    if len(rows) != described["length"] or not rows.schema.equals(schema):
+        raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")
+    t = np.arange(len(rows))
+    if not (np.array_equal(rows["frame_index"], t) and np.array_equal(rows["index"], first_frame + t)):
+        raise InvalidInput(f"The frames must count on from frame {first_frame} of the dataset; they do not.")
+    if sha256 and described["data/sha256"] != sha256:
+        raise InvalidInput("The file must be as it was written; it has changed since.")
+    number = tasks.setdefault(described["tasks"][0], len(tasks))
+    if not np.all(rows["task_index"].to_numpy() == number):
+        raise InvalidInput(f"The goal text must be number {number} of the dataset in every frame; it is not.")
+    return described
+
+
+def _count_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
+    stored = meta.read_episodes(root, spec)
+    sizes = [file.size for file in layout.numbered_files(root / "data")]
+    if stored["data/bytes"].to_pylist() != sizes:
+        sentence = (
+            f"`meta/` must list the {len(sizes)} data files and their sizes; it lists {len(stored)}, or other sizes."
+        )
+        yield Problem(layout.EPISODES_FILE, sentence, _REBUILD)
+    expected, counts = (len(stored), meta.frame_count(stored)), meta.read_counts(root)
+    if counts != expected:
+        found = f"{counts[0]} and {counts[1]}" if counts else "nothing that can be read"
+        sentence = f"`info.json` must count {expected[0]} trajectories and {expected[1]} frames; it has {found}."
+        yield Problem(layout.INFO_FILE, sentence, _REBUILD)
+
+
+def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
+    lengths = meta.read_episodes(root, spec)["length"].to_pylist()
+    for index in truth.labelled(root):
+        if index >= len(lengths):
+            sentence = "Labels must belong to a trajectory; there is none of this number."
+            yield Problem(
+                _where("truth", index), sentence, "Open the dataset for writing once: such labels are deleted."
+            )
+            continue
+        try:
+            labels = truth.labels(root, index)
+        except ServiceError as error:
+            yield Problem(_where("truth", index), error.detail, _RESTORE)
+            continue
+        if len(labels) != lengths[index] or np.any((labels < 0) | (labels >= len(spec.skills))):
+            sentence = f"There must be {lengths[index]} labels in [0, {len(spec.skills)}); these are not."
+            yield Problem(_where("truth", index), sentence, _RESTORE)
+
+
+def _foreign_problems(root: Path) -> Iterator[Problem]:
+    try:
+        dataset = Dataset(root)
+    except InvalidInput as error:
+        yield Problem("meta", error.detail, error.hint)
+        return
+    for index in range(len(dataset)):
+        try:
+            _ = dataset[index]
+        except InvalidInput as error:
+            yield Problem(f"trajectory {index}", error.detail, error.hint)
+
+
+def _where(folder: str, index: int) -> str:
+    return layout.trajectory_path(Path(folder), index).as_posix()
+
+
+def _skill_problems(dataset: Dataset) -> Iterator[Problem]:
+    if not dataset.spec.skills:
+        sentence = "Trajectories must be tagged with the skills that occur in them; the dataset names no skills."
+        yield Problem("skills", sentence, "Record demonstrations of a task with skills, or tag the trajectories.")
+        return
+    untagged = dataset.skills.count(())
+    if untagged:
+        sentence = f"Every trajectory must be tagged with the skills that occur in it; {untagged} are not."
+        yield Problem("skills", sentence, "Tag them, or leave them out.")
+    for skill in dataset.spec.skills:
+        count = sum(skill in skills for skills in dataset.skills)
+        if count in (0, len(dataset)):
+            found = "none" if count == 0 else "all: tags cannot tell where in a trajectory it is"
+            sentence = (
+                f"The skill {skill!r} must occur in some trajectories and be missing in others; it occurs in {found}."
+            )
+            yield Problem("skills", sentence, "Record trajectories with it and trajectories without it.")
+
+
+def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
+    where = f"trajectory {index}"
+    if dataset.lengths[index] == 0:
+        yield Problem(where, "A trajectory must have at least one timestep; this one has none.", "Leave it out.")
+        return
+    try:
+        actions = dataset[index].actions
+    except InvalidInput as error:
+        yield Problem(where, error.detail, error.hint)
+        return
+    choices = dataset.spec.action.choices
+    low, high = (0, choices - 1) if choices else (-1, 1)
+    outside = int(np.sum(~((actions >= low) & (actions <= high))))
+    if outside:
+        sentence = f"Actions must be finite and in [{low}, {high}]; {outside} of {actions.size} numbers are not."
+        yield Problem(where, sentence, "Scale the actions by the robot's limits before recording.")

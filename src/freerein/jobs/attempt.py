@@ -1,0 +1,210 @@
+"""One attempt at a job: a child process, watched until it ends or must stop.
+
+The child is `python -m <module> <folder> <argument>...`; `freerein.jobs.child` says what it does. On SIGTERM it saves
+and exits; if the job was cancelled, its folder then holds a file `cancelled`.
+"""
+
+import fcntl
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from freerein.jobs.child import PERMANENT_FAILURE
+from freerein.jobs.json_lines import LineReader
+from freerein.jobs.metrics import metric_row
+from freerein.jobs.store import JobStore
+
+_log = logging.getLogger(__name__)
+_POLL_S = 0.2
+_SAVE_S = 5.0
+_CANCEL_S = 1.4  # with a look at the database before, two seconds from CancelRun to the child's end
+_ATTEMPTS = 3
+_SIGNALS = {number.value: number.name for number in signal.Signals}
+
+StopRequest = Literal["", "interrupt", "cancel"]
+"""Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
+
+CANCELLED_FILE = "cancelled"
+INTERNAL_ERROR = "Internal error; the log of the service has the traceback."
+
+
+@dataclass(frozen=True)
+class AttemptResult:
+    """How an attempt ended.
+
+    Attributes:
+        outcome: `succeeded` and `failed` end the job; after `crashed` it is attempted again.
+        progressed: Whether the attempt did steps that no attempt before it had done.
+        error: Why it failed or crashed.
+    """
+
+    outcome: Literal["succeeded", "failed", "crashed"]
+    progressed: bool = False
+    error: str = ""
+
+
+class AttemptStopped(BaseException):
+    """Ends an attempt that was asked to stop. It has no result: if the job continues, it is attempted again.
+
+    Not an `Exception`, which DBOS would record as the end of the run.
+    """
+
+
+def retry(attempt: Callable[[], AttemptResult]) -> AttemptResult:
+    """Makes attempts at a job until one ends it, or three in a row crash without progress."""
+    crashes = 0
+    while True:
+        result = attempt()
+        if result.outcome != "crashed":
+            return result
+        crashes = 0 if result.progressed else crashes + 1
+        if crashes >= _ATTEMPTS:
+            return AttemptResult("failed", error=f"{crashes} attempts in a row ended without progress. {result.error}")
+
+
+class AttemptRunner:
+    """Makes attempts at jobs.
+
+    Args:
+        store: The jobs.
+        module: Module of the child process.
+        arguments: Arguments of the child process after the job's folder.
+        hidden: Environment variables that the child process must not see.
+    """
+
+    def __init__(
+        self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden: Sequence[str] = ()
+    ) -> None:
+        self._store = store
+        self._command = (sys.executable, "-m", module)
+        self._arguments = arguments
+        self._hidden = hidden
+
+    def run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
+        """Starts a job's child process and returns how it ended.
+
+        Args:
+            job_id: The job.
+            should_stop: Called several times a second.
+
+        Raises:
+            AttemptStopped: `should_stop` asked for it; the child has ended or was killed.
+        """
+        if not self._store.exists(job_id):
+            return AttemptResult(
+                "failed",
+                error="The data directory of this worker must hold the job; it does not. Workers that share a database "
+                "must share FREEREIN_DATA_DIR.",
+            )
+        try:
+            return self._run(job_id, should_stop)
+        except OSError as error:  # a full disk, or no memory for a process: the next attempt may succeed
+            _log.exception("an attempt could not be started", extra={"job": job_id})
+            return AttemptResult("crashed", error=f"It could not be started: {error.strerror}.")
+
+    def _run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
+        folder, done = self._store.folder(job_id), self._store.last(job_id).step
+        rows = LineReader(folder / "metrics.jsonl")
+        with _locked(folder, should_stop) as lock, (folder / "log.txt").open("ab") as log:
+            (folder / CANCELLED_FILE).unlink(missing_ok=True)
+            with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
+                self._store.record(job_id, "running")
+            child = subprocess.Popen(
+                [*self._command, str(folder), *self._arguments],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env={name: value for name, value in os.environ.items() if name not in self._hidden},
+                pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
+                process_group=0,  # Ctrl-C in a terminal reaches us, and the child in order
+            )
+            request: StopRequest = "interrupt"
+            try:
+                request = self._watch(job_id, child, rows, should_stop)
+            finally:
+                _end(child, _CANCEL_S if request == "cancel" else _SAVE_S)
+                while self._record_progress(job_id, rows):
+                    pass
+        if request:
+            raise AttemptStopped
+        progressed = self._store.last(job_id).step > done
+        return _result(child.returncode, _last_line(folder / "log.txt"), progressed=progressed)
+
+    def _watch(
+        self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]
+    ) -> StopRequest:
+        """Returns why a child must stop; empty when it has ended by itself."""
+        while child.poll() is None:
+            if request := should_stop():
+                if request == "cancel":
+                    with suppress(OSError):
+                        (self._store.folder(job_id) / CANCELLED_FILE).touch()
+                return request
+            self._record_progress(job_id, rows)
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(_POLL_S)
+        return ""
+
+    def _record_progress(self, job_id: str, rows: LineReader) -> bool:
+        """Records the next rows of metrics as events, later if the disk is full; returns whether it recorded any."""
+        if new := [metric_row(document) for document in rows.read()]:
+            try:
+                self._store.record_progress(job_id, new)
+            except OSError:
+                _log.warning("progress cannot be recorded", extra={"job": job_id})
+                rows.unread()
+                return False
+        return bool(new)
+
+
+@contextmanager
+def _locked(folder: Path, should_stop: Callable[[], StopRequest]) -> Iterator[int]:
+    """Yields the lock of a job's folder, once the child of an earlier attempt, which holds it too, has ended."""
+    with (folder / "lock").open("ab") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if should_stop():
+                    raise AttemptStopped from None
+                time.sleep(_POLL_S)
+        yield lock.fileno()
+
+
+def _end(child: "subprocess.Popen[bytes]", timeout_s: float) -> None:
+    """Returns when a child has ended: SIGTERM, and SIGKILL after a timeout."""
+    if child.poll() is None:
+        child.terminate()
+    try:
+        child.wait(timeout_s)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+    if child.stdin is not None:
+        child.stdin.close()
+
+
+def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
+    if code == 0:
+        return AttemptResult("succeeded")
+    if code == PERMANENT_FAILURE:
+        return AttemptResult("failed", progressed, last_line)
+    name = _SIGNALS.get(-code, f"signal {-code}")
+    ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
+    return AttemptResult("crashed", progressed, f"Its process {ended}; its log.txt says more.")
+
+
+def _last_line(path: Path) -> str:
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 4096))
+        lines = file.read().splitlines()
+    return lines[-1].decode(errors="replace") if lines else ""

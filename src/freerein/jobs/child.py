@@ -1,0 +1,60 @@
+"""What a job's child process does: end with its parent, stop on SIGTERM, exit with a code that says how it ended."""
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from freerein.errors import ServiceError
+
+STOPPED = 1
+"""Exit code of a child that was stopped and can be resumed."""
+PERMANENT_FAILURE = 2
+"""Exit code of a child that cannot succeed, however often it is started; the last line of its log says why."""
+
+
+def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
+    """Does the work of a job, or resumes it, and ends with the process that started it.
+
+    Args:
+        folder: Folder of the job, which holds `config.json`.
+        work: Given the contents of `config.json`, does the work and returns True; returns False when it was stopped.
+
+    Returns:
+        The exit code: 0, `STOPPED` or `PERMANENT_FAILURE`.
+    """
+    die_with_parent()
+    try:
+        return 0 if work(json.loads((folder / "config.json").read_bytes())) else STOPPED
+    except ServiceError as error:
+        with suppress(OSError):  # a full disk
+            sys.stderr.write(f"{error.detail} {error.hint}\n")
+            sys.stderr.flush()
+        return PERMANENT_FAILURE
+
+
+def die_with_parent() -> None:
+    """Ends this process as soon as its standard input closes, which its parent holds open."""
+    threading.Thread(target=_wait_and_exit, name="parent", daemon=True).start()
+
+
+@contextmanager
+def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
+    """Yields a function that returns whether SIGTERM was received; on the main thread only."""
+    stopped = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: stopped.set())
+    try:
+        yield stopped.is_set
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _wait_and_exit() -> None:
+    while os.read(0, 4096):  # not sys.stdin, whose lock the interpreter needs at its end
+        pass
+    os._exit(1)

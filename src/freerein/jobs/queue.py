@@ -1,0 +1,120 @@
+"""Runs the jobs of one process on a thread, one at a time, in the order in which they were queued."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from freerein.errors import Overloaded, ServiceError
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest, retry
+from freerein.jobs.store import JobStore
+from freerein.types.jobs import JobState
+
+_log = logging.getLogger(__name__)
+_MAX_WAITING = 64
+_DISK_S = 1.0
+_CANCEL_S = 10.0
+
+
+class LocalQueue:
+    """A queue of jobs. Its methods block, and belong on threads without an event loop.
+
+    Args:
+        store: The jobs.
+        runner: Makes the attempts.
+        publish: Called with the id of a job whose child has succeeded, unless it was cancelled; a `ServiceError` that
+            it raises is the error of the job.
+    """
+
+    def __init__(self, store: JobStore, runner: AttemptRunner, *, publish: Callable[[str], None]) -> None:
+        self._store = store
+        self._runner = runner
+        self._publish = publish
+        self._waiting: deque[str] = deque()
+        self._running = ""
+        self._request: StopRequest = ""
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run_all, name="jobs", daemon=True)
+
+    def start(self) -> None:
+        """Starts the thread; resumes the jobs that had not ended when the process last stopped, oldest first."""
+        with self._changed:
+            self._waiting = deque(self._store.unfinished())
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stops the child, which saves first; the next start resumes its job."""
+        with self._changed:
+            self._closing = True
+            self._request = "interrupt"
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def check_room(self) -> None:
+        """Raises Overloaded when too many jobs are waiting."""
+        if len(self._waiting) >= _MAX_WAITING:
+            raise Overloaded(f"At most {_MAX_WAITING} jobs may wait.", hint="Cancel one, or wait for one to end.")
+
+    def put(self, job_id: str) -> None:
+        """Queues a job, unless it is queued, running or ended."""
+        with self._changed:
+            if job_id not in (*self._waiting, self._running) and not self._store.last(job_id).ended:
+                self._waiting.append(job_id)
+                self._changed.notify_all()
+
+    def cancel(self, job_id: str) -> None:
+        """Cancels a job that has not ended; returns when its child is gone."""
+        with self._changed:
+            self._store.record(job_id, "cancelled")
+            if job_id in self._waiting:
+                self._waiting.remove(job_id)
+            if job_id == self._running:
+                self._request = self._request or "cancel"
+                self._changed.wait_for(lambda: self._running != job_id, _CANCEL_S)
+
+    def _run_all(self) -> None:
+        while job_id := self._next():
+            try:
+                self._run(job_id)
+            except AttemptStopped:
+                pass
+            except ServiceError as error:
+                self._record(job_id, "failed", error=f"{error.detail} {error.hint}")
+            except Exception as error:  # a bug, or the disk: it must not end the queue
+                _log.exception("a job failed", extra={"job": job_id})
+                reason = f"The disk failed: {error.strerror}." if isinstance(error, OSError) else INTERNAL_ERROR
+                self._record(job_id, "failed", error=reason)
+
+    def _run(self, job_id: str) -> None:
+        result = retry(lambda: self._runner.run(job_id, lambda: self._request))
+        if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
+            return
+        if result.outcome == "succeeded":
+            self._publish(job_id)
+        self._record(job_id, "succeeded" if result.outcome == "succeeded" else "failed", error=result.error)
+
+    def _next(self) -> str:
+        """Returns the next job, once there is one; empty when the queue closes."""
+        with self._changed:
+            self._running = ""
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._closing or self._waiting)
+            if self._closing:
+                return ""
+            self._running, self._request = self._waiting.popleft(), ""
+            return self._running
+
+    def _record(self, job_id: str, state: JobState, **changes: Any) -> None:
+        """Records the end of a job, as soon as the disk takes it."""
+        while True:
+            try:
+                return self._store.record(job_id, state, **changes)
+            except OSError:
+                _log.exception("the end of a job cannot be recorded yet", extra={"job": job_id})
+            if self._closing:
+                return None
+            time.sleep(_DISK_S)

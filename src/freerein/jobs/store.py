@@ -1,0 +1,238 @@
+"""Jobs on disk. Any number of processes may read and append at the same time.
+
+<root>/<id>/request.json   the request, as received
+            config.json    resolved configuration and planned steps; written last: without it there is no job
+            events.jsonl   the job after each change; the line number is the sequence number
+            metrics.jsonl  written by the child process, one row per logged step
+            model.json     the resulting model
+            artifacts/     files for the user
+            log.txt        output of the child processes
+"""
+
+import fcntl
+import json
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from freerein.atomic_files import write_atomic
+from freerein.errors import AlreadyExists, InvalidInput, NotFound
+from freerein.jobs.json_lines import LineReader, append, last_document
+from freerein.jobs.metrics import MetricsPage, read_metrics
+from freerein.types.common import ModelRef, check_id, check_name
+from freerein.types.jobs import ENDED, JobState, MetricRow
+from freerein.types.orchestrator import Artifact
+
+_KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
+_PAGE, _MAX_PAGE = 100, 1000
+_ROWS, _MAX_ROWS = 1000, 10_000
+
+
+@dataclass(frozen=True)
+class JobEvent:
+    """A job after a change.
+
+    Attributes:
+        state: State of the job.
+        step: Last step done.
+        metrics: Metrics of that step.
+        error: Reason of a failure, else empty.
+    """
+
+    state: JobState = "queued"
+    step: int = 0
+    metrics: dict[str, float] = field(default_factory=dict)
+    error: str = ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the job had ended."""
+        return self.state in ENDED
+
+
+class JobStore:
+    """The jobs of one folder.
+
+    Args:
+        root: The folder; created when missing.
+        noun: What a job is called in errors: `fit` or `run`.
+    """
+
+    def __init__(self, root: Path, *, noun: str) -> None:
+        self._root = root
+        self._noun = noun
+
+    def folder(self, job_id: str) -> Path:
+        """Returns the folder of a job. Raises InvalidInput for a malformed id."""
+        return self._root / check_id(job_id, field="id")
+
+    def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+        """Records a request and the contents of `config.json` durably; returns the id of the job.
+
+        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request.
+        """
+        job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
+        folder = self.folder(job_id)
+        folder.mkdir(parents=True, exist_ok=True)
+        with self.lock(job_id):
+            if self.find(request) is None:
+                append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
+                write_atomic(folder / "request.json", json.dumps(request).encode())
+                write_atomic(folder / "config.json", json.dumps(config).encode())
+        return job_id
+
+    def find(self, request: Mapping[str, Any]) -> str | None:
+        """Returns the id of the job started with a request's idempotency key; None when there is none.
+
+        Raises AlreadyExists when the key was used for another request.
+        """
+        job_id = _id_of(request["idempotency_key"])
+        if not request["idempotency_key"] or not self.exists(job_id):
+            return None
+        if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(request)):
+            raise AlreadyExists(
+                "An idempotency key must be used for one request; this one was used for another.",
+                field="idempotency_key",
+                hint=f"Choose a new key for a new {self._noun}.",
+            )
+        return job_id
+
+    def exists(self, job_id: str) -> bool:
+        """Returns whether there is a job of an id."""
+        return (self.folder(job_id) / "config.json").is_file()
+
+    def config(self, job_id: str) -> dict[str, Any]:
+        """Returns the contents of a job's `config.json`. Raises NotFound when there is no such job."""
+        if not self.exists(job_id):
+            raise NotFound(
+                f"There is no {self._noun} of this id.", field="id", hint=f"GET /v1/list-{self._noun}s lists them."
+            )
+        return dict(json.loads((self.folder(job_id) / "config.json").read_bytes()))
+
+    def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
+        """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
+
+        Raises InvalidInput when the page is too large, or the token was not returned by this method.
+        """
+        size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
+        ids = self._newest_first()
+        start = 0
+        if page_token:
+            if check_id(page_token, field="page_token") not in ids:
+                raise InvalidInput(
+                    "`page_token` must be the `next_page_token` of an earlier reply; this one is unknown.",
+                    field="page_token",
+                    hint="Leave it out to start from the first page.",
+                )
+            start = ids.index(page_token) + 1
+        page = ids[start : start + size]
+        return page, page[-1] if start + size < len(ids) else ""
+
+    def unfinished(self) -> list[str]:
+        """Returns the ids of the jobs that have not ended, oldest first."""
+        return [job_id for job_id in reversed(self._newest_first()) if not self.last(job_id).ended]
+
+    def record(self, job_id: str, state: JobState, **changes: Any) -> None:
+        """Appends an event durably, unless nothing changes. An ended job changes only to `queued`.
+
+        `changes` are `step`, `metrics` and `error`. Raises OSError when the disk is full or broken.
+        """
+        self._append(job_id, [{**changes, "state": state}])
+
+    def record_progress(self, job_id: str, rows: Sequence[MetricRow]) -> None:
+        """Appends an event for each row whose step is new. Raises OSError when the disk is full or broken."""
+        done = self.last(job_id).step
+        self._append(
+            job_id, [{"state": "running", "step": row.step, "metrics": row.metrics} for row in rows if row.step > done]
+        )
+
+    def last(self, job_id: str) -> JobEvent:
+        """Returns the last event of a job."""
+        return _event(last_document(self.folder(job_id) / "events.jsonl") or {})
+
+    def events(self, job_id: str) -> Callable[[], list[JobEvent]]:
+        """Returns a function whose every call returns the events that are new since the last one; at first, all."""
+        reader = LineReader(self.folder(job_id) / "events.jsonl")
+        return lambda: [_event(document) for document in reader.read()]
+
+    def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
+        """Returns the fields of `Fit` and `Run` after an event, by default the last one.
+
+        Raises NotFound when there is no such job.
+        """
+        config, event = self.config(job_id), event or self.last(job_id)
+        path = self.folder(job_id) / "model.json"
+        has_model = event.state == "succeeded" and path.is_file()
+        model = ModelRef(**json.loads(path.read_bytes())) if has_model else None
+        return {"id": job_id, **config, **vars(event), "model": model}
+
+    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
+        """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
+
+        Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
+        """
+        most = _bounded(max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
+        self.config(job_id)
+        return read_metrics(self.folder(job_id) / "metrics.jsonl", from_step=from_step, max_rows=most)
+
+    def set_model(self, job_id: str, model: ModelRef) -> None:
+        """Records durably the model that a job has made."""
+        write_atomic(self.folder(job_id) / "model.json", json.dumps(vars(model)).encode())
+
+    def artifacts(self, job_id: str) -> tuple[Artifact, ...]:
+        """Returns the artifacts of a job, by name. Raises NotFound when there is no such job."""
+        self.config(job_id)
+        files = sorted((self.folder(job_id) / "artifacts").glob("[!.]*"))
+        return tuple(Artifact(path.name, path.stat().st_size) for path in files if path.is_file())
+
+    def artifact(self, job_id: str, name: str) -> Path:
+        """Returns the path of an artifact. Raises NotFound when there is no such job or artifact."""
+        self.config(job_id)
+        path = self.folder(job_id) / "artifacts" / check_name(name, field="name")
+        if not path.is_file():
+            raise NotFound(f"The {self._noun} has no artifact of this name.", field="name", hint="List its artifacts.")
+        return path
+
+    @contextmanager
+    def lock(self, job_id: str) -> Iterator[None]:
+        """Excludes other processes while it is decided whether a job has ended or is queued again."""
+        with (self.folder(job_id) / "state.lock").open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+    def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
+        def documents(last: Mapping[str, Any] | None) -> Iterator[Mapping[str, Any]]:
+            before = last or vars(JobEvent())
+            for change in changes:
+                after = {**before, "error": "", **change}
+                if after != before and (before["state"] not in ENDED or after["state"] == "queued"):
+                    yield after
+                    before = after
+
+        append(self.folder(job_id) / "events.jsonl", documents)
+
+    def _newest_first(self) -> list[str]:
+        found = []
+        for path in self._root.glob("[0-9a-f]" * 32 + "/config.json"):
+            with suppress(FileNotFoundError):  # deleted meanwhile
+                found.append((path.stat().st_mtime_ns, path.parent.name))
+        return [job_id for _, job_id in sorted(found, reverse=True)]
+
+
+def _event(document: Mapping[str, Any]) -> JobEvent:
+    return JobEvent(**{name: value for name, value in document.items() if name in JobEvent.__annotations__})
+
+
+def _id_of(idempotency_key: str) -> str:
+    return uuid.uuid5(_KEYS, idempotency_key).hex
+
+
+def _bounded(value: int, *, default: int, most: int, field: str) -> int:
+    if not 0 <= value <= most:
+        raise InvalidInput(
+            f"`{field}` must be at most {most}; got {value}.", field=field, hint=f"Leave it out for {default}."
+        )
+    return value or default

@@ -1,0 +1,93 @@
+"""`ServiceError` as a reply: an RFC 9457 problem document over HTTP, a status with google.rpc details over gRPC."""
+
+import math
+
+import grpc
+import orjson
+from google.protobuf import any_pb2, duration_pb2
+from google.rpc import error_details_pb2, status_pb2
+from grpc_status import rpc_status
+
+from freerein.errors import Internal, ServiceError
+
+PROBLEM_MEDIA_TYPE = "application/problem+json"
+GRPC_DOMAIN = "freerein"
+_MAX_TEXT_BYTES = 800  # per field: documents stay below 4 KiB, gRPC metadata below the 8 KiB that clients accept
+_TITLES = {
+    400: "Malformed request",
+    401: "Unauthenticated",
+    404: "Not found",
+    405: "Method not allowed",
+    409: "Conflict",
+    413: "Too large",
+    415: "Unsupported media type",
+    422: "Invalid input",
+    429: "Too many requests",
+    499: "Cancelled",
+    500: "Internal error",
+    501: "Not implemented",
+    503: "Unavailable",
+    504: "Deadline exceeded",
+}
+
+
+def internal_error() -> Internal:
+    """Returns the error that a caller sees in place of an unexpected exception."""
+    return Internal("The service failed internally; its log holds the cause.", hint="Report it with the request id.")
+
+
+def problem_document(error: ServiceError, request_id: str) -> bytes:
+    """Returns an error as a JSON problem document of at most 4 KiB."""
+    return orjson.dumps(
+        {
+            "type": "about:blank",
+            "title": _TITLES[error.http_status],
+            "status": error.http_status,
+            "code": error.code,
+            "detail": _sanitised(error.detail),
+            "field": _sanitised(error.field),
+            "hint": _sanitised(error.hint),
+            "request_id": request_id,
+        }
+    )
+
+
+def problem_headers(error: ServiceError, request_id: str) -> dict[str, str]:
+    """Returns the HTTP headers of an error's reply."""
+    headers = {"content-type": PROBLEM_MEDIA_TYPE, "x-request-id": request_id}
+    if error.retry_after_s is not None:
+        headers["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
+    if error.http_status == 401:
+        headers["www-authenticate"] = "Bearer"
+    if error.http_status in (400, 413):
+        headers["connection"] = "close"  # the end of this request's body is unknown, or still to come
+    return headers
+
+
+async def abort_grpc(context: "grpc.aio.ServicerContext[object, object]", error: ServiceError, request_id: str) -> None:
+    """Ends a gRPC call with an error: ErrorInfo always, RetryInfo when a retry can help. Never returns."""
+    code, detail = grpc.StatusCode[error.grpc_status], _sanitised(error.detail)
+    status = status_pb2.Status(code=code.value[0], message=detail, details=_grpc_details(error, request_id))
+    await context.abort(code, detail, rpc_status.to_status(status).trailing_metadata)
+
+
+def _grpc_details(error: ServiceError, request_id: str) -> list[any_pb2.Any]:
+    info = error_details_pb2.ErrorInfo(
+        reason=error.code,
+        domain=GRPC_DOMAIN,
+        metadata={"field": _sanitised(error.field), "hint": _sanitised(error.hint), "request_id": request_id},
+    )
+    details = [any_pb2.Any()]
+    details[0].Pack(info)
+    if error.retry_after_s is not None:
+        delay = duration_pb2.Duration()
+        delay.FromNanoseconds(int(error.retry_after_s * 1e9))
+        details.append(any_pb2.Any())
+        details[1].Pack(error_details_pb2.RetryInfo(retry_delay=delay))
+    return details
+
+
+def _sanitised(text: str) -> str:
+    """Returns printable text of at most 800 bytes: field names may come from the client."""
+    printable = "".join(each if each.isprintable() else "?" for each in text[:_MAX_TEXT_BYTES])
+    return printable.encode()[:_MAX_TEXT_BYTES].decode(errors="ignore")

@@ -1,0 +1,229 @@
+"""The gRPC server of a service: its methods, health and reflection."""
+
+import asyncio
+import contextlib
+import logging
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import grpc
+import structlog
+from google.protobuf.message import DecodeError, Message
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_health.v1.health import aio as health_aio
+from grpc_reflection.v1alpha import reflection
+
+from freerein import wire
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError
+from freerein.serving import auth
+from freerein.serving.error_replies import abort_grpc, internal_error
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits, StreamSlots
+from freerein.serving.methods import InvalidMessage, Method, service_names
+from freerein.serving.metrics import Metrics
+
+_log = logging.getLogger(__name__)
+_HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
+_HEALTH_PERIOD_S = 0.2
+_LOOKAHEAD_BYTES = 4 * 2**20
+_Context = grpc.aio.ServicerContext[Any, Any]
+T = TypeVar("T")
+
+
+class GrpcServer:
+    """The gRPC server of one service.
+
+    Args:
+        methods: The service's methods.
+        health: Readiness.
+        metrics: Counts the calls.
+        limits: Size, time and stream limits.
+        token: Bearer token that calls must carry; empty for none.
+
+    Attributes:
+        server: The `grpc.aio` server, to bind, start and stop.
+    """
+
+    def __init__(
+        self, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
+    ) -> None:
+        self._health = health
+        self._metrics = metrics
+        self._limits = limits
+        self._slots = StreamSlots(limits.streams)
+        self._names = service_names(methods)
+        self._health_servicer = health_aio.HealthServicer()
+        self.server = grpc.aio.server(
+            interceptors=[_TokenInterceptor(token)] if token else [],
+            maximum_concurrent_rpcs=limits.concurrent_calls,
+            options=[
+                ("grpc.max_receive_message_length", limits.message_bytes),
+                ("grpc.max_send_message_length", limits.message_bytes),
+                ("grpc.so_reuseport", 0),  # a port in use is an error
+                ("grpc.http2.min_ping_interval_without_data_ms", 1_000),
+                ("grpc.keepalive_permit_without_calls", 1),
+                ("grpc.keepalive_time_ms", 10_000),
+                ("grpc.http2.ping_timeout_ms", 1_000),
+                # Bandwidth probes are pings whose replies queue behind data, so on a slow line they time out. Without
+                # them the flow control window is set to the size that they would find.
+                ("grpc.http2.bdp_probe", 0),
+                ("grpc.http2.lookahead_bytes", _LOOKAHEAD_BYTES),
+            ],
+        )
+        for name in self._names:
+            own = [method for method in methods if method.descriptor.containing_service.full_name == name]
+            handlers = {method.name: self._handler(method) for method in own}
+            self.server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(name, handlers),))
+        health_pb2_grpc.add_HealthServicer_to_server(self._health_servicer, self.server)
+        reflection.enable_server_reflection((*self._names, _HEALTH_SERVICE, reflection.SERVICE_NAME), self.server)
+
+    async def report_health(self) -> None:
+        """Copies readiness to the standard health service until the graceful shutdown begins."""
+        status: int | None = None
+        states = health_pb2.HealthCheckResponse
+        while not self._health.draining:
+            now = states.NOT_SERVING if self._health.reason() else states.SERVING
+            if now != status:
+                status = now
+                for name in ("", *self._names):
+                    await self._health_servicer.set(name, status)
+            await self._health.await_or_drain(asyncio.sleep(_HEALTH_PERIOD_S))
+        await self._health_servicer.enter_graceful_shutdown()
+
+    def _handler(self, method: Method) -> "grpc.RpcMethodHandler[Any, Any]":
+        """Returns a handler of raw bytes, so that messages that cannot be parsed are answered with our own error."""
+        if method.descriptor.client_streaming:
+            return grpc.stream_stream_rpc_method_handler(self._streaming(method))
+        if method.descriptor.server_streaming:
+            return grpc.unary_stream_rpc_method_handler(self._streaming(method))
+        return grpc.unary_unary_rpc_method_handler(self._unary(method))
+
+    def _unary(self, method: Method) -> Callable[[bytes, _Context], Awaitable[bytes]]:
+        async def answer(message: bytes, context: _Context) -> bytes:
+            async def work() -> bytes:
+                if self._health.draining:
+                    raise self._health.error()
+                try:
+                    async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
+                        return wire.pack(await method.call(_decode(message, method.request))).SerializeToString()
+                except TimeoutError:
+                    raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
+
+            return cast(bytes, await self._run(method, context, work()))
+
+        return answer
+
+    def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
+        decode: Any = _decode_stream if method.descriptor.client_streaming else _decode
+
+        async def answer(incoming: Any, context: _Context) -> None:
+            async def work() -> None:
+                with self._slots.hold():
+                    async with contextlib.aclosing(method.call(decode(incoming, method.request))) as responses:
+                        async for response in responses:
+                            await context.write(wire.pack(response).SerializeToString())
+
+            await self._run(method, context, work())
+
+        return answer
+
+    async def _run(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
+        """Awaits the work of a call; counts it, logs it, and turns exceptions into gRPC statuses."""
+        started, code, request_id = time.perf_counter(), "ok", _request_id(context)
+        try:
+            with (
+                structlog.contextvars.bound_contextvars(request_id=request_id),
+                self._metrics.in_flight.labels("grpc").track_inprogress(),
+            ):
+                return await work
+        except ServiceError as error:
+            code = error.code
+            await abort_grpc(context, error, request_id)
+        except asyncio.CancelledError:
+            code = Cancelled.code
+            self._metrics.cancelled.labels("grpc").inc()
+            raise
+        except Exception:
+            code = Internal.code
+            _log.exception("bug", extra={"route": method.name, "request_id": request_id})
+            await abort_grpc(context, internal_error(), request_id)
+        finally:
+            seconds = time.perf_counter() - started
+            # called after the reply has been written
+            asyncio.get_running_loop().call_soon(self._record, method, code, seconds, request_id)
+
+    def _record(self, method: Method, code: str, seconds: float, request_id: str) -> None:
+        self._metrics.calls.labels("grpc", method.name, code).inc()
+        self._metrics.latency.labels("grpc", method.name).observe(seconds)
+        fields = {"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id}
+        _log.info("call", extra=fields)
+
+
+class _TokenInterceptor(grpc.aio.ServerInterceptor):
+    """Refuses calls without the token before their message is read; health checks need none."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token
+
+    async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
+        try:
+            if not details.method.startswith(f"/{_HEALTH_SERVICE}/"):
+                metadata = dict(details.invocation_metadata or ())
+                auth.check(str(metadata.get("authorization", "")), self._token)
+        except ServiceError as error:
+            return _refusing_handler(error)
+        return await continuation(details)
+
+
+def _refusing_handler(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
+    async def refuse(_messages: Any, context: _Context) -> None:
+        await abort_grpc(context, error, _request_id(context))
+
+    return grpc.stream_stream_rpc_method_handler(refuse)
+
+
+def _decode(message: bytes, cls: type[T]) -> T:
+    return wire.unpack(_parse(message, cls), cls)
+
+
+def _parse(message: bytes, cls: type[Any]) -> Message:
+    try:
+        return wire.message_type(cls).FromString(message)
+    except DecodeError:
+        raise MalformedRequest(
+            f"The bytes must be a {cls.__name__} message; they could not be read as one.",
+            hint="Generate the client from the .proto files, or ask the reflection service.",
+        ) from None
+
+
+async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
+    """Yields each message as its dataclass, or as an `InvalidMessage`."""
+    async for message in messages:
+        parsed: Message | None = None
+        decoded: Any
+        try:
+            parsed = _parse(message, cls)
+            decoded = wire.unpack(parsed, cls)
+        except ServiceError as error:
+            decoded = InvalidMessage(error, _seq(parsed))
+        yield decoded
+
+
+def _seq(message: Message | None) -> int | None:
+    """Returns the `seq` of the part of a message that has one."""
+    for field, value in message.ListFields() if message is not None else ():
+        if field.message_type is not None and "seq" in field.message_type.fields_by_name:
+            return int(value.seq)
+    return None
+
+
+def _timeout_s(context: _Context, longest: float) -> float:
+    remaining = context.time_remaining()
+    return longest if remaining is None else min(longest, remaining)
+
+
+def _request_id(context: _Context) -> str:
+    given = dict(context.invocation_metadata() or ()).get("x-request-id", "")
+    return str(given)[:64] or uuid.uuid4().hex

@@ -1,0 +1,188 @@
+"""The FastAPI app of a service: one route per method, health, metrics, and errors as problem documents."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack, aclosing
+from dataclasses import replace
+from functools import cache
+from typing import Any, cast
+
+import orjson
+from fastapi import FastAPI
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from freerein import __version__, wire
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
+from freerein.serving.error_replies import problem_document, problem_headers
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits, StreamSlots
+from freerein.serving.methods import Method
+from freerein.serving.metrics import Metrics
+from freerein.serving.rest import body
+from freerein.serving.rest.middleware import RequestMiddleware
+from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
+
+_Endpoint = Callable[[Request], Awaitable[Response]]
+
+
+def make_app(
+    name: str, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
+) -> FastAPI:
+    """Returns the REST API of a service.
+
+    Args:
+        name: The service's name.
+        methods: Its methods; those without a REST form are served over gRPC only.
+        health: Readiness.
+        metrics: Counts the calls.
+        limits: Size, time and stream limits.
+        token: Bearer token that calls must carry; empty for none.
+    """
+    served = [method for method in methods if method.rest_form != "none"]
+    app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
+    slots = StreamSlots(limits.streams)
+    for method in served:
+        endpoint = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
+        app.add_route(method.path, endpoint, methods=["GET" if method.reads else "POST"], include_in_schema=False)
+    _add_health_and_metrics(app, health, metrics)
+    app.add_exception_handler(ServiceError, _answer_service_error)
+    app.add_exception_handler(HTTPException, _answer_http_exception)
+    app.openapi = cache(lambda: openapi_document(app, served))  # type: ignore[method-assign]  # FastAPI's documented way
+    paths = {method.path for method in served}
+    app.add_middleware(RequestMiddleware, metrics=metrics, limits=limits, token=token, paths=paths)
+    return app
+
+
+def _unary(method: Method, limits: Limits) -> _Endpoint:
+    async def answer(request: Request) -> Response:
+        if method.reads:
+            message = body.read_query(request, method.request)
+        else:
+            message = await body.read(request, method.request)
+        response = await _unless_disconnected(request, method.call(message), limits.unary_s)
+        return Response(orjson.dumps(wire.to_json(response)), media_type=MEDIA_TYPES["reply"])
+
+    return answer
+
+
+def _stream(method: Method, slots: StreamSlots) -> _Endpoint:
+    """Answers with server-sent events, or with the bytes of a file.
+
+    The id of an event is its `sequence`; the header `Last-Event-ID` resumes after it.
+    """
+    encode = _encode_event if method.rest_form == "events" else _encode_part
+
+    async def answer(request: Request) -> Response:
+        message = body.read_query(request, method.request)
+        if method.rest_form == "events" and (last := request.headers.get("last-event-id", "")).isdecimal():
+            message = replace(message, from_sequence=int(last[:18]) + 1)
+        async with AsyncExitStack() as resources:
+            resources.enter_context(slots.hold())
+            items = await resources.enter_async_context(aclosing(method.call(message)))
+            # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
+            first = await _unless_disconnected(request, anext(items, None), None)
+            return _StreamResponse(_encoded(first, items, encode), MEDIA_TYPES[method.rest_form], resources.pop_all())
+
+    return answer
+
+
+class _StreamResponse(StreamingResponse):
+    """A streaming response that releases its resources when it ends, whether or not its body was iterated."""
+
+    def __init__(self, content: AsyncIterator[bytes], media_type: str, resources: AsyncExitStack) -> None:
+        super().__init__(content, media_type=media_type)
+        self._resources = resources
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with self._resources:
+            await super().__call__(scope, receive, send)
+
+
+async def _encoded(first: Any, rest: AsyncIterator[Any], encode: Callable[[Any], bytes]) -> AsyncIterator[bytes]:
+    if first is not None:
+        yield encode(first)
+        async for item in rest:
+            yield encode(item)
+
+
+def _encode_event(item: Any) -> bytes:
+    return b"id: %d\ndata: %s\n\n" % (item.sequence, orjson.dumps(wire.to_json(item)))
+
+
+def _encode_part(item: Any) -> bytes:
+    return cast(bytes, item.data)
+
+
+async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float | None) -> Any:
+    """Returns the result of a call; cancels it when the client disconnects or the time is up."""
+    work = asyncio.ensure_future(call)
+    gone = asyncio.ensure_future(_disconnected(request))
+    try:
+        await asyncio.wait({work, gone}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+        if work.done():
+            return work.result()
+        if gone.done():
+            gone.result()  # raises when the request's body is over a limit
+            raise Cancelled("The client disconnected before the reply.")
+        raise DeadlineExceeded(
+            f"The reply was due within {timeout_s:g} s; it was not ready.", hint="Send less per call."
+        )
+    finally:
+        work.cancel()
+        gone.cancel()
+        await asyncio.gather(work, gone, return_exceptions=True)  # a generator must not be closed while it runs
+
+
+async def _disconnected(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _add_health_and_metrics(app: FastAPI, health: Health, metrics: Metrics) -> None:
+    async def live(_request: Request) -> Response:
+        return Response(b'{"live":true}', media_type="application/json")
+
+    async def ready(_request: Request) -> Response:
+        if health.reason():
+            raise health.error()
+        return Response(b'{"ready":true}', media_type="application/json")
+
+    async def prometheus(_request: Request) -> Response:
+        return Response(metrics.text(), media_type="text/plain; version=0.0.4")
+
+    for path, endpoint in (
+        ("/healthz", live),
+        ("/v2/health/live", live),
+        ("/readyz", ready),
+        ("/v2/health/ready", ready),
+        ("/metrics", prometheus),
+    ):
+        app.add_route(path, endpoint, methods=["GET"], include_in_schema=False)
+
+
+def _respond(request: Request, error: ServiceError) -> Response:
+    request_id = request.scope.get("freerein.request_id", "")
+    request.scope["freerein.code"] = error.code
+    return Response(problem_document(error, request_id), error.http_status, problem_headers(error, request_id))
+
+
+async def _answer_service_error(request: Request, error: Exception) -> Response:
+    return _respond(request, cast(ServiceError, error))
+
+
+async def _answer_http_exception(request: Request, error: Exception) -> Response:
+    http_error = cast(HTTPException, error)
+    if http_error.status_code == 405:
+        response = _respond(request, _MethodNotAllowed("The path has another method.", hint="See /openapi.json."))
+        response.headers.update(http_error.headers or {})
+        return response
+    if http_error.status_code == 404:
+        return _respond(request, NotFound("The path does not exist.", hint="GET /openapi.json lists the paths."))
+    return _respond(request, InvalidInput("The request could not be read.", hint="See /openapi.json."))
+
+
+class _MethodNotAllowed(ServiceError):
+    code, http_status, grpc_status = "method_not_allowed", 405, "UNIMPLEMENTED"

@@ -1,0 +1,249 @@
+"""Decodes the body or query of a REST request into its dataclass.
+
+A body is JSON or multipart/form-data. In multipart and in a query, a name is the dotted path of a field
+(`model.name`), a repeated name appends, a part for a message is JSON, a file is an image, and anything else is text.
+
+    curl -F images=@0.png -F images=@1.png -F smoothing=1.5 localhost:8101/v1/segment
+"""
+
+import asyncio
+import re
+from collections.abc import AsyncGenerator, Iterable
+from typing import Any, TypeVar
+
+import orjson
+from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from pydantic import ValidationError
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import ClientDisconnect, Request
+
+from freerein import images, wire
+from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
+from freerein.serving.rest.schemas import STRUCT, schema_of
+
+T = TypeVar("T")
+
+_MAX_INLINE_BYTES = 64 * 1024  # longer bodies are parsed off the event loop
+_MAX_PARTS = 20_000
+_MAX_PART_BYTES = 64 * 2**20
+_MAX_VALUES = 1_000_000
+_MAX_FIELD_NAME = 200
+_STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
+
+
+async def read(request: Request, cls: type[T]) -> T:
+    """Returns the dataclass in a request's body.
+
+    Raises:
+        UnsupportedMedia: Neither `application/json` nor `multipart/form-data`, or a charset other than UTF-8.
+        MalformedRequest: The multipart framing is broken.
+        InvalidInput: The content does not match `cls`.
+        TooLarge: The body exceeds its limit.
+    """
+    media_type, parameters = parse_options_header(request.headers.get("content-type", ""))
+    if parameters.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"utf8"):
+        raise UnsupportedMedia(
+            "The body must be in UTF-8; its Content-Type names another charset.", hint="Omit the charset."
+        )
+    if media_type == b"application/json":
+        try:
+            body = await request.body()
+        except ClientDisconnect:
+            raise _disconnected() from None
+        if len(body) <= _MAX_INLINE_BYTES:
+            return _parse_json(body, cls)
+        return await asyncio.to_thread(_parse_json, body, cls)
+    if media_type == b"multipart/form-data":
+        return await _read_multipart(request, cls)
+    raise UnsupportedMedia(
+        "The body must be application/json or multipart/form-data; its Content-Type names another, or none.",
+        hint="With curl: --json '{...}', or -F field=value.",
+    )
+
+
+def read_query(request: Request, cls: type[T]) -> T:
+    """Returns the dataclass in a request's query.
+
+    Raises:
+        InvalidInput: A parameter is unknown, repeated or invalid.
+    """
+    return _from_parts(request.query_params.multi_items(), cls)
+
+
+def _disconnected() -> Cancelled:
+    return Cancelled("The client disconnected before the body was complete.")
+
+
+def _parse_json(body: bytes, cls: type[T]) -> T:
+    try:
+        value = _loads(body)
+    except orjson.JSONDecodeError:
+        raise InvalidInput(
+            "The body must be JSON in UTF-8 with finite numbers; it could not be parsed.",
+            hint="NaN, Infinity, a byte-order mark, lone surrogates and very deep nesting are not allowed.",
+        ) from None
+    if _repeats_a_key(body, value):
+        raise InvalidInput("Keys of a JSON object must be unique; one is repeated.", hint="Send each field once.")
+    return _validated(value, cls, strict=True)
+
+
+def _loads(data: bytes) -> Any:
+    """Parses JSON of a bounded number of values, since a value of two bytes takes about sixty in memory."""
+    if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
+        raise InvalidInput(
+            f"JSON may hold at most {_MAX_VALUES} values; got more.", hint="Send arrays as tensors: raw is base64."
+        )
+    return orjson.loads(data)
+
+
+def _repeats_a_key(body: bytes, value: object) -> bool:
+    """Returns whether an object had duplicate keys: then the body has more colons outside strings than parsed pairs."""
+    pairs = _count_pairs(value)
+    return body.count(b":") != pairs and _STRING.sub(b"", body).count(b":") != pairs
+
+
+def _count_pairs(value: object) -> int:
+    count, rest = 0, [value]
+    while rest:
+        item = rest.pop()
+        if isinstance(item, dict):
+            count += len(item)
+            rest.extend(item.values())
+        elif isinstance(item, list):
+            rest.extend(item)
+    return count
+
+
+async def _read_multipart(request: Request, cls: type[T]) -> T:
+    parser = _StrictParser(
+        request.headers, request.stream(), max_files=_MAX_PARTS, max_fields=_MAX_PARTS, max_part_size=_MAX_PART_BYTES
+    )
+    try:
+        form = await parser.parse()
+    except ClientDisconnect:
+        raise _disconnected() from None
+    except (MultiPartException, UnicodeError):
+        raise MalformedRequest(
+            f"The body must be well-formed multipart/form-data of at most {_MAX_PARTS} parts; it is not.",
+            hint="Let the HTTP client write the boundary: with curl, -F field=value.",
+        ) from None
+    try:
+        parts = [(name, await _content(part)) for name, part in form.multi_items()]
+    finally:
+        await form.close()
+    return await asyncio.to_thread(_from_parts, parts, cls)
+
+
+class _StrictParser(MultiPartParser):
+    """Starlette's parser, and an error where the body ends before its last boundary, which Starlette accepts."""
+
+    _ended = False
+
+    def on_end(self) -> None:
+        self._ended = True
+
+    async def parse(self) -> FormData:
+        self.stream = self._until_boundary(self.stream)
+        return await super().parse()
+
+    async def _until_boundary(self, stream: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
+        async for chunk in stream:
+            yield chunk
+        if not self._ended:
+            raise MultiPartException("The last boundary is missing.")
+
+
+async def _content(part: UploadFile | str) -> bytes | str:
+    return part if isinstance(part, str) else await part.read()
+
+
+def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
+    """Builds the dataclass from (dotted field name, content) pairs."""
+    tree: dict[str, Any] = {}
+    for name, content in parts:
+        node, message = tree, wire.descriptor_of(cls)
+        *parents, last = name.split(".")
+        for parent in parents:
+            field = _field(message, parent)
+            if field.message_type is None or field.is_repeated or field.message_type.full_name == STRUCT:
+                raise _unknown_field()
+            message = field.message_type
+            node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                raise _repeated(field)
+        _insert(node, _field(message, last), content)
+    return _validated(tree, cls, strict=False)
+
+
+def _insert(node: dict[str, Any], field: FieldDescriptor, content: bytes | str) -> None:
+    value = _part_value(field, content)
+    if field.name not in node:
+        node[field.name] = [value] if _appends(field, content) else value
+    elif _appends(field, content) and isinstance(node[field.name], list):
+        node[field.name].append(value)
+    else:
+        raise _repeated(field)
+
+
+def _appends(field: FieldDescriptor, content: bytes | str) -> bool:
+    return field.is_repeated and (isinstance(content, bytes) or field.message_type is None)
+
+
+def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
+    if isinstance(content, bytes):
+        return {"encoding": images.sniff(content, field=field.name), "data": content}
+    if field.message_type is None:
+        return content
+    try:
+        return _loads(content.encode())
+    except orjson.JSONDecodeError:
+        raise InvalidInput(
+            f"`{field.name}` must be JSON in a text part; it could not be parsed.",
+            field=field.name,
+            hint="For an image, send a file: with curl, -F images=@frame.png.",
+        ) from None
+
+
+def _field(message: Descriptor, name: str) -> FieldDescriptor:
+    field = message.fields_by_name.get(name)
+    if field is None:
+        raise _unknown_field()
+    return field
+
+
+def _repeated(field: FieldDescriptor) -> InvalidInput:
+    return InvalidInput(f"`{field.name}` must be given once; it is repeated.", field=field.name, hint="Send it once.")
+
+
+def _unknown_field() -> InvalidInput:
+    return InvalidInput(
+        "Every part or parameter must be a field of the request; one is unknown.",
+        hint="Dots lead into messages: model.name. GET /openapi.json lists the fields.",
+    )
+
+
+def _validated(value: object, cls: type[T], *, strict: bool) -> T:
+    schema = schema_of(wire.descriptor_of(cls))
+    try:
+        return wire.unpack(schema.model_validate(value, strict=strict), cls)
+    except ValidationError as error:
+        raise _invalid(error) from None
+
+
+def _invalid(error: ValidationError) -> InvalidInput:
+    """Returns pydantic's first error, without the input."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    known = [str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()]
+    field = ".".join(known)[:_MAX_FIELD_NAME]
+    if first["type"] == "extra_forbidden":
+        return InvalidInput(
+            "The request must have only the fields of its schema; got an unknown one.",
+            hint="GET /openapi.json lists the fields.",
+        )
+    return InvalidInput(
+        f"`{field}` is invalid: {first['msg']} ({error.error_count()} errors).",
+        field=field,
+        hint="GET /openapi.json describes every field.",
+    )

@@ -1,0 +1,133 @@
+"""uvicorn with deadlines for receiving a request and for reading a reply, and exit code 0 on SIGTERM."""
+
+import asyncio
+import uuid
+from typing import Any, ClassVar
+
+import h11
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from freerein.errors import MalformedRequest
+from freerein.serving.error_replies import problem_document, problem_headers
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.rest.middleware import MAX_HEADER_BYTES
+
+
+class DeadlineProtocol(H11Protocol):
+    """Closes a connection whose client sends its request, or reads its reply, too slowly, or sends nothing."""
+
+    limits: ClassVar[Limits]
+    _receive_timer: asyncio.TimerHandle | None = None
+    _write_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's
+        """Starts the receive deadline."""
+        super().connection_made(transport)
+        self._start_receive_timer()
+
+    def data_received(self, data: bytes) -> None:
+        """Starts the receive deadline, unless it runs already."""
+        self._start_receive_timer()
+        super().data_received(data)
+
+    def handle_events(self) -> None:
+        """Stops the receive deadline when the whole request has arrived."""
+        super().handle_events()
+        if self.conn.their_state is h11.SEND_BODY:
+            self._start_receive_timer()
+        elif self.conn.their_state is not h11.IDLE:
+            self._stop_receive_timer()
+
+    def pause_writing(self) -> None:
+        """Starts the write deadline."""
+        super().pause_writing()
+        self._start_write_timer()
+
+    def resume_writing(self) -> None:
+        """Stops the write deadline."""
+        super().resume_writing()
+        self._stop_write_timer()
+
+    def on_response_complete(self) -> None:
+        """Starts the write deadline for what is still in the transport's buffer."""
+        super().on_response_complete()
+        self._start_write_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stops both deadlines."""
+        self._stop_receive_timer()
+        super().connection_lost(exc)
+        self._stop_write_timer()
+
+    def send_400_response(self, msg: str) -> None:
+        """Answers bytes that are not HTTP with a problem document, and closes the connection."""
+        if self.cycle is None or self.cycle.response_complete or not self.cycle.response_started:
+            self.transport.write(_bad_request())
+        self.transport.close()
+
+    def _start_receive_timer(self) -> None:
+        if self._receive_timer is None:
+            self._receive_timer = self.loop.call_later(self.limits.receipt_s, self.transport.abort)
+
+    def _start_write_timer(self) -> None:
+        if self._write_timer is None:
+            self._write_timer = self.loop.call_later(self.limits.write_s, self._abort_if_unread)
+
+    def _stop_receive_timer(self) -> None:
+        if self._receive_timer is not None:
+            self._receive_timer.cancel()
+            self._receive_timer = None
+
+    def _stop_write_timer(self) -> None:
+        if self._write_timer is not None:
+            self._write_timer.cancel()
+            self._write_timer = None
+
+    def _abort_if_unread(self) -> None:
+        self._write_timer = None
+        if self.transport.get_write_buffer_size():
+            self.transport.abort()
+
+
+def _bad_request() -> bytes:
+    request_id = uuid.uuid4().hex
+    error = MalformedRequest(
+        "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not.",
+        hint="Use an HTTP client.",
+    )
+    body = problem_document(error, request_id)
+    lines = [f"{key}: {value}" for key, value in problem_headers(error, request_id).items()]
+    return "\r\n".join(["HTTP/1.1 400 ", *lines, f"content-length: {len(body)}", "", ""]).encode() + body
+
+
+class HttpServer(uvicorn.Server):
+    """A uvicorn server that, on a stop signal, marks the service as draining and ends with exit code 0."""
+
+    def __init__(self, config: uvicorn.Config, health: Health) -> None:
+        super().__init__(config)
+        self._health = health
+
+    def handle_exit(self, sig: int, frame: Any) -> None:
+        """Begins the graceful shutdown. The signal is not recorded, so that uvicorn does not raise it again."""
+        self._health.drain()
+        self.should_exit = True
+
+
+def make_server(app: Any, *, limits: Limits, health: Health, cert: str | None, key: str | None) -> HttpServer:
+    """Returns the HTTP server of the REST API; `serve(sockets=[...])` runs it."""
+    config = uvicorn.Config(
+        app,
+        http=type("LimitedProtocol", (DeadlineProtocol,), {"limits": limits}),
+        ws="none",
+        lifespan="off",
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        h11_max_incomplete_event_size=MAX_HEADER_BYTES,
+        timeout_graceful_shutdown=int(limits.drain_s),
+        ssl_certfile=cert,
+        ssl_keyfile=key,
+    )
+    return HttpServer(config, health)

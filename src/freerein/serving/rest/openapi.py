@@ -1,0 +1,100 @@
+"""The OpenAPI document of a service, made from its methods."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from google.protobuf.descriptor import Descriptor
+
+from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE
+from freerein.serving.methods import Method, RestForm
+from freerein.serving.rest.schemas import schema_of
+
+MEDIA_TYPES: dict[RestForm, str] = {
+    "reply": "application/json",
+    "events": "text/event-stream",
+    "file": "application/octet-stream",
+}
+_SCHEMAS = "#/components/schemas/{model}"
+_PROBLEMS = {
+    status: {
+        "description": text,
+        "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _SCHEMAS.format(model="Problem")}}},
+    }
+    for status, text in (
+        ("400", "Malformed request."),
+        ("401", "Missing or wrong token."),
+        ("404", "Not found."),
+        ("409", "Not in the state that the call needs."),
+        ("413", "Over a size limit."),
+        ("415", "Unsupported media type."),
+        ("422", "Invalid value."),
+        ("429", "Overloaded: see Retry-After."),
+        ("501", "Not implemented."),
+        ("503", "Not ready, draining, or model failure: see Retry-After."),
+        ("504", "Deadline exceeded."),
+    )
+}
+_PROBLEM_SCHEMA = {
+    "type": "object",
+    "description": "RFC 9457 problem details.",
+    "required": ["type", "title", "status", "code", "detail", "field", "hint", "request_id"],
+    "properties": {
+        "status": {"type": "integer"},
+        **{key: {"type": "string"} for key in ("type", "title", "code", "detail", "field", "hint", "request_id")},
+    },
+}
+
+
+def openapi_document(app: FastAPI, methods: Sequence[Method]) -> dict[str, Any]:
+    """Returns the OpenAPI document of an app that serves these methods."""
+    document = get_openapi(title=app.title, version=app.version, routes=[])
+    schemas: dict[str, Any] = {"Problem": _PROBLEM_SCHEMA}
+    for method in methods:
+        document["paths"][method.path] = _operation(method, schemas)
+    document["components"] = {
+        "schemas": schemas,
+        "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+    }
+    document["security"] = [{}, {"token": []}]
+    return document
+
+
+def _operation(method: Method, schemas: dict[str, Any]) -> dict[str, Any]:
+    schema: dict[str, Any] = {"type": "string"}
+    if method.rest_form == "reply":
+        schema = _reference(method.descriptor.output_type, "serialization", schemas)
+    success = {"description": _summary(method.response), "content": {MEDIA_TYPES[method.rest_form]: {"schema": schema}}}
+    operation: dict[str, Any] = {
+        "operationId": method.name,
+        "summary": _summary(method.request),
+        "responses": {"200": success, **_PROBLEMS},
+    }
+    if method.reads:
+        return {"get": {**operation, "parameters": _parameters(method.descriptor.input_type)}}
+    request = {"schema": _reference(method.descriptor.input_type, "validation", schemas)}
+    return {"post": {**operation, "requestBody": {"required": True, "content": {"application/json": request}}}}
+
+
+def _summary(cls: type) -> str:
+    return (cls.__doc__ or "").partition("\n")[0]
+
+
+def _reference(message: Descriptor, mode: Any, schemas: dict[str, Any]) -> dict[str, str]:
+    """Adds the JSON schema of a message, and those it refers to, to the components; returns the reference to it."""
+    schema = schema_of(message).model_json_schema(ref_template=_SCHEMAS, mode=mode)
+    schemas.update(schema.pop("$defs", {}))
+    schemas[message.name] = schema
+    return {"$ref": _SCHEMAS.format(model=message.name)}
+
+
+def _parameters(message: Descriptor, prefix: str = "") -> list[dict[str, Any]]:
+    parameters: list[dict[str, Any]] = []
+    properties = schema_of(message).model_json_schema().get("properties", {})
+    for field in message.fields:
+        if field.message_type is not None:
+            parameters += _parameters(field.message_type, f"{prefix}{field.name}.")
+        else:
+            parameters.append({"name": prefix + field.name, "in": "query", "schema": properties[field.name]})
+    return parameters

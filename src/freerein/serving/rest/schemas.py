@@ -1,0 +1,101 @@
+"""Pydantic models of protobuf messages, for REST: the same field names, no unknown fields, finite numbers only.
+
+They check the types of a request; the core checks its values, for REST and gRPC alike.
+"""
+
+import binascii
+from base64 import b64decode
+from functools import cache
+from typing import Annotated, Any, Literal
+
+from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, JsonValue, WithJsonSchema, create_model
+
+from freerein import tensors, wire
+from freerein.api.common.v1 import common_pb2
+
+STRUCT = "google.protobuf.Struct"
+_INTEGERS = {
+    FieldDescriptor.TYPE_UINT32: (0, 2**32 - 1),
+    FieldDescriptor.TYPE_UINT64: (0, 2**64 - 1),
+    FieldDescriptor.TYPE_INT64: (-(2**63), 2**63 - 1),
+}
+
+
+class Schema(BaseModel):
+    """Base of all models. Attributes have the names of the message's fields."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+_NOT_BASE64 = "must be base64 with padding and without spaces"
+
+
+def _bytes(value: object) -> object:
+    """Decodes strict base64; a multipart file is bytes already."""
+    if not isinstance(value, str):
+        return value
+    try:
+        decoded = b64decode(value, validate=True)
+    except (binascii.Error, ValueError):
+        raise ValueError(_NOT_BASE64) from None
+    if len(value) != (len(decoded) + 2) // 3 * 4:  # too much padding
+        raise ValueError(_NOT_BASE64)
+    return decoded
+
+
+Base64 = Annotated[bytes, BeforeValidator(_bytes), WithJsonSchema({"type": "string", "format": "byte"})]
+
+
+@cache
+def schema_of(message: Descriptor) -> type[Schema]:
+    """Returns the pydantic model of a message."""
+    if message is common_pb2.Tensor.DESCRIPTOR:
+        fields = _tensor_fields()
+    else:
+        fields = {field.name: _field(field) for field in message.fields}
+    documentation = (wire.dataclass_of(message).__doc__ or "") if message.name != "Tensor" else _TENSOR_DOC
+    return create_model(message.name, __base__=Schema, __doc__=documentation.partition("\n")[0], **fields)
+
+
+_TENSOR_DOC = "An array: datatype, shape, and the elements in C order, little-endian, as base64."
+
+
+def _tensor_fields() -> dict[str, Any]:
+    names = tuple(tensors.DTYPES)
+    return {
+        "datatype": (Literal[names], ...),
+        "shape": (Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], FailFast()], ...),
+        "raw": (Base64, ...),
+    }
+
+
+def _field(field: FieldDescriptor) -> Any:
+    """Returns (type, default) as in protobuf: unset numbers are 0, unset messages None; enums are required."""
+    message = field.message_type
+    if message is not None and message.GetOptions().map_entry:
+        return dict[str, _type(message.fields_by_name["value"])], {}  # type: ignore[misc]  # a type made at run time
+    if field.is_repeated:
+        return Annotated[list[_type(field)], FailFast()], []  # type: ignore[misc]  # a type made at run time
+    if field.enum_type is not None and not field.has_presence:
+        return _type(field), ...
+    if field.has_presence and (message is None or message.full_name != STRUCT):
+        return _type(field) | None, None
+    return _type(field), {} if message is not None else field.default_value
+
+
+def _type(field: FieldDescriptor) -> Any:
+    if field.message_type is not None:
+        return dict[str, JsonValue] if field.message_type.full_name == STRUCT else schema_of(field.message_type)
+    if field.enum_type is not None:
+        return Literal[wire.enum_names(field.enum_type)]
+    if field.type in _INTEGERS:
+        low, high = _INTEGERS[field.type]
+        return Annotated[int, Field(ge=low, le=high)]
+    return {
+        FieldDescriptor.TYPE_STRING: str,
+        FieldDescriptor.TYPE_BYTES: Base64,
+        FieldDescriptor.TYPE_BOOL: bool,
+        FieldDescriptor.TYPE_FLOAT: float,
+        FieldDescriptor.TYPE_DOUBLE: float,
+    }[field.type]

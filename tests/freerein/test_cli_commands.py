@@ -1,0 +1,183 @@
+"""Commands as a user types them: their help, their JSON, their errors."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from freerein.cli.__main__ import app
+from freerein.cli.commands.segment import skill_bar
+from freerein.cli.config_options import setting
+from freerein.cli.doctor import machine, services
+from freerein.cli.services import free_ports
+from freerein.data import DatasetSpec, create
+from freerein.errors import InvalidInput
+from freerein.ports import PORTS, Ports
+from freerein.types.common import ActionSpec, Trajectory
+
+_SPEC = DatasetSpec(
+    fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm", skills=("pick", "place")
+)
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data directory with the dataset `demos`, of two trajectories."""
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    with create(tmp_path / "datasets" / "demos", _SPEC) as writer:
+        for skill in _SPEC.skills:
+            frames = {"top": np.zeros((3, 4, 5, 3), np.uint8)}
+            writer.append(Trajectory(frames, np.zeros((3, 2), np.float32), (skill,)))
+    return tmp_path
+
+
+@pytest.fixture
+def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> Ports:
+    """The sim service's ports, moved to where nobody listens."""
+    ports = free_ports(["sim"])["sim"]
+    monkeypatch.setitem(PORTS, "sim", ports)
+    return ports
+
+
+@pytest.fixture
+def listener() -> Iterator[int]:
+    """A port that somebody holds who says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def _run(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def test_help_answers_at_once_because_nothing_heavy_is_imported() -> None:
+    script = (
+        "import freerein.cli.__main__, sys; print(sorted({'numpy', 'grpc', 'httpx', 'pyarrow'} & set(sys.modules)))"
+    )
+    began = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+
+    assert done.stdout == "[]\n"
+    assert time.perf_counter() - began < 5  # 0.3 s on an idle machine
+
+
+@pytest.mark.parametrize(
+    "name", ["up", "doctor", "demo", "segment", "reward", "act", "sim", "fit", "runs", "dataset", "models"]
+)
+def test_every_command_has_help(name: str) -> None:
+    result = _run(name, "--help")
+
+    assert result.exit_code == 0
+    assert f" {name} [OPTIONS]" in result.output
+
+
+def test_inspect_prints_a_dataset_as_json(data_dir: Path) -> None:
+    document = json.loads(_run("dataset", "inspect", "demos", "--json").stdout)
+
+    assert document["trajectories"] == 2
+    assert document["skill_counts"] == {"pick": 1, "place": 1}
+
+
+def test_a_whole_dataset_is_verified_and_fit_for_training(data_dir: Path) -> None:
+    for name in ("verify", "check"):
+        result = _run("dataset", name, "demos", "--json")
+        assert (result.exit_code, json.loads(result.stdout)["problems"]) == (0, [])
+
+
+def test_a_damaged_dataset_is_reported_and_the_exit_code_says_so(data_dir: Path) -> None:
+    broken = next((data_dir / "datasets" / "demos" / "data").rglob("*.parquet"))
+    broken.write_bytes(broken.read_bytes()[:-1])
+
+    result = _run("dataset", "verify", "demos", "--json")
+
+    assert result.exit_code == 1
+    assert broken.name in json.loads(result.stdout)["problems"][0]["where"]
+
+
+def test_the_list_names_the_datasets(data_dir: Path) -> None:
+    assert json.loads(_run("dataset", "list", "--json").stdout) == {"datasets": ["demos"]}
+
+
+def test_an_error_is_one_sentence_and_a_hint_on_stderr(data_dir: Path) -> None:
+    result = _run("dataset", "inspect", "nothing")
+
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert "\nhint:  " in result.stderr
+
+
+def test_an_error_is_a_document_where_json_is_asked_for(data_dir: Path) -> None:
+    result = _run("segment", "demos", "--index", "2", "--json")
+
+    assert result.exit_code == 1
+    assert json.loads(result.stderr)["error"]["code"] == "not_found"
+
+
+def test_a_service_that_does_not_run_is_an_error_that_names_up(data_dir: Path, nobody_listens: Ports) -> None:
+    result = _run("sim", "tasks", "--json")
+
+    assert result.exit_code == 1
+    assert "`freerein up`" in json.loads(result.stderr)["error"]["hint"]
+
+
+def test_settings_are_json_where_they_can_be_and_text_elsewhere() -> None:
+    assert dict(map(setting, ["updates=200", "objective=mil", "rates=[0.1]"])) == {
+        "updates": 200,
+        "objective": "mil",
+        "rates": [0.1],
+    }
+    with pytest.raises(InvalidInput, match="KEY=VALUE"):
+        setting("updates")
+
+
+def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked() -> None:
+    assert skill_bar([0, 0, 1, 2], width=80).plain == "AABC"
+    assert skill_bar([0] * 50 + [1] * 50, width=10).plain == "AAAAABBBBB"
+
+
+def test_the_doctor_says_how_to_start_a_service_that_does_not_run(nobody_listens: Ports) -> None:
+    result = services.check_service("sim")
+
+    assert (result.state, result.fix) == ("warning", "Run `freerein up`.")
+
+
+def test_the_doctor_recognises_a_port_that_another_program_holds(
+    nobody_listens: Ports, listener: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PORTS, "sim", Ports(listener, nobody_listens.grpc))
+
+    result = services.check_service("sim")
+
+    assert result.state == "problem"
+    assert str(listener) in result.detail
+
+
+def test_the_doctor_finds_the_wheels_that_are_data() -> None:
+    assert [(each().name, each().state) for each in (machine.check_meshes, machine.check_text_tower)] == [
+        ("robot meshes", "ok"),
+        ("text tower", "ok"),
+    ]
+
+
+def test_the_doctor_makes_and_measures_the_data_directory(tmp_path: Path) -> None:
+    results = machine.check_storage(tmp_path / "new")
+
+    assert [result.name for result in results] == ["data directory", "disk", "disk sync"]
+    assert results[0].state == "ok"
+
+
+def test_the_doctor_says_where_it_cannot_write(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+
+    (result,) = machine.check_storage(tmp_path / "file" / "below")
+
+    assert result.state == "problem"
+    assert "FREEREIN_DATA_DIR" in result.fix

@@ -1,0 +1,100 @@
+"""Attempts at jobs, each with a real child process: what ends them, and what only interrupts them."""
+
+import os
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from freerein.jobs.attempt import AttemptResult, AttemptRunner, AttemptStopped, StopRequest, retry
+from freerein.jobs.store import JobStore
+
+START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> JobStore:
+    return JobStore(tmp_path / "runs", noun="run")
+
+
+@pytest.fixture
+def runner(store: JobStore, monkeypatch: pytest.MonkeyPatch) -> AttemptRunner:
+    toys = Path(__file__).parents[1] / "orchestrator"
+    monkeypatch.setenv("PYTHONPATH", f"{toys}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    return AttemptRunner(store, module="toy_child", hidden=("FREEREIN_DATABASE_URL",))
+
+
+def go_on() -> StopRequest:
+    return ""
+
+
+def test_a_run_that_this_worker_cannot_see_fails_and_says_what_workers_must_share(store, runner):
+    attempt = runner.run("f" * 32, go_on)
+    assert attempt.outcome == "failed"
+    assert "FREEREIN_DATA_DIR" in attempt.error
+    assert not store.folder("f" * 32).exists()
+
+
+@pytest.mark.parametrize(
+    ("results", "end"),
+    [
+        ("crashed crashed crashed", ("failed", "3 attempts in a row ended without progress. No.")),
+        ("crashed crashed progressed crashed crashed succeeded", ("succeeded", "")),
+        ("progressed failed", ("failed", "No.")),
+    ],
+)
+def test_a_job_is_attempted_until_it_ends_or_three_attempts_in_a_row_make_no_progress(results, end):
+    made = iter(results.split())
+
+    def attempt() -> AttemptResult:
+        match next(made):
+            case "progressed":
+                return AttemptResult("crashed", progressed=True)
+            case "succeeded":
+                return AttemptResult("succeeded")
+            case outcome:
+                return AttemptResult(outcome, error="No.")
+
+    result = retry(attempt)
+    assert (result.outcome, result.error) == end
+    assert next(made, None) is None
+
+
+def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(store, runner):
+    run_id = store.create(START, {"config": {"steps": 4}})
+    store.record(run_id, "running", step=2)  # by an attempt before
+    assert runner.run(run_id, go_on) == AttemptResult("succeeded")
+    assert [(event.step, event.metrics) for event in store.events(run_id)()[2:]] == [
+        (3, {"loss": 1 / 3}),
+        (4, {"loss": 1 / 4}),
+    ]
+
+
+@pytest.mark.fault("O5")
+def test_an_attempt_that_could_not_begin_is_tried_again(store, runner):
+    run_id = store.create(START, {"config": {"steps": 1}})
+    (store.folder(run_id) / "log.txt").mkdir()
+    attempt = runner.run(run_id, go_on)
+    assert (attempt.outcome, attempt.error) == ("crashed", "It could not be started: Is a directory.")
+
+
+@pytest.mark.fault("O10")
+def test_a_child_that_will_not_end_is_killed_within_two_seconds_of_a_cancel(store, runner, monkeypatch):
+    monkeypatch.setenv("FREEREIN_DATABASE_URL", "postgresql://user:secret@host/name")
+    run_id = store.create(START, {"config": {"steps": 3, "wait_at": 2, "deaf": True}})
+    told: list[float] = []
+
+    def cancel_at_two() -> StopRequest:
+        if store.last(run_id).step < 2:
+            return ""
+        pid = int((store.folder(run_id) / "pids.txt").read_text())
+        assert not told
+        assert "FREEREIN_DATABASE_URL" not in psutil.Process(pid).environ()
+        told.append(time.monotonic())
+        return "cancel"
+
+    with pytest.raises(AttemptStopped):
+        runner.run(run_id, cancel_at_two)
+    assert 1 < time.monotonic() - told[0] < 2
+    assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))

@@ -1,0 +1,195 @@
+"""Jobs on disk: whole or absent after a crash, events numbered without gaps, and one end each."""
+
+import json
+import math
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from freerein.errors import AlreadyExists, InvalidInput, NotFound
+from freerein.jobs.json_lines import LineReader
+from freerein.jobs.metrics import MetricsPage, MetricsWriter
+from freerein.jobs.store import JobEvent, JobStore
+
+START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
+REQUEST = {**START, "config": {"seed": 3}, "idempotency_key": "key"}
+
+
+@pytest.fixture
+def store(tmp_path):
+    return JobStore(tmp_path, noun="run")
+
+
+def test_a_request_is_on_disk_with_its_configuration_when_it_has_an_id(store):
+    config = {"kind": "ppo", "config": {"seed": 3, "steps": 10}, "steps": 10}
+    run_id = store.create(REQUEST, config)
+    assert json.loads((store.folder(run_id) / "config.json").read_bytes()) == store.config(run_id) == config
+    assert store.events(run_id)() == [JobEvent()]
+
+
+def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(store):
+    run_id = store.create(REQUEST, {"seed": 3})
+    assert store.create(REQUEST, {"seed": 3}) == run_id
+    assert len(store.events(run_id)()) == 1
+    with pytest.raises(AlreadyExists):
+        store.create({**START, "config": {"seed": 4}, "idempotency_key": "key"}, {"seed": 4})
+    unnamed = START
+    assert store.create(unnamed, {}) != store.create(unnamed, {})
+
+
+def test_each_event_is_read_once_and_watchers_come_back_for_the_rest(store):
+    run_id = store.create(REQUEST, {})
+    read = store.events(run_id)
+    assert read() == [JobEvent()]
+    store.record(run_id, "running", step=1, metrics={"loss": 0.5})
+    store.record(run_id, "running", step=2)
+    assert read() == [JobEvent("running", step, {"loss": 0.5}) for step in (1, 2)]
+    assert read() == []
+
+
+def test_an_end_is_noted_once_and_only_queueing_follows_it(store):
+    run_id = store.create(REQUEST, {})
+    store.record(run_id, "cancelled")
+    store.record(run_id, "running", step=9)  # from a worker that has not heard yet
+    store.record(run_id, "failed", error="late")
+    assert [event.state for event in store.events(run_id)()] == ["queued", "cancelled"]
+    store.record(run_id, "queued")
+    store.record(run_id, "running")
+    store.record(run_id, "running")
+    assert [event.state for event in store.events(run_id)()] == ["queued", "cancelled", "queued", "running"]
+
+
+@pytest.mark.fault("O3")
+def test_a_line_torn_by_a_crash_is_never_read_and_is_cut_off_before_the_next(store):
+    run_id = store.create(REQUEST, {})
+    path = store.folder(run_id) / "events.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"state": "runn')
+    read = store.events(run_id)
+    assert [event.state for event in read()] == ["queued"]
+    assert store.last(run_id).state == "queued"
+    store.record(run_id, "running", step=1)
+    assert [event.step for event in read()] == [1]
+    assert path.read_bytes().count(b"\n") == 2
+
+
+def test_processes_append_side_by_side_without_losing_an_event(store):
+    run_id = store.create(REQUEST, {})
+    program = (
+        "import sys; from pathlib import Path; from freerein.jobs.store import JobStore\n"
+        "for step in range(20): JobStore(Path(sys.argv[1]), noun='run').record(sys.argv[2], 'running', step=step, "
+        "metrics={sys.argv[3]: 1.0})"
+    )
+    root = store.folder(run_id).parent
+    writers = [subprocess.Popen([sys.executable, "-c", program, str(root), run_id, name]) for name in "ab"]
+    assert [writer.wait(30) for writer in writers] == [0, 0]
+    events = store.events(run_id)()
+    assert len(events) == 41
+    assert {name for event in events for name in event.metrics} == {"a", "b"}
+
+
+def test_artifacts_are_listed_by_name_and_found_only_below_their_folder(store):
+    run_id = store.create(REQUEST, {})
+    folder = store.folder(run_id) / "artifacts"
+    folder.mkdir()
+    (folder / "policy.safetensors").write_bytes(b"1234")
+    (folder / ".policy.safetensors.tmp").write_bytes(b"12")
+    assert [(artifact.name, artifact.size) for artifact in store.artifacts(run_id)] == [("policy.safetensors", 4)]
+    assert store.artifact(run_id, "policy.safetensors").read_bytes() == b"1234"
+    with pytest.raises(NotFound):
+        store.artifact(run_id, "other")
+    with pytest.raises(InvalidInput):
+        store.artifact(run_id, "../config.json")
+    with pytest.raises(InvalidInput):
+        store.folder("../../etc")
+
+
+@pytest.mark.fault("O5")
+def test_a_full_disk_tears_no_event(store):
+    run_id, whole = store.create(REQUEST, {}), resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = (store.folder(run_id) / "events.jsonl").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 7, whole[1]))
+    try:
+        with pytest.raises(OSError, match="large"):
+            store.record(run_id, "running")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, whole)
+    assert store.last(run_id).state == "queued"
+    store.record(run_id, "failed")
+    assert [event.state for event in store.events(run_id)()] == ["queued", "failed"]
+
+
+def test_a_job_whose_request_was_not_recorded_whole_is_not_there(store):
+    run_id = store.create(REQUEST, {})
+    (store.folder(run_id) / "config.json").unlink()
+    assert store.unfinished() == store.page(0, "")[0] == []
+    assert store.find(REQUEST) is None
+    with pytest.raises(NotFound):
+        store.config(run_id)
+    assert store.create(REQUEST, {}) == run_id
+    assert store.unfinished() == [run_id]
+
+
+def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(store):
+    ids = [store.create(START, {}) for _ in range(5)]
+    first, token = store.page(2, "")
+    store.create(START, {})
+    second, token = store.page(2, token)
+    third, end = store.page(2, token)
+    assert [*first, *second, *third] == ids[::-1]
+    assert end == ""
+
+
+@pytest.mark.parametrize(
+    ("size", "token", "field"),
+    [(1001, "", "page_size"), (0, "0" * 32, "page_token"), (0, "../x", "page_token")],
+)
+def test_a_page_that_cannot_be_is_refused(store, size, token, field):
+    with pytest.raises(InvalidInput) as error:
+        store.page(size, token)
+    assert error.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("from_step", "max_rows", "steps", "total"),
+    [
+        (0, 0, list(range(1, 102)), 101),
+        (0, 3, [1, 51, 101], 101),
+        (52, 2, [52, 101], 50),
+        (0, 1, [101], 101),
+        (102, 5, [], 0),
+    ],
+)
+def test_metrics_are_whole_or_decimated_evenly_with_the_first_and_the_last(store, from_step, max_rows, steps, total):
+    run_id = store.create(REQUEST, {})
+    writer = MetricsWriter(store.folder(run_id) / "metrics.jsonl", last_step=0)
+    for step in range(1, 102):
+        writer.append(step, {"loss": float(step), "broken": math.nan})
+    with (store.folder(run_id) / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 102')  # being written
+    found = store.metrics(run_id, from_step=from_step, max_rows=max_rows)
+    assert [row.step for row in found.rows] == steps
+    assert all(row.metrics == {"loss": row.step} for row in found.rows)
+    assert (found.total_rows, found.next_step) == (total, 102)
+
+
+def test_metrics_of_a_job_that_has_none_are_empty_and_too_many_are_refused(store):
+    run_id = store.create(REQUEST, {})
+    assert store.metrics(run_id, from_step=3, max_rows=0) == MetricsPage((), 0, 3)
+    with pytest.raises(InvalidInput):
+        store.metrics(run_id, from_step=0, max_rows=10_001)
+    with pytest.raises(NotFound):
+        store.metrics("0" * 32, from_step=0, max_rows=0)
+
+
+def test_a_file_of_lines_that_is_replaced_is_read_from_its_start(tmp_path):
+    path = tmp_path / "metrics.jsonl"
+    writer, reader = MetricsWriter(path, last_step=0), LineReader(path)
+    for step in (1, 2, 3):
+        writer.append(step, {})
+    assert [row["step"] for row in reader.read()] == [1, 2, 3]
+    MetricsWriter(path, last_step=2).append(3, {"loss": 0.5})
+    assert reader.read() == [{"step": 1}, {"step": 2}, {"step": 3, "loss": 0.5}]
+    assert reader.read() == []

@@ -1,0 +1,142 @@
+"""`Act` and `GetSpec`: invalid fields are refused by name, and calls are stateless."""
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
+from freerein.types.common import Goal, Image, ModelRef, Observation
+from freerein.types.imitation import GetSpecRequest
+from freerein.types.learning import ActivateModelRequest
+from freerein_imitation.core.inputs import parse_goal
+
+
+def encoded(image: Image, format_: str = "PNG", mode: str = "RGB") -> Image:
+    buffer = io.BytesIO()
+    pixels = np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
+    PIL.Image.fromarray(pixels).convert(mode).save(buffer, format_)
+    return Image("png", 0, 0, buffer.getvalue())
+
+
+async def test_the_spec_says_what_a_robot_must_send_and_mean(core: Any, robots: Any) -> None:
+    spec = await core.act.get_spec(GetSpecRequest())
+    assert (spec.cameras, spec.action, spec.goal_form) == (robots.CAMERAS, robots.ACTION, "images")
+    assert (spec.horizon, spec.control_dt_s, spec.model) == (3, 0.02, core.versions[0])
+
+
+async def test_calls_chained_by_their_states_are_one_history(core: Any, robots: Any, policies: Any) -> None:
+    oracle = await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 3, 5)
+    state, did, indices = b"", None, []
+    for seq, brightness in enumerate((1, 3, 4, 5, 6)):
+        reply = await core.act.act(robots.asked(brightness, 3, 5, did=did, state=state))
+        expected = await oracle.answer(robots.seen(seq, brightness, did=did))
+        np.testing.assert_allclose(reply.actions, expected.actions, atol=1e-5)
+        state, did = reply.state, reply.actions[0] if len(reply.actions) else None
+        indices.append((reply.goal_index, reply.goal_reached, len(reply.actions)))
+    assert indices == [(0, False, 3), (1, False, 3), (1, False, 3), (2, True, 0), (2, True, 0)]
+
+
+async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: Any, robots: Any) -> None:
+    request = robots.asked(1, 3, 5)
+    first = await core.act.act(request)
+    files = replace(
+        request,
+        observation=Observation((encoded(request.observation.images[0]),)),
+        goal=Goal(tuple(map(encoded, request.goal.images))),
+        state=first.state,
+    )
+    second = await core.act.act(files)
+    again = await core.act.act(replace(request, state=first.state))
+    assert second.state == again.state
+
+
+async def test_a_state_of_a_version_that_is_no_longer_active_says_what_to_name(core: Any, robots: Any) -> None:
+    first = await core.act.act(robots.asked(1, 3))
+    await core.models.activate_model(ActivateModelRequest("default", core.versions[1].version))
+    with pytest.raises(FailedPrecondition) as error:
+        await core.act.act(robots.asked(1, 3, state=first.state))
+    assert first.model.version in error.value.detail
+    assert "Name in `model`" in error.value.hint
+    went_on = await core.act.act(robots.asked(1, 3, state=first.state, model=first.model))
+    assert went_on.model == first.model
+
+
+SMALL = Image("raw_rgb8", 2, 2, bytes(12), "front")
+GRAY = Image("raw_gray8", 4, 4, bytes(16), "front")
+RIGHT = Image("raw_rgb8", 4, 4, bytes(48), "front")
+LARGE = Image("png", 0, 0, encoded(Image("raw_rgb8", 5, 5, bytes(75))).data)
+
+
+@pytest.mark.fault("I1")
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"observation": Observation()}, "observation.images"),
+        ({"observation": Observation((RIGHT, RIGHT))}, "observation.images"),
+        ({"observation": Observation((replace(RIGHT, camera="left"),))}, "observation.images.0.camera"),
+        ({"observation": Observation((SMALL,))}, "observation.images.0"),
+        ({"observation": Observation((GRAY,))}, "observation.images.0"),
+        ({"observation": Observation((replace(RIGHT, data=b"1"),))}, "observation.images.0"),
+        ({"observation": Observation((replace(RIGHT, height=2**32 - 1, width=2**32 - 1),))}, "observation.images.0"),
+        ({"observation": Observation((LARGE,))}, "observation.images.0"),
+        ({"observation": Observation((encoded(RIGHT, mode="L"),))}, "observation.images.0"),
+        ({"observation": Observation((Image("png", 0, 0, b"GIF89a"),))}, "observation.images.0"),
+        ({"goal": Goal()}, "goal.images"),
+        ({"goal": Goal((RIGHT,), ("reach",))}, "goal.images"),
+        ({"goal": Goal((RIGHT,) * 257)}, "goal.images"),
+        ({"goal": Goal((RIGHT, SMALL))}, "goal.images.1"),
+        ({"executed_actions": np.zeros((1, 2), np.float64)}, "executed_actions"),
+        ({"executed_actions": np.zeros((1, 3), np.float32)}, "executed_actions"),
+        ({"executed_actions": np.zeros(2, np.float32)}, "executed_actions"),
+        ({"executed_actions": np.full((1, 2), np.nan, np.float32)}, "executed_actions"),
+        ({"executed_actions": np.full((2, 2), 1.01, np.float32)}, "executed_actions"),
+        ({"state": b"x"}, "state"),
+    ],
+)
+async def test_what_is_wrong_is_refused_by_name(core: Any, robots: Any, change: dict[str, Any], field: str) -> None:
+    with pytest.raises(ServiceError) as error:
+        await core.act.act(replace(robots.asked(1, 3), **change))
+    assert error.value.grpc_status == "INVALID_ARGUMENT"
+    assert error.value.field == field
+    assert error.value.hint
+
+
+async def test_another_model_than_there_is_is_not_found(core: Any, robots: Any) -> None:
+    with pytest.raises(NotFound):
+        await core.act.act(robots.asked(1, 3, model=ModelRef("", "0" * 12)))
+
+
+async def test_nothing_executed_is_told_from_something(core: Any, robots: Any) -> None:
+    none = await core.act.act(robots.asked(1, 3))
+    empty = await core.act.act(robots.asked(1, 3, executed_actions=np.zeros((0, 2), np.float32)))
+    some = await core.act.act(robots.asked(1, 3, did=(0.5, 0.5)))
+    assert none.state == empty.state != some.state
+
+
+async def test_a_request_may_give_its_goals_less_time(core: Any, robots: Any) -> None:
+    first = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1))
+    second = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1, state=first.state))
+    assert (second.goal_index, second.goal_abandoned, second.goal_reached, len(second.actions)) == (1, True, False, 0)
+
+
+@pytest.mark.fault("I14")
+@pytest.mark.parametrize(("fault", "code"), [("raises", "model_fault"), ("nan", "output_not_finite")])
+async def test_a_fault_of_the_policy_is_told_as_one(core: Any, robots: Any, fault: str, code: str) -> None:
+    request = replace(robots.asked(1, 3), observation=Observation((robots.picture(1, fault=fault),)))
+    with pytest.raises(ServiceError) as error:
+        await core.act.act(request)
+    assert error.value.code == code
+
+
+@pytest.mark.parametrize("recipe", [("reach", "jump"), (), ("reach",) * 257])
+async def test_a_recipe_is_of_skills_that_the_model_knows(policies: Any, robots: Any, recipe: tuple[str, ...]) -> None:
+    spec = replace(policies.FaultyPolicy.spec, goal_form="recipe", skills=("reach", "grasp"))
+    goals = await parse_goal(spec, Goal(recipe=("grasp", "reach")))
+    assert [goal.content for goal in goals] == ["grasp", "reach"]
+    for wrong in (Goal(recipe=recipe), robots.goal(1)):
+        with pytest.raises(InvalidInput):
+            await parse_goal(spec, wrong)

@@ -1,0 +1,386 @@
+"""Runs survive: real workers and real children are killed, and every run ends as what it is, nothing done twice."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from freerein.cli.services import free_ports
+from freerein.jobs.attempt import CANCELLED_FILE
+
+pytestmark = pytest.mark.e2e
+HERE = Path(__file__).parent
+Reply = Any
+
+
+class Worker:
+    """An orchestrator process without REST and gRPC, on a data directory of its own or shared with others."""
+
+    def __init__(self, data_dir: Path, name: str = "worker", url: str = "") -> None:
+        self.runs = data_dir / "runs"
+        with (data_dir / f"{name}.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, str(HERE / "toy_worker.py"), str(data_dir), name, url],
+                cwd=HERE,  # `python -m toy_child` finds the child there
+                env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error"},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+            )
+
+    def opened(self) -> "Worker":
+        assert self._reply() == "open"
+        return self
+
+    def ask(self, do: str, **values: Any) -> Reply:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps({"do": do, **values}) + "\n")
+        self.process.stdin.flush()
+        return self._reply()
+
+    def start(self, key: str = "", **config: Any) -> str:
+        return str(self.ask("start", config=config, key=key)["id"])
+
+    def watch(self, run_id: str, *, start: int = 0, until_step: int = 1000) -> Reply:
+        """Returns a run's events up to one of a step, or its end."""
+        return self.ask("watch", id=run_id, start=start, until_step=until_step)
+
+    def pids(self, run_id: str) -> list[int]:
+        return [int(pid) for pid in (self.runs / run_id / "pids.txt").read_text().split()]
+
+    def steps(self, run_id: str) -> list[int]:
+        return [int(step) for step in (self.runs / run_id / "steps.txt").read_text().split()]
+
+    def child(self, run_id: str) -> psutil.Process:
+        return psutil.Process(self.pids(run_id)[-1])
+
+    def end(self, number: signal.Signals) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(15)
+
+    def _reply(self) -> Reply:
+        assert self.process.stdout is not None
+        return json.loads(self.process.stdout.readline())
+
+
+@pytest.fixture
+def begin(tmp_path: Path) -> Iterator[Callable[..., Worker]]:
+    workers: list[Worker] = []
+
+    def begin(name: str = "worker", url: str = "") -> Worker:
+        workers.append(Worker(tmp_path, name, url))
+        return workers[-1].opened()
+
+    yield begin
+    for worker in workers:
+        worker.process.kill()
+        worker.process.communicate()
+
+
+class Postgres:
+    """A Postgres of our own, with its data in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._port = free_ports(["postgres"])["postgres"].rest
+        self.url = f"postgresql://test@127.0.0.1:{self._port}/postgres"
+        self._data, self._folder = str(folder / "data"), str(folder)
+        self._user: dict[str, Any] = {"user": "postgres"} if os.getuid() == 0 else {}  # it refuses to run as root
+        if self._user:
+            shutil.chown(folder, "postgres")
+        make = ["initdb", "--no-sync", "--auth=trust", "--username=test", "-D", self._data]
+        subprocess.run(make, check=True, stdout=subprocess.DEVNULL, **self._user)
+
+    def start(self) -> None:
+        serve = ["postgres", "-D", self._data, "-k", self._folder, "-p", str(self._port), "-c", "fsync=off"]
+        self._server = subprocess.Popen(serve, stderr=subprocess.PIPE, text=True, **self._user)
+        next(line for line in self._server.stderr or () if "ready to accept connections" in line)
+
+    def stop(self) -> None:
+        self._server.send_signal(signal.SIGQUIT)
+        self._server.communicate()
+
+    def freeze(self) -> None:
+        """Keeps every connection open and answers nothing any more."""
+        self._frozen = [psutil.Process(self._server.pid), *psutil.Process(self._server.pid).children()]
+        for process in self._frozen:
+            process.suspend()
+
+    def thaw(self) -> None:
+        for process in self._frozen:
+            process.resume()
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[Postgres]:
+    if shutil.which("initdb") is None or shutil.which("postgres") is None:
+        pytest.skip("no Postgres here")
+    folder = Path(tempfile.mkdtemp(prefix="pg"))  # not `tmp_path`: the path of a socket is at most 107 bytes
+    server = Postgres(folder)
+    server.start()
+    yield server
+    server.stop()
+    shutil.rmtree(folder)
+
+
+def test_a_run_is_queued_runs_and_succeeds_and_a_watcher_may_come_back_for_the_rest(begin):
+    worker = begin()
+    run_id = worker.start()
+    events = worker.watch(run_id)
+    assert [event["sequence"] for event in events] == list(range(len(events)))
+    assert [event["state"] for event in events][:2] == ["queued", "running"]
+    assert events[-1] == {
+        "sequence": len(events) - 1,
+        "id": run_id,
+        "kind": "ppo",
+        "state": "succeeded",
+        "config": {"steps": 5},
+        "step": 5,
+        "steps": 5,
+        "metrics": {"loss": 0.2},  # without what was not finite
+        "model": None,
+        "error": "",
+    }
+    assert worker.watch(run_id, start=2) == events[2:]
+    assert (worker.runs / run_id / "artifacts" / "count.txt").read_text() == "5"
+    assert [run["id"] for run in worker.ask("list")] == [run_id]
+    assert worker.ask("get", id="0" * 32) == {"error": "NotFound"}
+
+
+@pytest.mark.fault("O1")
+def test_a_killed_orchestrator_goes_on_with_its_run_where_the_checkpoint_is(begin):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    child = worker.child(run_id)
+    worker.end(signal.SIGKILL)
+    child.wait(5)  # nobody outlives the orchestrator
+
+    after = begin()
+    assert after.watch(run_id)[-1]["state"] == "succeeded"
+    assert after.steps(run_id) == [1, 2, 3, 4, 5]
+    assert len(after.pids(run_id)) == 2
+
+
+@pytest.mark.fault("O1")
+def test_an_orchestrator_killed_right_after_it_acknowledged_a_run_makes_it(begin):
+    worker = begin()
+    run_id = worker.start(key="once")
+    worker.end(signal.SIGKILL)
+    after = begin()
+    assert after.start(key="once") == run_id
+    assert after.watch(run_id)[-1]["state"] == "succeeded"
+
+
+@pytest.mark.fault("O2")
+def test_a_killed_child_is_started_again_and_goes_on_from_its_checkpoint(begin):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    worker.child(run_id).kill()
+    assert worker.watch(run_id)[-1]["state"] == "succeeded"
+    assert worker.steps(run_id) == [1, 2, 3, 4, 5]
+
+
+def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_be_resumed(begin):
+    worker = begin()
+    run_id = worker.start(crash=True)
+    end = worker.watch(run_id)[-1]
+    assert end["state"] == "failed"
+    assert end["error"].startswith("3 attempts in a row ended without progress. Its process was killed by SIGKILL")
+    assert len(worker.pids(run_id)) == 1 + 3  # the first got further than none before it
+    assert worker.ask("resume", id=run_id)["state"] in ("queued", "running")
+    assert worker.watch(run_id, start=end["sequence"] + 1)[-1]["state"] == "failed"
+    assert len(worker.pids(run_id)) == 1 + 3 + 3
+
+
+def test_what_cannot_succeed_is_tried_once_and_says_why(begin):
+    worker = begin()
+    run_id = worker.start(complaint="The dataset must hold two skills; it holds one.")
+    assert worker.watch(run_id)[-1]["error"] == "The dataset must hold two skills; it holds one."
+    assert len(worker.pids(run_id)) == 1
+
+
+@pytest.mark.fault("O10")
+def test_a_run_is_cancelled_within_two_seconds_saves_and_can_be_resumed(begin):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    child, began = worker.child(run_id), time.monotonic()
+    assert worker.ask("cancel", id=run_id)["state"] == "cancelled"
+    child.wait(5)
+    assert time.monotonic() - began < 2
+    assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
+    assert (worker.runs / run_id / CANCELLED_FILE).exists()
+    assert worker.watch(run_id)[-1]["state"] == "cancelled"
+
+    worker.ask("resume", id=run_id)
+    assert worker.watch(run_id)[-1]["state"] == "succeeded"
+    assert worker.steps(run_id) == [1, 2, 3, 4, 5]
+    assert worker.ask("resume", id=run_id) == {"error": "FailedPrecondition"}
+
+
+def test_runs_are_made_one_at_a_time_and_a_queued_one_can_be_cancelled(begin):
+    worker = begin()
+    first, second = worker.start(wait_at=1), worker.start()
+    worker.watch(first, until_step=1)
+    assert worker.ask("get", id=second)["state"] == "queued"
+    assert worker.ask("cancel", id=second)["state"] == "cancelled"
+    worker.child(first).kill()
+    assert worker.watch(first)[-1]["state"] == "succeeded"
+    assert not (worker.runs / second / "pids.txt").exists()
+
+
+@pytest.mark.fault("O15")
+def test_a_worker_told_to_end_lets_the_child_save_and_the_next_goes_on(begin):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    assert worker.end(signal.SIGTERM) == 0
+    assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
+    assert not (worker.runs / run_id / CANCELLED_FILE).exists()
+    assert begin().watch(run_id)[-1]["state"] == "succeeded"
+
+
+@pytest.mark.fault("O9")
+def test_an_idempotency_key_is_one_run(begin):
+    worker = begin()
+    run_id = worker.start(key="twice", steps=2)
+    assert worker.start(key="twice", steps=2) == run_id
+    assert worker.ask("start", key="twice", config={"steps": 3}) == {"error": "AlreadyExists"}
+    worker.watch(run_id)
+    assert worker.start(key="twice", steps=2) == run_id
+    assert len(worker.pids(run_id)) == 1
+
+
+def test_a_run_whose_folder_was_deleted_is_gone_and_disturbs_nobody(begin):
+    worker = begin()
+    gone, run_id = worker.start(), worker.start()
+    worker.watch(run_id)
+    shutil.rmtree(worker.runs / gone)
+    assert [run["id"] for run in worker.ask("list")] == [run_id]
+    assert worker.ask("get", id=gone) == {"error": "NotFound"}
+
+
+@pytest.mark.fault("O5")
+def test_a_run_goes_on_when_there_is_room_again_for_what_its_attempt_came_to(begin, tmp_path):
+    worker = begin()
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    process, whole = psutil.Process(worker.process.pid), (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    process.rlimit(resource.RLIMIT_FSIZE, (32_768, resource.RLIM_INFINITY))  # enough for the log, not for the database
+    worker.child(run_id).kill()
+    while "cannot be recorded" not in (tmp_path / "worker.log").read_text():
+        assert worker.process.poll() is None
+    process.rlimit(resource.RLIMIT_FSIZE, whole)
+    assert worker.watch(run_id)[-1]["state"] == "succeeded"
+    assert worker.steps(run_id) == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.fault("O6")
+def test_a_second_worker_of_the_same_name_is_refused(begin, tmp_path):
+    begin()
+    second = Worker(tmp_path)
+    assert second.process.communicate(timeout=10) == ("", None)
+    assert second.process.returncode == 3
+
+
+@pytest.mark.fault("O6")
+def test_another_worker_takes_over_from_one_that_is_gone(begin):
+    one = begin("one")
+    run_id = one.start(wait_at=3)
+    one.watch(run_id, until_step=3)
+    other = begin("other")
+    assert one.child(run_id).is_running()
+    one.end(signal.SIGKILL)
+    assert other.watch(run_id)[-1]["state"] == "succeeded"
+    assert other.steps(run_id) == [1, 2, 3, 4, 5]
+
+
+def test_the_database_holds_json_and_no_pickle_and_nobody_is_called(begin):
+    worker = begin()
+    failed, run_id = worker.start(complaint="No."), worker.start()
+    worker.watch(failed)
+    worker.watch(run_id)
+    assert psutil.Process(worker.process.pid).net_connections("inet") == []
+    worker.end(signal.SIGTERM)
+    with sqlite3.connect(worker.runs / "runs.sqlite") as database:
+        rows = database.execute("SELECT serialization, output FROM operation_outputs").fetchall()
+        inputs = database.execute("SELECT serialization FROM workflow_status").fetchall()
+    assert {row[0] for row in rows + inputs} == {"portable_json"}
+    assert all(json.loads(output) is None or json.loads(output)["outcome"] for _, output in rows)
+    assert b"gAS" not in (worker.runs / "runs.sqlite").read_bytes()  # how a pickle begins in base64
+
+
+@pytest.mark.fault("O6")
+def test_two_workers_on_one_postgres_share_the_queue_and_take_over_from_each_other(begin, postgres):
+    one, two = begin("one", postgres.url), begin("two", postgres.url)
+    waiting = [one.start(wait_at=1), one.start(wait_at=1)]
+    for run_id in waiting:
+        one.watch(run_id, until_step=1)  # both at once, though each worker makes one at a time
+    children = [one.child(run_id) for run_id in waiting]
+    parents = [child.ppid() for child in children]
+    assert set(parents) == {one.process.pid, two.process.pid}
+
+    of_one, of_two = (waiting[parents.index(worker.process.pid)] for worker in (one, two))
+    assert one.ask("cancel", id=of_two)["state"] == "cancelled"  # though the other has its child
+    children[waiting.index(of_two)].wait(2)
+    one.end(signal.SIGKILL)
+    assert two.watch(of_one)[-1]["state"] == "succeeded"
+    assert two.steps(of_one) == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.fault("O6")
+def test_a_second_worker_of_the_same_name_on_one_postgres_is_refused(begin, tmp_path, postgres):
+    begin("three", postgres.url)
+    second = Worker(tmp_path, "three", postgres.url)
+    assert second.process.communicate(timeout=10) == ("", None)
+    assert second.process.returncode == 3
+
+
+def test_a_run_goes_on_while_its_database_is_away_and_a_worker_can_end_without_it(begin, postgres):
+    worker = begin("four", postgres.url)
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    postgres.stop()
+    assert worker.ask("cancel", id=run_id) == {"error": "Unavailable"}
+    assert worker.child(run_id).is_running()
+    postgres.start()
+    worker.child(run_id).kill()
+    assert worker.watch(run_id)[-1]["state"] == "succeeded"
+
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    postgres.stop()
+    assert worker.end(signal.SIGTERM) == 0
+    assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
+    postgres.start()
+    assert begin("four", postgres.url).watch(run_id)[-1]["state"] == "succeeded"
+
+
+def test_a_database_that_has_frozen_is_unavailable_and_a_worker_can_end_without_it(begin, postgres):
+    worker = begin("five", postgres.url)
+    run_id = worker.start(wait_at=3)
+    worker.watch(run_id, until_step=3)
+    postgres.freeze()
+    try:
+        assert worker.ask("cancel", id=run_id) == {"error": "Unavailable"}
+        assert worker.child(run_id).is_running()
+        assert worker.end(signal.SIGTERM) == 0
+        assert (worker.runs / run_id / "saved.txt").read_text() == "yes"
+    finally:
+        postgres.thaw()
+    after = begin("five", postgres.url)
+    assert after.watch(run_id)[-1]["state"] in ("cancelled", "succeeded")  # what was refused may still have arrived

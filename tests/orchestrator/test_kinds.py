@@ -1,0 +1,39 @@
+"""What every kind of run has in common."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from freerein.errors import InvalidInput
+from freerein.types.orchestrator import RunKind
+from freerein_orchestrator.kinds import KINDS
+
+FIT = {"service": "imitation", "dataset": "play", "config": {"steps": 30}}
+CONFIGS: dict[RunKind, tuple[dict[str, Any], int]] = {
+    "collect": ({"task": "grid", "dataset": "play", "count": 7, "cameras": ["top"]}, 7),
+    "fit": (FIT, 30),
+    "ppo": ({"task": "grid", "iterations": 5.0, "reward": "oracle"}, 5),
+    "distill": ({"teachers": ["left", "right"], "rollouts": 4, "config": {"steps": 9}}, 17),
+    "evaluate": ({"task": "grid", "policy": {"run": "fit"}, "episodes": 3}, 3),
+    "pipeline": ({"steps": [{"name": "fit", "kind": "fit", "config": FIT}]}, 30),
+}
+
+
+def test_the_table_of_kinds_is_that_of_the_contract_and_of_the_docs() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text()
+    assert set(KINDS) == set(CONFIGS) == set(get_args(RunKind))
+    assert set(re.findall(r"^### (\w+)$", page, re.MULTILINE)) == set(KINDS)
+
+
+@pytest.mark.parametrize("kind", CONFIGS)
+def test_a_configuration_survives_json_and_says_how_many_steps_there_are(kind: RunKind) -> None:
+    values, steps = CONFIGS[kind]
+    config = KINDS[kind].parse(values)
+    dumped = KINDS[kind].dump(config)
+    assert KINDS[kind].parse(json.loads(json.dumps(dumped))) == config
+    assert KINDS[kind].steps(config) == steps
+    with pytest.raises(InvalidInput):
+        KINDS[kind].parse({**values, "unknown": 1})

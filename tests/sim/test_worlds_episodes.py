@@ -1,0 +1,82 @@
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.world import NO_SKILL, TaskDefinition
+
+
+def explore(task: TaskDefinition, *, seed: int, max_steps: int, cameras: tuple[str, ...] = ()) -> RecordedEpisode:
+    rng = np.random.default_rng(seed)
+    with closing(task.make()) as world:
+        world.reset(rng)
+        height, width = task.spec.cameras[0].height, task.spec.cameras[0].width
+        policy = SmoothRandomPolicy(task.spec.action, rng)
+        return record_episode(world, policy, cameras=cameras, height=height, width=width, max_steps=max_steps)
+
+
+def test_a_frame_is_seen_before_its_action() -> None:
+    task, rng = grid.TASKS[0], np.random.default_rng(0)
+    world = task.make()
+    world.reset(rng, recipe=("pick-red",))
+    first = world.render("top", height=33, width=30)
+    expert = world.expert(("pick-red",), rng)
+
+    shown = record_episode(world, expert, skills=("pick-red",), cameras=("top",), height=33, width=30, max_steps=50)
+
+    assert np.array_equal(shown.frames["top"][0], first)
+    assert shown.actions[-1].item() == grid.PICK_UP
+    assert len(shown.frames["top"]) == len(shown.actions) == len(shown.labels)
+    assert shown.skills == ("pick-red",)
+
+
+def test_every_camera_asked_for_is_recorded() -> None:
+    shown = explore(blocks.TASKS[0], seed=0, max_steps=3, cameras=("left", "front"))
+
+    assert {camera: frames.shape for camera, frames in shown.frames.items()} == {
+        "left": (3, 64, 64, 3),
+        "front": (3, 64, 64, 3),
+    }
+    assert shown.actions.dtype == np.float32
+    assert shown.actions.shape == (3, 3)
+
+
+def test_a_demonstration_of_no_steps_has_the_right_shapes() -> None:
+    shown = explore(grid.TASKS[0], seed=0, max_steps=0, cameras=("top",))
+
+    assert shown.frames["top"].shape == (0, 33, 30, 3)
+    assert shown.actions.shape == (0, 1)
+    assert shown.labels.shape == (0,)
+
+
+def test_a_demonstration_cut_short_is_no_success() -> None:
+    task, rng = blocks.TASKS[0], np.random.default_rng(0)
+    with closing(task.make()) as world:
+        world.reset(rng)
+        expert = world.expert(("move-red",), rng)
+        shown = record_episode(world, expert, skills=("move-red",), cameras=(), height=1, width=1, max_steps=10)
+
+    assert len(shown.actions) == 10
+    assert not shown.success
+
+
+@pytest.mark.parametrize("task", [grid.TASKS[0], blocks.TASKS[0]], ids=["discrete", "continuous"])
+def test_exploration_has_no_skill_and_depends_on_its_generator_only(task: TaskDefinition) -> None:
+    first, again, other = (explore(task, seed=seed, max_steps=20) for seed in (0, 0, 1))
+
+    assert set(first.labels.tolist()) == {NO_SKILL}
+    assert np.array_equal(first.actions, again.actions)
+    assert not np.array_equal(first.actions, other.actions)
+
+
+def test_exploration_is_smooth_and_reaches_the_limits() -> None:
+    policy = SmoothRandomPolicy(blocks.TASKS[0].spec.action, np.random.default_rng(0))
+    actions = np.array([policy.act().action for _ in range(1000)])
+
+    assert np.abs(np.diff(actions, axis=0)).max() <= 1.0
+    assert np.abs(actions).max() <= 1.0
+    assert (actions.max(axis=0) > 0.95).all()
+    assert (actions.min(axis=0) < -0.95).all()
