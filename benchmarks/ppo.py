@@ -42,8 +42,6 @@ from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
-_CONFIG = PPOConfig(iterations=3)
-_STEPS = _CONFIG.iterations * _CONFIG.rollout_size
 _ROUNDS = 3
 _CPU = torch.device("cpu")
 _CACHE_BYTES = 2**20
@@ -69,12 +67,14 @@ async def measure(effort: Effort) -> Results:
 
 
 async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Results:
-    one, two = [await asyncio.to_thread(_Served.init, sims[:count], reward) for count in (1, 2)]
-    local = _Local(one.start)
+    config = PPOConfig(iterations=effort.iterations)
+    one, two = [await asyncio.to_thread(_Served.init, config, sims[:count], reward) for count in (1, 2)]
+    local = _Local(config, one.start)
     try:
         trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train}
         ends: dict[str, str] = {}
-        times = await measure_rates([_workload(name, train, ends) for name, train in trainings.items()], effort)
+        steps = config.iterations * config.rollout_size
+        times = await measure_rates([_workload(name, train, steps, ends) for name, train in trainings.items()], effort)
     finally:
         local.end()
     if ends["in-process"] != ends["one-sim"]:
@@ -88,13 +88,13 @@ async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effor
     )
 
 
-def _workload(name: str, train: Train, ends: dict[str, str]) -> Workload:
-    """Returns a workload that records its final weights' hash in `ends`."""
+def _workload(name: str, train: Train, steps: int, ends: dict[str, str]) -> Workload:
+    """Returns a workload of so many steps that records its final weights' hash in `ends`."""
 
     async def call() -> None:
         ends[name] = await asyncio.to_thread(train)
 
-    return Workload(name, repeat(call), _STEPS, "steps")
+    return Workload(name, repeat(call), steps, "steps")
 
 
 class _NoLog:
@@ -107,13 +107,13 @@ class _NoLog:
         """Holds nothing."""
 
 
-def _train(start: Checkpoint, collector: Collector) -> str:
+def _train(config: PPOConfig, start: Checkpoint, collector: Collector) -> str:
     """Trains from a checkpoint; returns the sha256 of the final weights."""
     with TemporaryDirectory() as folder:
         state = Trainer(
             Path(folder),
-            init=lambda: from_checkpoint(start, _CONFIG, device=_CPU),
-            load=lambda checkpoint: from_checkpoint(checkpoint, _CONFIG, device=_CPU),
+            init=lambda: from_checkpoint(start, config, device=_CPU),
+            load=lambda checkpoint: from_checkpoint(checkpoint, config, device=_CPU),
             collector=lambda _: collector,
             metrics_log=lambda _: _NoLog(),
         ).train()
@@ -124,28 +124,33 @@ def _train(start: Checkpoint, collector: Collector) -> str:
 class _Served:
     """Trains with services."""
 
+    config: PPOConfig
     sims: Sequence[SyncClient]
     reward: SyncClient
     start: Checkpoint
 
     @classmethod
-    def init(cls, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
-        spec = network_spec(_CONFIG, observation=_FRAME, action_size=tasks()[_TASK].spec.action.size)
-        with closing(_open(sims, zero_reward, ())) as envs:
-            state: PPOState = init_state(_CONFIG, spec, envs, device=_CPU)
-        return cls(sims, reward, to_checkpoint(state))
+    def init(cls, config: PPOConfig, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
+        spec = network_spec(config, observation=_FRAME, action_size=tasks()[_TASK].spec.action.size)
+        with closing(_open(config, sims, zero_reward, ())) as envs:
+            state: PPOState = init_state(config, spec, envs, device=_CPU)
+        return cls(config, sims, reward, to_checkpoint(state))
 
     def train(self) -> str:
         retry = Retry(np.random.default_rng(), stop=lambda: False, say=lambda _: None)
         reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
         collector = RecoveringCollector(
-            lambda snapshots: _open(self.sims, reward_fn, snapshots), num_steps=_CONFIG.num_steps, retry=retry
+            lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots),
+            num_steps=self.config.num_steps,
+            retry=retry,
         )
-        return _train(self.start, collector)
+        return _train(self.config, self.start, collector)
 
 
-def _open(sims: Sequence[SyncClient], reward_fn: RewardFn, snapshots: Sequence[bytes]) -> RemoteVectorEnv:
-    request = CreateSessionRequest(_TASK, num_envs=_CONFIG.num_envs, seed=0)
+def _open(
+    config: PPOConfig, sims: Sequence[SyncClient], reward_fn: RewardFn, snapshots: Sequence[bytes]
+) -> RemoteVectorEnv:
+    request = CreateSessionRequest(_TASK, num_envs=config.num_envs, seed=0)
     return RemoteVectorEnv(sims, request, camera=_CAMERA, reward_fn=reward_fn, snapshots=snapshots)
 
 
@@ -156,10 +161,11 @@ class _Local:
     network.
     """
 
-    num_envs = _CONFIG.num_envs
     recoveries = 0
 
-    def __init__(self, start: Checkpoint) -> None:
+    def __init__(self, config: PPOConfig, start: Checkpoint) -> None:
+        self.num_envs = config.num_envs
+        self._config = config
         self._start = start
         self._reward_fn = _LocalReward(tasks()[_TASK].goal_text)
         self._reward_thread = ThreadPoolExecutor(1, "reward")
@@ -170,12 +176,12 @@ class _Local:
         self._rewards: list[Future[Rewards]] = []
 
     def train(self) -> str:
-        return _train(self._start, self)
+        return _train(self._config, self._start, self)
 
     def collect(self, network: ActorCritic, state: CollectorState) -> tuple[RolloutBuffer, CollectorState]:
         if state.env_snapshots != (self._snapshot,):
             self._thread.submit(self._envs.restore, state.env_snapshots[0]).result()
-        return collect(network, self, state, num_steps=_CONFIG.num_steps)
+        return collect(network, self, state, num_steps=self._config.num_steps)
 
     def reset(self) -> Observations:
         return self._thread.submit(self._envs.reset, cameras=(_CAMERA,)).result().frames[_CAMERA]

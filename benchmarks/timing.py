@@ -27,16 +27,18 @@ class Effort:
         turn_s: Shortest turn, in seconds; short workloads are repeated to fill it. 0 for a single run.
         loads: Turns of each server under constant load.
         load_s: Length of each, in seconds.
+        iterations: Iterations of each training.
     """
 
     rounds: int
     turn_s: float
     loads: int
     load_s: float
+    iterations: int
 
 
-QUICK = Effort(rounds=1, turn_s=0.0, loads=1, load_s=0.5)
-THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0)
+QUICK = Effort(rounds=1, turn_s=0.0, loads=1, load_s=0.5, iterations=1)
+THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0, iterations=3)
 
 
 @dataclass(frozen=True)

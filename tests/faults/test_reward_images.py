@@ -95,7 +95,7 @@ def test_a_picture_of_nothing_has_a_heatmap_of_its_size_in_range(reward: httpx.C
 def test_the_reward_is_the_same_alone_together_among_others_and_after_a_restart(
     start_service: StartService, tmp_path: Path
 ) -> None:
-    images = [png(RNG.integers(0, 255, (64, 64, 3), np.uint8)) for _ in range(32)]
+    images = [png(RNG.integers(0, 255, (64, 64, 3), np.uint8)) for _ in range(16)]
     with opened(first := start_service("freerein_reward", tmp_path)) as client:
         alone = [ask(client, image, mode="raw")["rewards"][0] for image in images]
         together = ask(client, *images, mode="raw")["rewards"]

@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -78,32 +78,6 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any]) -> No
         ppo("step", init_from="earlier").check()
     assert more.do()
     assert more.artifact("policy.json")["sha256"] != card["sha256"]
-
-
-def test_a_run_stopped_anywhere_ends_with_the_same_weights(ppo: Callable[..., Any], expected: dict[str, Any]) -> None:
-    run = ppo("stopped")
-    for calls in (5, 80, 20, 30):
-        left = iter(range(calls))
-
-        def stop(left: Iterator[int] = left) -> bool:
-            return next(left, None) is None
-
-        assert not run.do(stop=stop)
-    assert run.do()
-    assert run.artifact("policy.json") == expected
-    assert [row["step"] for row in run.rows] == [1, 2, 3]
-
-
-@pytest.mark.timeout(180)
-def test_a_run_whose_process_is_killed_ends_with_the_same_weights(
-    ppo: Callable[..., Any], expected: dict[str, Any]
-) -> None:
-    killed = ppo("killed")
-    killed.kill_when((killed.folder / "checkpoints").is_dir)
-    killed.kill_when(lambda: len(killed.rows) >= 1)
-    assert killed.do()
-    assert killed.artifact("policy.json") == expected
-    assert [row["step"] for row in killed.rows] == [1, 2, 3]
 
 
 class Killer:
