@@ -30,7 +30,7 @@ test: dev ## Run the tests, a file at a time on each core
 bench: dev ## Measure freerein beside its peers
 	$(BIN)/python -m benchmarks
 
-fuzz: dev ## The fault tests with their large counts: 20 000 generated requests to each REST door, 20 kills, and so on
+fuzz: dev ## The fault tests with their large counts: 20 000 generated requests to each REST API, 20 kills, and so on
 	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
