@@ -1,4 +1,4 @@
-# Everything installs what it needs into .venv first; the second time that takes no time.
+# Targets install what they need into .venv first.
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
@@ -14,10 +14,10 @@ setup: ## Install what freerein needs to run; TORCH_INDEX= for a machine with a 
 dev: ## Install what the tests and checks need, too
 	@tools/setup dev
 
-demo: setup ## Show all of it, in a few minutes: skills, rewards and policies, learned and measured
+demo: setup ## Run the whole pipeline and measure it: about ten minutes on two cores
 	@$(BIN)/freerein demo
 
-check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract and its stubs
+check: dev stubs-fresh ## Lint, format, types, import contracts, proto and its stubs
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
@@ -27,16 +27,16 @@ check: dev stubs-fresh ## Lint, format, types, who may import whom, the contract
 test: dev ## Run the tests, a file at a time on each core
 	$(BIN)/pytest --numprocesses logical --dist loadfile --no-loadscope-reorder
 
-bench: dev ## Measure freerein beside its peers
+bench: dev ## Compare speed with that of peers
 	$(BIN)/python -m benchmarks
 
-fuzz: dev ## The fault tests with their large counts: 20 000 generated requests to each REST API, 20 kills, and so on
+fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
 	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
 	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run
 
-stubs: dev ## Write the Python stubs of proto/ anew
+stubs: dev ## Regenerate the Python stubs of proto/
 	tools/stubs
 
 stubs-fresh: dev
@@ -44,6 +44,6 @@ stubs-fresh: dev
 	  diff -r -x __init__.py -x __pycache__ "$$fresh/freerein/api" src/freerein/api || \
 	  { echo "The stubs in src/freerein/api are stale: run make stubs" >&2; exit 1; }
 
-fmt: dev ## Format the code and mend what ruff can
+fmt: dev ## Format the code and fix what ruff can
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format

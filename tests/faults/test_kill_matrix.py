@@ -93,7 +93,7 @@ class Running:
         pids = {status.service: status.pid for status in self.stack.statuses}
         if victim == "child":
             children = psutil.Process(pids["orchestrator"]).children()
-            return [child.pid for child in children if "freerein_orchestrator.runs.child" in child.cmdline()]
+            return [child.pid for child in children if "freerein_orchestrator.runs" in child.cmdline()]
         return list(pids.values()) if victim == "all" else [pids[victim]]
 
     def kill(self, victim: str) -> None:

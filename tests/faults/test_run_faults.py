@@ -58,7 +58,7 @@ class Run:
         (self.folder / "config.json").write_text(json.dumps(job))
 
     def start(self) -> psutil.Popen:
-        module = [sys.executable, "-m", "freerein_orchestrator.runs.child"]
+        module = [sys.executable, "-m", "freerein_orchestrator.runs"]
         with (self.folder / "log.txt").open("ab") as log:
             return psutil.Popen(
                 [*module, str(self.folder), str(self.folder.parents[1]), "cpu"],

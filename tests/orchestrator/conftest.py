@@ -73,7 +73,7 @@ class LooseRun:
         command = [
             sys.executable,
             "-m",
-            "freerein_orchestrator.runs.child",
+            "freerein_orchestrator.runs",
             str(self.folder),
             str(self.data_dir),
             "cpu",

@@ -31,7 +31,7 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
     store = JobStore(folder, noun="run")
     runner = AttemptRunner(
         store,
-        module="freerein_orchestrator.runs.child",
+        module="freerein_orchestrator.runs",
         arguments=(str(settings.data_dir), settings.device),
         hidden=("FREEREIN_DATABASE_URL",),  # holds a password
     )

@@ -1,1 +1,1 @@
-"""Runs: `service.py` answers calls, `dbos_queue.py` queues durably, `child.py` is the process of a run."""
+"""Runs: `service.py` answers calls, `dbos_queue.py` queues durably, `__main__.py` is the process of a run."""

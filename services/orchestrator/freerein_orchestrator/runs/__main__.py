@@ -1,4 +1,4 @@
-"""The process of a run: `python -m freerein_orchestrator.runs.child FOLDER DATA_DIR DEVICE`."""
+"""The process of a run: `python -m freerein_orchestrator.runs FOLDER DATA_DIR DEVICE`."""
 
 import os
 import sys
