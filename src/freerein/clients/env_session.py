@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from freerein.clients.channel import Channel
-from freerein.clients.sim import SimClient
+from freerein.clients.services import SimClient
 from freerein.clients.sync_client import SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
 from freerein.types.common import ActionSpec, Camera
