@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from freerein.errors import InvalidInput, ServiceError
 from freerein.serving.health import Health
 from freerein.serving.methods import InvalidMessage
-from freerein.types.common import Draining, Error
+from freerein.types.common import Draining
 from freerein.types.sim import (
     ConnectRequest,
     ConnectResponse,
@@ -14,6 +14,7 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
+from freerein_sim.workers.protocol import error_message
 
 
 class StepStream:
@@ -49,6 +50,4 @@ class StepStream:
                 return ConnectResponse(reset=await self._reset(request.reset))
             raise InvalidInput("A message must be a step or a reset; it is empty.", hint="Set one of the two.")
         except ServiceError as error:
-            return ConnectResponse(
-                error=Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
-            )
+            return ConnectResponse(error=error_message(error))

@@ -7,8 +7,7 @@ Little-endian. A reply carries the call and number of its request; an error the 
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from freerein import wire
 from freerein.errors import InvalidInput, ServiceError, TooLarge, by_code
@@ -23,27 +22,25 @@ MAX_FRAME_BYTES = 63 * 2**20
 """Frames in one reply."""
 
 REFUSED = 0
-CALLS: tuple[tuple[type[Any], type[Any]], ...] = (
-    (Error, Error),  # REFUSED; never a request
-    (sim.ListTasksRequest, sim.ListTasksResponse),
-    (sim.CreateSessionRequest, sim.CreateSessionResponse),
-    (sim.ResetRequest, sim.ResetResponse),
-    (sim.StepRequest, sim.StepResponse),
-    (sim.RenderRequest, sim.RenderResponse),
-    (sim.SnapshotRequest, sim.SnapshotResponse),
-    (sim.RestoreRequest, sim.RestoreResponse),
-    (sim.DemonstrateRequest, sim.DemonstrateResponse),  # one trajectory: the one at `first`
-    (sim.CloseSessionRequest, sim.CloseSessionResponse),
+CALLS: tuple[type[Any], ...] = (
+    Error,  # REFUSED; never a request
+    sim.ListTasksRequest,
+    sim.CreateSessionRequest,
+    sim.ResetRequest,
+    sim.StepRequest,
+    sim.RenderRequest,
+    sim.SnapshotRequest,
+    sim.RestoreRequest,
+    sim.DemonstrateRequest,  # one trajectory: the one at `first`
+    sim.CloseSessionRequest,
 )
-"""Request and response of each call."""
+"""Request of each call."""
 
-_NUMBERS = {request: number for number, (request, _) in enumerate(CALLS)}
 _HEADER = struct.Struct("<IBQ")
 HEADER_BYTES = _HEADER.size
 
 
-@dataclass(frozen=True)
-class Header:
+class Header(NamedTuple):
     """Header of a frame.
 
     Attributes:
@@ -55,11 +52,6 @@ class Header:
     length: int
     call: int
     number: int
-
-
-def call_of(request: object) -> int:
-    """Returns a request's index into `CALLS`."""
-    return _NUMBERS[type(request)]
 
 
 def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:

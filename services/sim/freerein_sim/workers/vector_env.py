@@ -55,7 +55,7 @@ class VectorEnv:
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
         self._is_reset = False
-        self._try_viewsd: set[Camera] = set()
+        self._tried_views: set[Camera] = set()
 
     def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
         """Begins new episodes.
@@ -195,12 +195,12 @@ class VectorEnv:
 
     def _try_views(self, views: Sequence[Camera]) -> None:
         """Renders each new view once, so that one that cannot be rendered is refused before a step."""
-        untried = set(views) - self._try_viewsd
+        untried = set(views) - self._tried_views
         if untried and not self._is_reset:
             self._worlds[0].reset(np.random.default_rng(0))
         for view in untried:
             self._worlds[0].render(view.name, height=view.height, width=view.width)
-        self._try_viewsd |= untried
+        self._tried_views |= untried
 
     def _restore_worlds(self, states: Sequence[bytes]) -> None:
         """Restores all worlds, or none."""

@@ -125,7 +125,7 @@ class Connection(asyncio.BufferedProtocol):
         """
         self._asked += 1
         number = self._asked
-        frame = protocol.encode(request, call=protocol.call_of(request), number=number)
+        frame = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=number)
         if self.lost.is_set():
             raise worker_lost()
         answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
