@@ -19,10 +19,6 @@ def make_demonstration(world: World, request: DemonstrateRequest) -> Demonstrate
     """Returns trajectory `first` of a request.
 
     It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
-
-    Raises:
-        InvalidInput: Unknown skill or camera, or impossible bounds.
-        FailedPrecondition: The expert failed in every try.
     """
     views = _views(world.spec, request)
     skills = _skills(world.spec, request)

@@ -39,8 +39,10 @@ class RequestHandler:
 
     def close(self) -> None:
         """Frees every world."""
-        for opened in (*self._sessions.values(), *self._demonstration_worlds.values()):
-            opened.close()
+        for envs in self._sessions.values():
+            envs.close()
+        for world in self._demonstration_worlds.values():
+            world.close()
 
     def _answer(self, request: object) -> object:
         response: object

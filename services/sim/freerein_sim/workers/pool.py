@@ -33,11 +33,7 @@ class WorkerPool:
             self._idle.put_nowait(slot)
 
     async def start(self) -> None:
-        """Starts the workers that hold sessions, and waits until they answer.
-
-        Raises:
-            WorkerLost: One cannot start.
-        """
+        """Starts the workers that hold sessions, and waits until they answer. Raises WorkerLost if one cannot start."""
         try:
             workers = await asyncio.gather(*(slot.fill() for slot in self._slots))
         except WorkerLost:
@@ -49,20 +45,14 @@ class WorkerPool:
     async def place(self, num_envs: int) -> Worker:
         """Returns the worker with the least load and adds `num_envs` to it; the caller subtracts it again.
 
-        Raises:
-            WorkerLost: A worker died and cannot be restarted.
+        Raises WorkerLost if a worker died and cannot be restarted.
         """
         worker = await min(self._slots, key=lambda slot: slot.load).fill()
         worker.load += num_envs
         return worker
 
     async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns the trajectory at index `first` of the request; cancelling a queued call drops it.
-
-        Raises:
-            WorkerLost: Its worker died.
-            ServiceError: The worker refused the request.
-        """
+        """Returns trajectory `first` of the request, as `Worker.call`; cancelling a queued call drops it."""
         slot = await self._idle.get()
         slot.demonstrating = asyncio.create_task(self._demonstrate(slot, request))
         return await asyncio.shield(slot.demonstrating)  # completed even if the caller is cancelled

@@ -55,22 +55,14 @@ class Header(NamedTuple):
 
 
 def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:
-    """Returns a dataclass as (header, message).
-
-    Raises:
-        TooLarge: The message is longer than `MAX_MESSAGE_BYTES`.
-    """
+    """Returns a dataclass as (header, message). Raises TooLarge above `MAX_MESSAGE_BYTES`."""
     body = wire.pack(message).SerializeToString()
     _check_length(len(body))
     return _HEADER.pack(len(body), call, number), body
 
 
 def decode_header(data: bytes | bytearray) -> Header:
-    """Returns the header of `HEADER_BYTES` bytes.
-
-    Raises:
-        TooLarge: It announces more than `MAX_MESSAGE_BYTES`; nothing is allocated.
-    """
+    """Returns the header of `HEADER_BYTES` bytes. Raises TooLarge if it announces more than `MAX_MESSAGE_BYTES`."""
     header = Header(*_HEADER.unpack(data))
     _check_length(header.length)
     return header
@@ -104,9 +96,6 @@ def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: 
         height: Frame height in pixels; 0 means the cameras' own.
         width: Frame width in pixels; 0 means the cameras' own.
         images: Greatest number of images per camera in the reply.
-
-    Raises:
-        InvalidInput: The frames are too large.
     """
     if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
         raise InvalidInput(

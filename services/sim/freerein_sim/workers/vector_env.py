@@ -58,16 +58,12 @@ class VectorEnv:
         self._tried_views: set[Camera] = set()
 
     def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
-        """Begins new episodes.
+        """Begins new episodes; the first reset must be of all environments.
 
         Args:
             envs: Indices of environments; empty for all.
             seed: Re-seeds all generators first; None keeps them.
             cameras: Cameras to render.
-
-        Raises:
-            InvalidInput: Unknown environment or camera, or a repeated environment.
-            FailedPrecondition: The first reset is not of all environments.
         """
         chosen = self._chosen(envs)
         views = self._cameras(cameras)
@@ -85,10 +81,6 @@ class VectorEnv:
         Args:
             actions: float32 or int64 (N, size), matching the task's action spec.
             cameras: Cameras to render.
-
-        Raises:
-            InvalidInput: The actions do not match the spec, or unknown camera.
-            FailedPrecondition: There was no reset yet.
         """
         self._check_reset("Step")
         check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
@@ -116,23 +108,13 @@ class VectorEnv:
         )
 
     def render(self, cameras: Sequence[str] = (), *, height: int = 0, width: int = 0) -> RenderResponse:
-        """Returns the current frames; no cameras means all, a size of 0 the session's.
-
-        Raises:
-            InvalidInput: Unknown camera, or unsupported size.
-            FailedPrecondition: There was no reset yet.
-        """
+        """Returns the current frames; no cameras means all, a size of 0 the session's."""
         self._check_reset("Render")
         names = cameras or [camera.name for camera in self.task.spec.cameras]
         return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
 
     def snapshot(self) -> bytes:
-        """Returns the complete state; after `restore` the same actions give the same bits.
-
-        Raises:
-            FailedPrecondition: There was no reset yet.
-            Unimplemented: The task's worlds have no exact snapshots.
-        """
+        """Returns the complete state; after `restore` the same actions give the same bits."""
         self._check_snapshots()
         self._check_reset("Snapshot")
         states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
@@ -140,13 +122,7 @@ class VectorEnv:
         return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
 
     def restore(self, snapshot: bytes) -> None:
-        """Restores a snapshot.
-
-        Raises:
-            InvalidInput: The bytes are not a snapshot.
-            FailedPrecondition: It has another task, number of environments or build.
-            Unimplemented: The task's worlds have no exact snapshots.
-        """
+        """Restores a snapshot of the same task, build and number of environments."""
         self._check_snapshots()
         state = snapshots.decode(snapshot)
         self._check_compatible(state)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freerein.types.common import ActionSpec
 from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
 
 
@@ -41,15 +40,10 @@ def record_episode(
 ) -> RecordedEpisode:
     """Runs a policy from the current state until it finishes, the episode terminates or `max_steps` is reached.
 
-    Args:
-        world: Already reset, with `skills` as its recipe.
-        policy: Chooses the actions.
-        skills: Skills that the policy was asked to execute, in order.
-        cameras: Cameras to record.
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        max_steps: Greatest number of timesteps.
+    The world must have been reset with `skills`, those that the policy was asked to execute in order, as its recipe.
+    `height` and `width` are in pixels.
     """
+    action = world.spec.action
     frames: dict[str, list[Frame]] = {camera: [] for camera in cameras}
     actions: list[Action] = []
     labels: list[int] = []
@@ -63,9 +57,10 @@ def record_episode(
         diverged = result.diverged
         if result.terminated:
             break
+    joined = np.array(actions, np.int64) if action.choices else np.array(actions, np.float32)
     return RecordedEpisode(
         frames={camera: _stack(world, camera, seen, height, width) for camera, seen in frames.items()},
-        actions=_join(world.spec.action, actions),
+        actions=joined.reshape(-1, action.size),
         labels=np.array(labels, np.int64),
         skills=tuple(skills),
         success=policy.succeeded() and not diverged,
@@ -75,9 +70,3 @@ def record_episode(
 def _stack(world: World, camera: str, seen: Sequence[Frame], height: int, width: int) -> npt.NDArray[np.uint8]:
     channels = next(each.channels for each in world.spec.cameras if each.name == camera)
     return np.array(seen, np.uint8).reshape(-1, height, width, channels)
-
-
-def _join(spec: ActionSpec, actions: Sequence[Action]) -> Action:
-    if spec.choices:
-        return np.array(actions, np.int64).reshape(-1, spec.size)
-    return np.array(actions, np.float32).reshape(-1, spec.size)

@@ -48,12 +48,7 @@ class WorldSpec:
 
 @dataclass(frozen=True)
 class StepResult:
-    """Result of one step.
-
-    Attributes:
-        terminated: Whether the episode terminated. Truncation is up to the caller.
-        diverged: Whether the simulation diverged; `terminated` is then true, too.
-    """
+    """Whether the episode terminated, and because the simulation diverged; truncation is up to the caller."""
 
     terminated: bool
     diverged: bool = False
@@ -76,12 +71,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, eq=False)
 class LabelledAction:
-    """Action of one timestep and the skill that it belongs to.
-
-    Attributes:
-        action: The action.
-        skill: Index of the skill, or `NO_SKILL`.
-    """
+    """Action of one timestep and the index of the skill that it belongs to, or `NO_SKILL`."""
 
     action: Action
     skill: int
@@ -196,11 +186,7 @@ class TaskDefinition:
 
 
 def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
-    """Checks one action, or a batch of actions of shape (*batch, A).
-
-    Raises:
-        InvalidInput: The dtype, shape or values do not match the spec.
-    """
+    """Raises InvalidInput where one action, or a batch of shape (*batch, A), does not match the spec."""
     dtype = np.dtype(np.int64 if spec.choices else np.float32)
     low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
     shape = (*batch, spec.size)
@@ -218,11 +204,7 @@ def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[i
 
 
 def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Camera:
-    """Returns the camera of that name.
-
-    Raises:
-        InvalidInput: Unknown camera, or size out of bounds.
-    """
+    """Returns the camera of that name. Raises InvalidInput where it is unknown, or the size out of bounds."""
     found = next((each for each in spec.cameras if each.name == camera), None)
     if found is None:
         names = ", ".join(each.name for each in spec.cameras)
@@ -236,11 +218,7 @@ def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Came
 
 
 def skill_indices(spec: WorldSpec, skills: Sequence[str]) -> tuple[int, ...]:
-    """Returns the indices of skills in the spec.
-
-    Raises:
-        InvalidInput: Unknown skill.
-    """
+    """Returns the indices of skills in the spec. Raises InvalidInput where one is unknown."""
     missing = sum(skill not in spec.skills for skill in skills)
     if missing:
         raise InvalidInput(
