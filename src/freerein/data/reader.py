@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from freerein.data import layout, lerobot, meta
-from freerein.data.cache import ActionCache, FrameCache, open_or_build
+from freerein.data.cache import StepCache, open_or_build
 from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, read_rows
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
@@ -90,7 +90,7 @@ class Dataset:
         hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
-    def cached_frames(self, camera: str) -> FrameCache:
+    def cached_frames(self, camera: str) -> StepCache[np.uint8]:
         """Returns one camera's frames of all trajectories, decoded once and mapped into memory.
 
         Raises:
@@ -113,7 +113,7 @@ class Dataset:
             parts=parts,
         )
 
-    def cached_actions(self) -> ActionCache:
+    def cached_actions(self) -> StepCache[np.float32] | StepCache[np.int64]:
         """Returns the actions of all trajectories, read once and mapped into memory.
 
         Raises:
@@ -123,7 +123,7 @@ class Dataset:
         parts = (self.actions(index) for index in range(len(self)))
         shape, dtype = (self.spec.action.size,), self.spec.action_dtype
         cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
-        return cast(ActionCache, cache)
+        return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 
     def _rows(self, index: int, columns: list[str]) -> pa.Table:
         rows = read_rows(self._path(self._places[index]), index=index, columns=columns)
