@@ -46,12 +46,8 @@ class Dataset:
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
         self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in table["tasks"].to_pylist())
-        self._places = [
-            (int(chunk), int(file))
-            for chunk, file in zip(
-                table["data/chunk_index"].to_numpy(), table["data/file_index"].to_numpy(), strict=True
-            )
-        ]
+        chunks, files = table["data/chunk_index"].to_pylist(), table["data/file_index"].to_pylist()
+        self._places = list(zip(chunks, files, strict=True))
         self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
 
     def __len__(self) -> int:
@@ -66,9 +62,8 @@ class Dataset:
         """
         index = range(len(self))[index]
         rows = self._rows(index, [*self._keys.values(), "action"])
-        frames = {camera: self._frames(rows, camera) for camera in self._keys}
         return Trajectory(
-            frames=frames,
+            frames={camera: self._frames(rows, camera) for camera in self._keys},
             actions=decode_actions(rows, self.spec),
             skills=self.skills[index],
             goal_text=self.goal_texts[index],
@@ -104,14 +99,8 @@ class Dataset:
                 hint="Choose a camera that the dataset has.",
             )
         parts = (self._frames(self._rows(index, [self._keys[camera]]), camera) for index in range(len(self)))
-        size = self.spec.cameras[camera]
-        return open_or_build(
-            self._cache_file(f"frames-{camera}"),
-            dtype=np.dtype(np.uint8),
-            shape=size,
-            lengths=self.lengths,
-            parts=parts,
-        )
+        path, shape = self._cache_file(f"frames-{camera}"), self.spec.cameras[camera]
+        return open_or_build(path, dtype=np.dtype(np.uint8), shape=shape, lengths=self.lengths, parts=parts)
 
     def cached_actions(self) -> StepCache[np.float32] | StepCache[np.int64]:
         """Returns the actions of all trajectories, read once and mapped into memory.

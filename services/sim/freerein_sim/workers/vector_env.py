@@ -27,12 +27,7 @@ class VectorEnv:
         privileged: Whether replies hold `Truth`.
 
     Attributes:
-        task: The task.
-        num_envs: N.
         step_id: Steps made in total; not changed by `reset`, set by `restore`.
-
-    Raises:
-        InvalidInput: Unsupported frame size.
     """
 
     def __init__(
