@@ -46,18 +46,9 @@ def _act(
         world.reset(rng, recipe=chosen)
         policy = world.expert(chosen, rng)
     else:
-        chosen = []
         world.reset(rng)
         policy = SmoothRandomPolicy(world.spec.action, rng)
-    return record_episode(
-        world,
-        policy,
-        skills=chosen,
-        cameras=[view.name for view in views],
-        height=views[0].height,
-        width=views[0].width,
-        max_steps=world.spec.max_episode_steps,
-    )
+    return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
 
 
 def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
