@@ -21,10 +21,7 @@ class Session:
     """An open session.
 
     Attributes:
-        id: 32 hexadecimal digits.
         request: The request that created it, with its defaults filled in.
-        task: Its task.
-        worker: The worker process that holds its environments.
         expires_at: End of its lease, on the service's clock.
         step_id: Number of steps made.
         last_step: Request and response of the last step, to answer its repetition.

@@ -41,13 +41,7 @@ HEADER_BYTES = _HEADER.size
 
 
 class Header(NamedTuple):
-    """Header of a frame.
-
-    Attributes:
-        length: Bytes of the message.
-        call: Index into `CALLS`.
-        number: Request number, counted by the sender.
-    """
+    """Header of a frame: bytes of the message, index into `CALLS`, and number of the request."""
 
     length: int
     call: int
@@ -90,12 +84,7 @@ def error_from(message: Error) -> ServiceError:
 def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: int, images: int) -> None:
     """Checks the size of a reply before anything is rendered. Ignores unknown cameras: the worker refuses them.
 
-    Args:
-        task: The task.
-        cameras: Requested cameras.
-        height: Frame height in pixels; 0 means the cameras' own.
-        width: Frame width in pixels; 0 means the cameras' own.
-        images: Greatest number of images per camera in the reply.
+    A height or width of 0 means the cameras' own; `images` is the greatest number of images per camera in the reply.
     """
     if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
         raise InvalidInput(

@@ -98,11 +98,7 @@ class Worker:
 
 
 class Connection(asyncio.BufferedProtocol):
-    """The service's end of the socket: calls in flight by number, and the frame being received.
-
-    Attributes:
-        lost: Set when the connection is lost.
-    """
+    """The service's end of the socket: calls in flight by number, and the frame being received."""
 
     def __init__(self) -> None:
         self.lost = asyncio.Event()
