@@ -10,7 +10,7 @@ from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
 from freerein.types.common import Camera
 from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import TaskDefinition, check_actions, check_view
+from freerein_sim.worlds.world import TaskDefinition, check_actions, sized_cameras
 
 
 class VectorEnv:
@@ -153,16 +153,10 @@ class VectorEnv:
             success=np.array([truth.success for truth in truths], np.bool_),
         )
 
-    def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> list[Camera]:
+    def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> tuple[Camera, ...]:
         """Returns the named cameras with the size at which to render them."""
-        spec = self.task.spec
-        views = []
-        for name in dict.fromkeys(names):
-            own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
-            view = Camera(name, height or self._height or own.height, width or self._width or own.width, own.channels)
-            check_view(spec, name, height=view.height, width=view.width)
-            views.append(view)
-        return views
+        height, width = height or self._height, width or self._width
+        return sized_cameras(self.task.spec, names, height=height, width=width)
 
     def _try_views(self, views: Sequence[Camera]) -> None:
         """Renders each new view once, so that one that cannot be rendered is refused before a step."""

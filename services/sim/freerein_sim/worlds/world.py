@@ -1,6 +1,6 @@
 """The `World` protocol: one simulated environment that can be reset, stepped, rendered and snapshotted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -203,18 +203,30 @@ def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[i
     )
 
 
-def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Camera:
-    """Returns the camera of that name. Raises InvalidInput where it is unknown, or the size out of bounds."""
-    found = next((each for each in spec.cameras if each.name == camera), None)
-    if found is None:
-        names = ", ".join(each.name for each in spec.cameras)
-        raise InvalidInput(f"Expected one of the cameras {names}; got another name.", field="camera")
+def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> None:
+    """Raises InvalidInput where the camera is unknown, or the size out of bounds."""
+    names = [each.name for each in spec.cameras]
+    if camera not in names:
+        raise InvalidInput(f"Expected one of the cameras {', '.join(names)}; got another name.", field="camera")
     if not (1 <= height <= spec.max_size and 1 <= width <= spec.max_size):
         raise InvalidInput(
             f"Frames are 1 to {spec.max_size} pixels high and wide; got {height} x {width}.",
             field="height" if not 1 <= height <= spec.max_size else "width",
         )
-    return found
+
+
+def sized_cameras(spec: WorldSpec, names: Iterable[str], *, height: int, width: int) -> tuple[Camera, ...]:
+    """Returns the named cameras, each once, with the frame size to render; 0 means the camera's own.
+
+    Raises InvalidInput as `check_view`.
+    """
+    sized = []
+    for name in dict.fromkeys(names):
+        own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
+        camera = Camera(name, height or own.height, width or own.width, own.channels)
+        check_view(spec, name, height=camera.height, width=camera.width)
+        sized.append(camera)
+    return tuple(sized)
 
 
 def skill_indices(spec: WorldSpec, skills: Sequence[str]) -> tuple[int, ...]:
