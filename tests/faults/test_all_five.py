@@ -29,7 +29,7 @@ from freerein.clients import (
     SegmentationClient,
     SimClient,
 )
-from freerein.clients.channel import Client
+from freerein.clients.rpc import Client
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetRunRequest, StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest

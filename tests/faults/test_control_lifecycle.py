@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.clients import Channel, ImitationClient
-from freerein.clients.learning import ModelClient
+from freerein.clients import Channel, ImitationClient, ModelClient
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef

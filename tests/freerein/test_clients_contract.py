@@ -1,8 +1,8 @@
 """The clients against the contract: every call is there, and its retries were thought about."""
 
-import inspect
 import re
 
+from freerein import wire
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.api.learning.v1 import learning_pb2
 from freerein.api.orchestrator.v1 import orchestrator_pb2
@@ -19,6 +19,7 @@ from freerein.clients import (
     SimClient,
     retry_policy,
 )
+from freerein.clients.rpc import Rpc, ServerStreamRpc, StreamRpc, UnaryRpc
 
 CLIENTS = (
     SegmentationClient,
@@ -40,8 +41,16 @@ def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
     services = {service.name.removesuffix("Service"): service for service in SERVICES}
     for client in CLIENTS:
         calls = services[client.__name__.removesuffix("Client")].methods_by_name
-        methods = {name for name in vars(client) if inspect.isfunction(vars(client)[name])}
-        assert methods == {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", call).lower() for call in calls}
+        methods = {name: rpc for name, rpc in vars(client).items() if isinstance(rpc, Rpc)}
+        assert set(methods) == {re.sub(r"(?<=[a-z])(?=[A-Z])", "_", call).lower() for call in calls}
+        for name, rpc in methods.items():
+            assert rpc.descriptor in calls.values()
+            assert rpc.descriptor.name.lower() == name.replace("_", "")
+            assert rpc.descriptor.output_type is wire.descriptor_of(rpc.response)
+            kind = rpc.descriptor.client_streaming, rpc.descriptor.server_streaming
+            assert (
+                type(rpc) is {(False, False): UnaryRpc, (False, True): ServerStreamRpc, (True, True): StreamRpc}[kind]
+            )
 
 
 def test_every_call_is_idempotent_or_known_not_to_be() -> None:

@@ -32,10 +32,7 @@ def begin(name: str, seed: int = 0) -> World:
 def show(world: World, seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
     rng = np.random.default_rng(seed)
     world.reset(rng, recipe=skills)
-    steps = world.spec.max_episode_steps
-    return record_episode(
-        world, world.expert(skills, rng), skills=skills, cameras=(), height=1, width=1, max_steps=steps
-    )
+    return record_episode(world, world.expert(skills, rng), cameras=(), max_steps=world.spec.max_episode_steps)
 
 
 def tamper(world: World, offset: int, value: float) -> bytes:

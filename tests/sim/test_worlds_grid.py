@@ -24,9 +24,7 @@ def cell(world: GridWorld, row: int, column: int) -> list[int]:
 def show(seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
     world, rng = GridWorld(indicator=True), np.random.default_rng(seed)
     world.reset(rng, recipe=skills)
-    return record_episode(
-        world, world.expert(skills, rng), skills=skills, cameras=("top",), height=33, width=30, max_steps=50
-    )
+    return record_episode(world, world.expert(skills, rng), cameras=SPEC.cameras, max_steps=50)
 
 
 def test_moves_go_one_cell_and_stop_at_the_edge() -> None:

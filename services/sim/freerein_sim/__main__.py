@@ -20,7 +20,7 @@ def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Heal
     check_mujoco_gl()
     pool = WorkerPool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
     core = SimCore(pool, max_sessions=settings.sim_sessions)
-    step_stream = StepStream(core.step, core.reset, health=health, drain_s=limits.drain_s)
+    step_stream = StepStream(core, health, limits.drain_s)
     return Service(
         name=NAME,
         methods=methods_of(sim_pb2.DESCRIPTOR.services_by_name["SimService"], core, step_stream),

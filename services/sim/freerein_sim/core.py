@@ -60,19 +60,12 @@ class SimCore:
         return len(self._sessions)
 
     async def start(self) -> None:
-        """Starts the workers, and the task that closes expired sessions.
-
-        Raises:
-            WorkerLost: A worker cannot start.
-        """
+        """Starts the workers, and the task that closes expired sessions. Raises WorkerLost if a worker cannot start."""
         await self._pool.start()
         self._reaper = asyncio.create_task(self._reap_periodically())
 
     async def drain(self) -> None:
-        """Refuses new sessions and demonstrations, and returns when the calls in flight have finished.
-
-        Open sessions go on, so that clients can take snapshots.
-        """
+        """Refuses new sessions and demonstrations, and waits for the calls in flight; open sessions go on."""
         self._draining = True
         if self._in_flight:
             await asyncio.wait(set(self._in_flight))
@@ -90,16 +83,8 @@ class SimCore:
         return sim.ListTasksResponse(tuple(self._tasks().values()))
 
     async def create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        """Creates a session, or returns the one created with the same idempotency key.
-
-        Raises:
-            InvalidInput: A value is out of range.
-            NotFound: There is no such task.
-            AlreadyExists: The key was used with another request.
-            Overloaded: The session limit is reached.
-            Unavailable: The service is stopping.
-        """
-        self._check_serving()
+        """Creates a session, or returns the one created with the same idempotency key."""
+        self._check_not_draining()
         earlier, making = self._created.get(request.idempotency_key, (request, None))
         if earlier != request:
             raise AlreadyExists(
@@ -125,11 +110,7 @@ class SimCore:
         return await self._exclusively(request.session, work)
 
     async def step(self, request: sim.StepRequest) -> sim.StepResponse:
-        """Steps every environment once, as `VectorEnv.step`; repeating the last step returns its recorded response.
-
-        Raises:
-            StepOutOfOrder: `step_id` is neither the next nor the last, or the last step differed.
-        """
+        """Steps every environment once, as `VectorEnv.step`; repeating the last step returns its recorded response."""
 
         async def work(session: Session) -> sim.StepResponse:
             response = session.recorded_response(request)
@@ -168,14 +149,7 @@ class SimCore:
         return await self._exclusively(request.session, work)
 
     async def demonstrate(self, request: sim.DemonstrateRequest) -> AsyncIterator[sim.DemonstrateResponse]:
-        """Yields trajectories in order, computed a few ahead; closing the iterator cancels the rest.
-
-        Raises:
-            InvalidInput: Unknown skill or camera, or a value out of range.
-            NotFound: There is no such task.
-            FailedPrecondition: The expert failed repeatedly.
-            Unavailable: The service is stopping.
-        """
+        """Yields trajectories in order, computed a few ahead; closing the iterator cancels the rest."""
         task = self._task(request.task)
         if not (1 <= request.count <= MAX_COUNT and request.first <= request.count):
             raise InvalidInput(
@@ -187,7 +161,7 @@ class SimCore:
         making: deque[asyncio.Task[sim.DemonstrateResponse]] = deque()
         try:
             for index in range(request.first, request.count):
-                self._check_serving()
+                self._check_not_draining()
                 making.append(asyncio.create_task(self._pool.demonstrate(replace(request, first=index))))
                 if len(making) == self._pool.demonstrators:
                     yield await making.popleft()
@@ -216,36 +190,32 @@ class SimCore:
             self._run(_close_quietly(session))
 
     async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
+        worker = None
+        self._creating += 1
         try:
-            self._check_quota()
-            self._creating += 1
-            try:
-                return await self._place(request)
-            finally:
-                self._creating -= 1
-        except BaseException:
-            self._created.pop(request.idempotency_key, None)
-            raise
-
-    async def _place(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        worker = await self._pool.place(request.num_envs)
-        try:
+            if len(self._sessions) + self._creating > self._max_sessions:
+                raise Overloaded(
+                    f"At most {self._max_sessions} sessions may be open at once; the limit is reached.",
+                    hint="Close one, or wait until a lease ends.",
+                )
+            worker = await self._pool.place(request.num_envs)
             response = await worker.call(request, sim.CreateSessionResponse)
         except BaseException:
-            worker.load -= request.num_envs
+            self._created.pop(request.idempotency_key, None)
+            if worker is not None:
+                worker.load -= request.num_envs
             raise
+        finally:
+            self._creating -= 1
         expires_at = self._clock() + request.lease_s
         self._sessions[response.session] = Session(response.session, request, response.task, worker, expires_at)
         return response
 
     async def _exclusively(self, session_id: str, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
-        """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled.
-
-        Raises:
-            SessionNotFound: Unknown session, or it ended while the call waited.
-            WorkerLost: Its worker died.
-        """
-        session = self._find(session_id)
+        """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled."""
+        session = self._sessions.get(session_id)
+        if session is None or self._has_expired(session):
+            raise session_not_found()
         self._renew(session_id)
         await session.lock.acquire()
         return await asyncio.shield(self._run(self._work(session, work)))
@@ -275,12 +245,6 @@ class SimCore:
             self._created.pop(session.request.idempotency_key, None)
             session.worker.load -= session.request.num_envs
 
-    def _find(self, session_id: str) -> Session:
-        session = self._sessions.get(session_id)
-        if session is None or self._has_expired(session):
-            raise session_not_found()
-        return session
-
     def _renew(self, session_id: str) -> None:
         if (session := self._sessions.get(session_id)) is not None:
             session.expires_at = self._clock() + session.request.lease_s
@@ -303,14 +267,7 @@ class SimCore:
             raise Unavailable("The workers are still starting.", hint="Try again in a second.")
         return self._pool.tasks
 
-    def _check_quota(self) -> None:
-        if len(self._sessions) + self._creating >= self._max_sessions:
-            raise Overloaded(
-                f"At most {self._max_sessions} sessions may be open at once; the limit is reached.",
-                hint="Close one, or wait until a lease ends.",
-            )
-
-    def _check_serving(self) -> None:
+    def _check_not_draining(self) -> None:
         if self._draining:
             raise Unavailable("The service is about to stop.", hint="Ask another replica, or try again later.")
 

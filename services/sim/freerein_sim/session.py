@@ -21,10 +21,7 @@ class Session:
     """An open session.
 
     Attributes:
-        id: 32 hexadecimal digits.
         request: The request that created it, with its defaults filled in.
-        task: Its task.
-        worker: The worker process that holds its environments.
         expires_at: End of its lease, on the service's clock.
         step_id: Number of steps made.
         last_step: Request and response of the last step, to answer its repetition.
@@ -46,11 +43,7 @@ class Session:
         check_frames(self.task, cameras, height=height, width=width, images=times * self.request.num_envs)
 
     def recorded_response(self, request: sim.StepRequest) -> sim.StepResponse | None:
-        """Returns the response to the last step if this repeats it, None if this is the next step.
-
-        Raises:
-            StepOutOfOrder: `step_id` is neither the last nor the next, or the last step differed.
-        """
+        """Returns the response to the last step if this repeats it, None if this is the next step."""
         if self.last_step is not None and request.step_id == self.step_id:
             last, response = self.last_step
             if not _is_repeated(request, last):
@@ -70,11 +63,7 @@ class Session:
 
 
 def with_defaults(request: sim.CreateSessionRequest, task: sim.Task) -> sim.CreateSessionRequest:
-    """Returns the request with its defaults filled in.
-
-    Raises:
-        InvalidInput: A value is out of range.
-    """
+    """Returns the request with its defaults filled in, after checking its values."""
     check_frames(task, (), height=request.height, width=request.width, images=0)
     num_envs, lease_s = request.num_envs or 1, request.lease_s or DEFAULT_LEASE_S
     if not 1 <= num_envs <= MAX_ENVS:

@@ -6,7 +6,8 @@ from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
-from freerein.clients.channel import Channel, Client
+from freerein.clients.channel import Channel
+from freerein.clients.rpc import Client
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)

@@ -16,7 +16,7 @@ from freerein.types.jobs import MetricRow
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from freerein.clients.channel import Client
+    from freerein.clients.rpc import Client
     from freerein.types.learning import Fit
     from freerein.types.orchestrator import Run
 

@@ -5,11 +5,11 @@ Its methods are the service's RPCs; they take and return dataclasses of `freerei
 """
 
 from freerein.clients.channel import Channel as Channel
-from freerein.clients.imitation import ImitationClient as ImitationClient
-from freerein.clients.learning import FitClient as FitClient
-from freerein.clients.learning import ModelClient as ModelClient
-from freerein.clients.orchestrator import OrchestratorClient as OrchestratorClient
-from freerein.clients.reward import RewardClient as RewardClient
-from freerein.clients.segmentation import SegmentationClient as SegmentationClient
-from freerein.clients.sim import SimClient as SimClient
+from freerein.clients.services import FitClient as FitClient
+from freerein.clients.services import ImitationClient as ImitationClient
+from freerein.clients.services import ModelClient as ModelClient
+from freerein.clients.services import OrchestratorClient as OrchestratorClient
+from freerein.clients.services import RewardClient as RewardClient
+from freerein.clients.services import SegmentationClient as SegmentationClient
+from freerein.clients.services import SimClient as SimClient
 from freerein.clients.sync_client import SyncClient as SyncClient

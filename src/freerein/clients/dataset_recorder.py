@@ -17,8 +17,6 @@ from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
 from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
-_REQUEST_FILE = "recording.json"
-
 
 class DatasetRecorder:
     """Writes the demonstrations of a request into a dataset, each once; a context manager.
@@ -61,11 +59,7 @@ class DatasetRecorder:
         self._writer.append(demonstration.trajectory, demonstration.labels if self._request.privileged else None)
 
     def check_complete(self) -> None:
-        """Checks that a stream that ended without an error was complete.
-
-        Raises:
-            Unavailable: It was not.
-        """
+        """Raises Unavailable where a stream ended without an error, but too early."""
         if not self.is_complete:
             raise Unavailable(
                 "The stream of demonstrations must be whole; it ended early.", hint="Record again to go on."
@@ -93,14 +87,15 @@ def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) ->
     """
     writer = open_writer(root) if root.exists() else create(root, spec)
     try:
-        earlier = _earlier_request(root)
+        path = root / "recording.json"
+        earlier = json.loads(path.read_bytes()) if path.is_file() else None
         if len(writer) and earlier != request:
             raise FailedPrecondition(
                 "A recording can be resumed only with its own request; this dataset was recorded with another.",
                 hint="Choose another name for the dataset, or ask for the same with a larger count.",
             )
         if earlier != request:
-            write_atomic(root / _REQUEST_FILE, json.dumps(request).encode())
+            write_atomic(path, json.dumps(request).encode())
     except BaseException:
         writer.close()
         raise
@@ -136,8 +131,3 @@ def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: in
         skills=task.skills,
         task=task.goal_text or task.name,
     )
-
-
-def _earlier_request(root: Path) -> object:
-    path = root / _REQUEST_FILE
-    return json.loads(path.read_bytes()) if path.is_file() else None

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
 from freerein.clients.channel import Channel
-from freerein.clients.sim import SimClient
+from freerein.clients.services import SimClient
 from freerein.clients.sync_client import SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
 from freerein.types.common import ActionSpec, Camera
@@ -29,25 +29,70 @@ from freerein.types.sim import (
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, Pixels]
 
-CLOSE_TIMEOUT_S = 2.0
+_LEASE_S = 600.0
+_CLOSE_TIMEOUT_S = 2.0
+
+
+class SessionOptions(TypedDict, total=False):
+    """Keyword arguments of both environments.
+
+    Attributes:
+        cameras: Cameras to observe; empty for the task's first. One camera: Box; several: Dict.
+        height: Frame height in pixels; 0 means the cameras' own.
+        width: Frame width in pixels; 0 means the cameras' own.
+        privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
+            `success` of each step, and of resets that begin an episode.
+        lease_s: Time without a call after which the service ends the session, in seconds; at most 3600, default 600.
+        render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
+        token: Bearer token; empty for none.
+        root_certificates: PEM root certificates for TLS; None for no TLS.
+    """
+
+    cameras: Sequence[str]
+    height: int
+    width: int
+    privileged: bool
+    lease_s: float
+    render_mode: str | None
+    token: str
+    root_certificates: bytes | None
 
 
 class EnvSession:
-    """A session of the sim service.
-
-    Args:
-        channel: The connection to the sim service; closed with the session.
-        request: The session to create.
-        cameras: Cameras to observe; empty for the task's first.
+    """A session of the sim service, with a connection of its own.
 
     Attributes:
         task: The task.
         observation_space: Of one environment: Box uint8 (H, W, C), or a Dict of Boxes for several cameras.
         action_space: Of one environment: Box float32 (A,) in [-1, 1], or Discrete.
+        metadata: Gymnasium's `render_modes` and `render_fps`.
     """
 
-    def __init__(self, channel: Channel, request: CreateSessionRequest, *, cameras: Sequence[str]) -> None:
-        self._sim = SyncClient(SimClient(channel))
+    def __init__(
+        self,
+        task: str,
+        address: str,
+        *,
+        num_envs: int = 1,
+        cameras: Sequence[str] = (),
+        height: int = 0,
+        width: int = 0,
+        privileged: bool = False,
+        lease_s: float = _LEASE_S,
+        render_mode: str | None = None,
+        token: str = "",
+        root_certificates: bytes | None = None,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise InvalidInput(
+                "`render_mode` must be None or rgb_array; got another one.",
+                field="render_mode",
+                hint="Ask for rgb_array.",
+            )
+        self._sim = SyncClient(SimClient(Channel(address, token=token, root_certificates=root_certificates)))
+        request = CreateSessionRequest(
+            task, num_envs, lease_s=lease_s, height=height, width=width, privileged=privileged
+        )
         with ExitStack() as on_error:
             on_error.callback(self._sim.close)
             created: CreateSessionResponse = self._sim.create_session(request)
@@ -56,8 +101,9 @@ class EnvSession:
             self.task: Task = created.task
             self._step_id = 0
             self._cameras = tuple(cameras) or (self.task.cameras[0].name,)
-            self.observation_space = _observation_space(self.task, self._cameras, request.height, request.width)
+            self.observation_space = _observation_space(self.task, self._cameras, height, width)
             self.action_space = _action_space(self.task.action)
+            self.metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1.0 / self.task.control_dt_s}
             on_error.pop_all()
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
@@ -89,15 +135,21 @@ class EnvSession:
         copies = {camera: np.array(frames[camera]) for camera in self._cameras}
         return copies if len(copies) > 1 else copies[self._cameras[0]]
 
-    def rgb_frames(self, frames: Mapping[str, Pixels]) -> Pixels:
-        """Returns the first camera's frames as RGB (..., H, W, 3)."""
+    def rgb_frames(self, frames: Mapping[str, Pixels] | None) -> Pixels:
+        """Returns the first camera's frames as RGB (..., H, W, 3).
+
+        Raises:
+            FailedPrecondition: There are none yet.
+        """
+        if frames is None:
+            raise FailedPrecondition("`render` needs an episode; none was begun.", hint="Call reset() first.")
         pixels = frames[self._cameras[0]]
         return np.repeat(pixels, 3, axis=-1) if pixels.shape[-1] == 1 else np.array(pixels)
 
     def close(self) -> None:
         """Closes the session and the channel; may be called twice."""
         with suppress(ServiceError):  # if this fails, the session ends with its lease
-            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=CLOSE_TIMEOUT_S)
+            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
         self._sim.close()
 
     def _encoded(self, actions: npt.ArrayLike) -> npt.NDArray[Any]:

@@ -7,8 +7,7 @@ Every step is a unary call rather than a message on the stream `Connect`: up to 
 one small world), but with a deadline and with retries, which `step_id` makes safe.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -16,13 +15,9 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from freerein.clients.channel import Channel
-from freerein.clients.env_session import EnvSession, Observation, Pixels, frames_of, truth_info
+from freerein.clients.env_session import EnvSession, Observation, Pixels, SessionOptions, frames_of, truth_info
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.sim import CreateSessionRequest, Frames, StepResponse
-
-LEASE_S = 600.0
-"""Default time without a call after which the service ends the session."""
+from freerein.types.sim import Frames, StepResponse
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
@@ -36,15 +31,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
     Args:
         task: Task name.
         address: `host:port` of the sim service.
-        cameras: Cameras to observe; empty for the task's first. One camera: Box; several: Dict.
-        height: Frame height in pixels; 0 means the cameras' own.
-        width: Frame width in pixels; 0 means the cameras' own.
-        privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
-            `success` of each step, and of resets that begin an episode.
-        lease_s: Time without a call after which the service ends the session, in seconds; at most 3600.
-        render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
-        token: Bearer token; empty for none.
-        root_certificates: PEM root certificates for TLS; None for no TLS.
+        options: See `SessionOptions`.
 
     Raises:
         ServiceError: As every method: the service refused, was unreachable or did not answer in time.
@@ -52,28 +39,11 @@ class SimEnv(gymnasium.Env[Observation, Any]):
 
     metadata = _METADATA
 
-    def __init__(
-        self,
-        task: str,
-        address: str,
-        *,
-        cameras: Sequence[str] = (),
-        height: int = 0,
-        width: int = 0,
-        privileged: bool = False,
-        lease_s: float = LEASE_S,
-        render_mode: str | None = None,
-        token: str = "",
-        root_certificates: bytes | None = None,
-    ) -> None:
-        self.render_mode = _checked_render_mode(render_mode)
-        self._session = EnvSession(
-            Channel(address, token=token, root_certificates=root_certificates),
-            CreateSessionRequest(task, lease_s=lease_s, height=height, width=width, privileged=privileged),
-            cameras=cameras,
-        )
+    def __init__(self, task: str, address: str, **options: Unpack[SessionOptions]) -> None:
+        self._session = EnvSession(task, address, **options)
         self.task = self._session.task
-        self.metadata = type(self).metadata | {"render_fps": 1.0 / self.task.control_dt_s}
+        self.render_mode = options.get("render_mode")
+        self.metadata = self._session.metadata
         self.observation_space = self._session.observation_space
         self.action_space = self._session.action_space
         self._latest: dict[str, Pixels] | None = None
@@ -109,7 +79,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
 
     def render(self) -> Pixels | None:
         """Returns the first camera's latest frame, uint8 (H, W, 3); None unless `render_mode` is `rgb_array`."""
-        return _rendered(self._session, self._latest) if self.render_mode else None
+        return self._session.rgb_frames(self._latest) if self.render_mode else None
 
     def close(self) -> None:
         """Closes the session; may be called twice."""
@@ -131,30 +101,12 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
 
     metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
 
-    def __init__(
-        self,
-        task: str,
-        address: str,
-        *,
-        num_envs: int,
-        cameras: Sequence[str] = (),
-        height: int = 0,
-        width: int = 0,
-        privileged: bool = False,
-        lease_s: float = LEASE_S,
-        render_mode: str | None = None,
-        token: str = "",
-        root_certificates: bytes | None = None,
-    ) -> None:
-        self.render_mode = _checked_render_mode(render_mode)
-        self.num_envs = num_envs
-        self._session = EnvSession(
-            Channel(address, token=token, root_certificates=root_certificates),
-            CreateSessionRequest(task, num_envs, lease_s=lease_s, height=height, width=width, privileged=privileged),
-            cameras=cameras,
-        )
+    def __init__(self, task: str, address: str, *, num_envs: int, **options: Unpack[SessionOptions]) -> None:
+        self._session = EnvSession(task, address, num_envs=num_envs, **options)
         self.task = self._session.task
-        self.metadata = type(self).metadata | {"render_fps": 1.0 / self.task.control_dt_s}
+        self.num_envs = num_envs
+        self.render_mode = options.get("render_mode")
+        self.metadata = type(self).metadata | self._session.metadata
         self.single_observation_space = self._session.observation_space
         self.single_action_space = self._session.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -202,21 +154,11 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
 
     def render(self) -> tuple[Pixels, ...] | None:
         """Returns each environment's latest frame of the first camera, uint8 (H, W, 3); None without a render mode."""
-        return tuple(_rendered(self._session, self._latest)) if self.render_mode else None
+        return tuple(self._session.rgb_frames(self._latest)) if self.render_mode else None
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the session; called by `close`."""
         self._session.close()
-
-
-def _checked_render_mode(render_mode: str | None) -> str | None:
-    if render_mode not in (None, "rgb_array"):
-        raise InvalidInput(
-            "`render_mode` must be None or rgb_array; got another one.",
-            field="render_mode",
-            hint="Ask for rgb_array.",
-        )
-    return render_mode
 
 
 def _reward(reply: StepResponse) -> npt.NDArray[np.float64]:
@@ -225,12 +167,6 @@ def _reward(reply: StepResponse) -> npt.NDArray[np.float64]:
 
 def _step_info(reply: StepResponse, index: int) -> dict[str, Any]:
     return {"diverged": bool(reply.diverged[index]), **truth_info(reply.truth, index)}
-
-
-def _rendered(session: EnvSession, latest: Frames | None) -> Pixels:
-    if latest is None:
-        raise FailedPrecondition("`render` needs an episode; none was begun.", hint="Call reset() first.")
-    return session.rgb_frames(latest)
 
 
 def _masked(mask: npt.ArrayLike, num_envs: int) -> tuple[int, ...]:

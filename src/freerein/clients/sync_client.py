@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, Future
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from freerein.clients.channel import Client
+from freerein.clients.rpc import Client
 from freerein.errors import Cancelled, FailedPrecondition
 
 T = TypeVar("T")

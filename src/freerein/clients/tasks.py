@@ -6,20 +6,12 @@ from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 
 
 def find_task(sim: SyncClient, name: str, *, field: str = "config.task") -> Task:
-    """Asks the sim service for its tasks and returns the one of that name.
-
-    Raises:
-        NotFound: The sim service has no such task.
-    """
+    """Returns the sim service's task of that name. Raises NotFound if there is none."""
     return select_task(sim.list_tasks(ListTasksRequest()), name, field=field)
 
 
 def select_task(tasks: ListTasksResponse, name: str, *, field: str = "task") -> Task:
-    """Returns the task of that name.
-
-    Raises:
-        NotFound: There is none.
-    """
+    """Returns the task of that name. Raises NotFound if there is none."""
     for task in tasks.tasks:
         if task.name == name:
             return task

@@ -10,29 +10,18 @@
 `create` and `open_writer` write, `Dataset` reads; `inspect`, `verify` and `check` report on a dataset.
 """
 
-from freerein.data.cache import ActionCache, FrameCache, StepCache
-from freerein.data.checks import DatasetSummary, Problem, check, inspect, verify
-from freerein.data.layout import DatasetSpec, dataset_path, integer_fps
-from freerein.data.meta import read_teachers, save_teachers
-from freerein.data.reader import Dataset
-from freerein.data.writer import Writer, create, open_writer
-
-__all__ = [
-    "ActionCache",
-    "Dataset",
-    "DatasetSpec",
-    "DatasetSummary",
-    "FrameCache",
-    "Problem",
-    "StepCache",
-    "Writer",
-    "check",
-    "create",
-    "dataset_path",
-    "inspect",
-    "integer_fps",
-    "open_writer",
-    "read_teachers",
-    "save_teachers",
-    "verify",
-]
+from freerein.data.cache import StepCache as StepCache
+from freerein.data.checks import DatasetSummary as DatasetSummary
+from freerein.data.checks import Problem as Problem
+from freerein.data.checks import check as check
+from freerein.data.checks import inspect as inspect
+from freerein.data.checks import verify as verify
+from freerein.data.layout import DatasetSpec as DatasetSpec
+from freerein.data.layout import dataset_path as dataset_path
+from freerein.data.layout import integer_fps as integer_fps
+from freerein.data.meta import read_teachers as read_teachers
+from freerein.data.meta import save_teachers as save_teachers
+from freerein.data.reader import Dataset as Dataset
+from freerein.data.writer import Writer as Writer
+from freerein.data.writer import create as create
+from freerein.data.writer import open_writer as open_writer

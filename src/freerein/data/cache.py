@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,10 +38,6 @@ class StepCache(Generic[D]):
         return self.steps[self.offsets[index] : self.offsets[index + 1]]
 
 
-FrameCache: TypeAlias = StepCache[np.uint8]
-ActionCache: TypeAlias = StepCache[np.float32] | StepCache[np.int64]
-
-
 def open_or_build(
     path: Path,
     *,
@@ -58,17 +54,15 @@ def open_or_build(
         shape: Shape of one timestep.
         lengths: int64 (n,), timesteps of each trajectory.
         parts: The trajectories, (T, *shape) each; iterated only to build.
-
-    Raises:
-        InvalidInput: The dataset is empty.
-        FailedPrecondition: The disk is too small.
     """
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     if offsets[-1] == 0:
         raise InvalidInput("A dataset must hold a trajectory before it can be cached; it is empty.")
     if not path.is_file():
         _build(path, parts, size=int(offsets[-1]) * int(np.prod(shape)) * dtype.itemsize)
-        _delete_other_fingerprints(path.parent)
+        for other in path.parent.parent.iterdir():
+            if other != path.parent:
+                shutil.rmtree(other)
     return StepCache(np.memmap(path, dtype, mode="r", shape=(int(offsets[-1]), *shape)), offsets)
 
 
@@ -90,9 +84,3 @@ def _build(path: Path, parts: Iterable[npt.NDArray[D]], *, size: int) -> None:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
-
-
-def _delete_other_fingerprints(current: Path) -> None:
-    for state in current.parent.iterdir():
-        if state != current:
-            shutil.rmtree(state)

@@ -146,18 +146,9 @@ def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
 def _check_data_file(
     root: Path, spec: DatasetSpec, *, index: int, first_frame: int, sha256: str | None, tasks: dict[str, int]
 ) -> Row:
-    """Returns the episodes row of a data file.
+    """Returns the episodes row of a data file; raises InvalidInput where it is not the file that was recorded.
 
-    Args:
-        root: The dataset's folder.
-        spec: The dataset's spec.
-        index: Index of the trajectory.
-        first_frame: Index of its first frame in the dataset.
-        sha256: Recorded hash, None if there is none.
-        tasks: Index of each goal text so far; a new one is added.
-
-    Raises:
-        InvalidInput: The file is corrupt, holds another trajectory, or has changed.
+    `sha256` is the recorded hash, if any; `tasks` has the index of each goal text so far, and a new one is added.
     """
     path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
     described = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)

@@ -104,11 +104,7 @@ def dumps(spec: DatasetSpec) -> str:
 
 
 def loads(text: str | bytes) -> DatasetSpec:
-    """Parses JSON of `dumps`.
-
-    Raises:
-        InvalidInput: The text is not a spec.
-    """
+    """Parses JSON of `dumps`."""
     try:
         document = json.loads(text)
         action = document["action"]
@@ -135,13 +131,7 @@ def loads(text: str | bytes) -> DatasetSpec:
 
 @dataclass(frozen=True)
 class DataFile:
-    """A complete data file.
-
-    Attributes:
-        chunk: Number of the folder.
-        file: Number in the folder.
-        size: Bytes.
-    """
+    """Numbers of a complete data file's folder and of the file in it, and its size in bytes."""
 
     chunk: int
     file: int

@@ -20,12 +20,9 @@ _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_in
 
 @dataclass(frozen=True)
 class LeRobotMeta:
-    """Metadata of a dataset that another tool wrote.
+    """Metadata of a dataset that another tool wrote, and the column of the frames by camera.
 
-    Attributes:
-        spec: Properties that its trajectories share.
-        episodes: One row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks` and `skills`.
-        camera_keys: Column of the frames, by camera.
+    The episodes have one row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks`, `skills`.
     """
 
     spec: DatasetSpec

@@ -35,11 +35,7 @@ _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_inde
 
 
 class WriterLock:
-    """Held by the one process that may write to a dataset; the kernel frees it when that process dies.
-
-    Raises:
-        FailedPrecondition: Another process holds it.
-    """
+    """Held by the one process that may write to a dataset; the kernel frees it when that process dies."""
 
     def __init__(self, root: Path) -> None:
         self._descriptor = os.open(root / "writer.lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -58,11 +54,7 @@ class WriterLock:
 
 
 def read_spec(root: Path) -> DatasetSpec | None:
-    """Returns the spec, from the first data file if `meta/` is lost; None when freerein did not write the dataset.
-
-    Raises:
-        InvalidInput: The spec is corrupt, or `meta/` is lost and the first data file is corrupt.
-    """
+    """Returns the spec, from the first data file if `meta/` is lost; None when freerein did not write the dataset."""
     stored, first = root / layout.SPEC_FILE, layout.trajectory_path(root / "data", 0)
     if stored.is_file():
         return loads(stored.read_bytes())
@@ -82,9 +74,6 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
     """Returns the episodes table of the data files, and whether `meta/` agrees with it.
 
     Rows of `meta/` are used as long as their file has the recorded size; the rest is read from the files.
-
-    Raises:
-        InvalidInput: A data file is missing or corrupt.
     """
     files = layout.numbered_files(root / "data")
     missing = next((index for index, file in enumerate(files) if file.index != index), None)
@@ -109,9 +98,6 @@ def load_and_repair(root: Path, spec: DatasetSpec) -> pa.Table:
     """Returns the episodes table of the data files, and rewrites `meta/` where it differs.
 
     A reader without write access, or beside a writer, gets the same table and leaves `meta/` alone.
-
-    Raises:
-        InvalidInput: A data file is missing or corrupt.
     """
     table, is_current = load(root, spec)
     if not is_current:
@@ -168,16 +154,7 @@ def episodes_schema(spec: DatasetSpec) -> pa.Schema:
 
 
 def describe(data: bytes, *, index: int, first_frame: int) -> Row:
-    """Returns the episodes row of a data file, from the file alone.
-
-    Args:
-        data: The file's bytes.
-        index: Index of the trajectory in the dataset.
-        first_frame: Index of its first frame in the dataset.
-
-    Raises:
-        InvalidInput: The file is corrupt, or freerein did not write it.
-    """
+    """Returns the episodes row of the bytes of a data file; the indices count within the dataset."""
     footer = read_footer(io.BytesIO(data), index=index)
     if footer is None:
         raise InvalidInput(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from freerein.data import layout, lerobot, meta
-from freerein.data.cache import ActionCache, FrameCache, open_or_build
+from freerein.data.cache import StepCache, open_or_build
 from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, read_rows
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
@@ -46,12 +46,8 @@ class Dataset:
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
         self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in table["tasks"].to_pylist())
-        self._places = [
-            (int(chunk), int(file))
-            for chunk, file in zip(
-                table["data/chunk_index"].to_numpy(), table["data/file_index"].to_numpy(), strict=True
-            )
-        ]
+        chunks, files = table["data/chunk_index"].to_pylist(), table["data/file_index"].to_pylist()
+        self._places = list(zip(chunks, files, strict=True))
         self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
 
     def __len__(self) -> int:
@@ -66,9 +62,8 @@ class Dataset:
         """
         index = range(len(self))[index]
         rows = self._rows(index, [*self._keys.values(), "action"])
-        frames = {camera: self._frames(rows, camera) for camera in self._keys}
         return Trajectory(
-            frames=frames,
+            frames={camera: self._frames(rows, camera) for camera in self._keys},
             actions=decode_actions(rows, self.spec),
             skills=self.skills[index],
             goal_text=self.goal_texts[index],
@@ -90,7 +85,7 @@ class Dataset:
         hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
-    def cached_frames(self, camera: str) -> FrameCache:
+    def cached_frames(self, camera: str) -> StepCache[np.uint8]:
         """Returns one camera's frames of all trajectories, decoded once and mapped into memory.
 
         Raises:
@@ -104,16 +99,10 @@ class Dataset:
                 hint="Choose a camera that the dataset has.",
             )
         parts = (self._frames(self._rows(index, [self._keys[camera]]), camera) for index in range(len(self)))
-        size = self.spec.cameras[camera]
-        return open_or_build(
-            self._cache_file(f"frames-{camera}"),
-            dtype=np.dtype(np.uint8),
-            shape=size,
-            lengths=self.lengths,
-            parts=parts,
-        )
+        path, shape = self._cache_file(f"frames-{camera}"), self.spec.cameras[camera]
+        return open_or_build(path, dtype=np.dtype(np.uint8), shape=shape, lengths=self.lengths, parts=parts)
 
-    def cached_actions(self) -> ActionCache:
+    def cached_actions(self) -> StepCache[np.float32] | StepCache[np.int64]:
         """Returns the actions of all trajectories, read once and mapped into memory.
 
         Raises:
@@ -123,7 +112,7 @@ class Dataset:
         parts = (self.actions(index) for index in range(len(self)))
         shape, dtype = (self.spec.action.size,), self.spec.action_dtype
         cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
-        return cast(ActionCache, cache)
+        return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 
     def _rows(self, index: int, columns: list[str]) -> pa.Table:
         rows = read_rows(self._path(self._places[index]), index=index, columns=columns)

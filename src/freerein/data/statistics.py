@@ -10,14 +10,7 @@ FeatureStatistics = dict[str, npt.NDArray[np.float64]]
 
 
 def of_values(values: npt.NDArray[np.generic]) -> FeatureStatistics:
-    """Returns the statistics of each column.
-
-    Args:
-        values: (T, D), T >= 1.
-
-    Returns:
-        Arrays of shape (D,).
-    """
+    """Returns the statistics of each column of (T, D) values, T >= 1: arrays of shape (D,)."""
     numbers = values.astype(np.float64)
     return {
         "min": numbers.min(axis=0),
@@ -29,25 +22,14 @@ def of_values(values: npt.NDArray[np.generic]) -> FeatureStatistics:
 
 
 def of_frames(frames: npt.NDArray[np.uint8]) -> FeatureStatistics:
-    """Returns the exact statistics of each channel, with pixels scaled to [0, 1].
-
-    Args:
-        frames: uint8 (T, H, W, C), T >= 1.
-
-    Returns:
-        Arrays of shape (C, 1, 1).
-    """
+    """Returns the exact statistics of each channel of (T, H, W, C) frames, scaled to [0, 1]: arrays (C, 1, 1)."""
     channels = [_of_histogram(_histogram(frames[..., channel])) for channel in range(frames.shape[-1])]
     stacked = {name: np.array([one[name] for one in channels]).reshape(-1, 1, 1) for name in STATISTICS[:-1]}
     return {**stacked, "count": np.array([len(frames)], np.float64)}
 
 
 def combined(parts: FeatureStatistics) -> FeatureStatistics:
-    """Combines the statistics of several trajectories.
-
-    Args:
-        parts: Statistics of each trajectory, stacked along a leading axis: (n, ...), `count` (n, 1).
-    """
+    """Combines the statistics of n trajectories, stacked along a leading axis: (n, ...), `count` (n, 1)."""
     total = parts["count"].sum()
     weights = parts["count"].reshape(-1, *(1,) * (parts["mean"].ndim - 1)) / total
     mean = (weights * parts["mean"]).sum(axis=0)

@@ -35,15 +35,7 @@ _FOOTER_KEY = b"freerein"
 
 @dataclass(frozen=True)
 class TrajectoryFooter:
-    """What a data file's footer says of its trajectory.
-
-    Attributes:
-        spec: The dataset's spec.
-        length: Timesteps, T.
-        skills: Skills that occur, sorted.
-        goal_text: Goal text; empty where it is the spec's task.
-        statistics: By feature.
-    """
+    """A data file's footer, with the statistics by feature; the goal text is empty where it is the spec's task."""
 
     spec: DatasetSpec
     length: int
@@ -53,15 +45,7 @@ class TrajectoryFooter:
 
 
 def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame: int, task_index: int) -> bytes:
-    """Returns a trajectory as a parquet file.
-
-    Args:
-        trajectory: Must match the spec; not checked here.
-        spec: The dataset's spec.
-        index: Index of the trajectory in the dataset.
-        first_frame: Index of its first frame in the dataset.
-        task_index: Index of its goal text in the dataset.
-    """
+    """Returns a trajectory as a parquet file; it must match the spec. The indices count within the dataset."""
     numbers = _numbers(trajectory, spec, index, first_frame, task_index)
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
     columns["action"] = _action_column(trajectory.actions)
@@ -70,7 +54,10 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
         "goal_text": trajectory.goal_text,
-        "statistics": {name: _as_lists(each) for name, each in _statistics(trajectory, spec, numbers).items()},
+        "statistics": {
+            feature: {name: values.tolist() for name, values in each.items()}
+            for feature, each in _statistics(trajectory, spec, numbers).items()
+        },
     }
     schema = layout.data_schema(spec).with_metadata({_FOOTER_KEY: json.dumps(described).encode()})
     sink = io.BytesIO()
@@ -87,11 +74,7 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
 
 
 def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
-    """Returns the footer of a trajectory's data file; None when freerein did not write the file.
-
-    Raises:
-        InvalidInput: The file is truncated or corrupt.
-    """
+    """Returns the footer of a trajectory's data file; None when freerein did not write the file."""
     with corrupt_as_invalid(f"Trajectory {index}"):
         metadata = pq.read_metadata(file)
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
@@ -103,21 +86,15 @@ def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
             length=metadata.num_rows,
             skills=tuple(described["skills"]),
             goal_text=str(described.get("goal_text", "")),
-            statistics={name: _as_arrays(each) for name, each in described["statistics"].items()},
+            statistics={
+                feature: {name: np.array(values, np.float64) for name, values in each.items()}
+                for feature, each in described["statistics"].items()
+            },
         )
 
 
 def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
-    """Returns the rows of one trajectory; the file may hold others.
-
-    Args:
-        path: The data file.
-        index: Index of the trajectory in the dataset.
-        columns: Columns to read; `episode_index` is added.
-
-    Raises:
-        InvalidInput: The file is missing, truncated or corrupt, or lacks a column.
-    """
+    """Returns the columns, and `episode_index`, of trajectory `index`; the file may hold others."""
     with corrupt_as_invalid(f"Trajectory {index}"), path.open("rb") as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
         groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
@@ -126,19 +103,7 @@ def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
 
 
 def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
-    """Returns the frames of one camera.
-
-    Args:
-        rows: From `read_rows`.
-        camera_key: Name of the column.
-        size: Required frame size (H, W, C).
-
-    Returns:
-        uint8 (T, H, W, C).
-
-    Raises:
-        InvalidInput: A frame is missing, corrupt or of another size.
-    """
+    """Returns the frames of one camera, uint8 (T, H, W, C), from its column and of the required size (H, W, C)."""
     frames = np.empty((len(rows), *size), np.uint8)
     for t, record in enumerate(rows[camera_key].to_pylist()):
         if record is None or record["bytes"] is None:
@@ -157,15 +122,7 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
 
 
 def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
-    """Returns the actions, float32 (T, A) or int64 (T, 1).
-
-    Args:
-        rows: From `read_rows`.
-        spec: The dataset's spec.
-
-    Raises:
-        InvalidInput: A timestep has no action, or one of another size.
-    """
+    """Returns the actions, float32 (T, A) or int64 (T, 1)."""
     column = pa.concat_arrays(rows["action"].chunks) if rows["action"].num_chunks else pa.array([], pa.float32())
     flat = column.flatten() if pa.types.is_nested(column.type) else column
     if flat.null_count or len(flat) != len(rows) * spec.action.size:
@@ -186,11 +143,7 @@ def write_labels(path: Path, labels: npt.NDArray[np.int64]) -> None:
 
 
 def read_labels(path: Path, *, index: int) -> npt.NDArray[np.int64]:
-    """Returns the per-timestep labels of trajectory `index`, int64 (T,).
-
-    Raises:
-        InvalidInput: The file is corrupt.
-    """
+    """Returns the per-timestep labels of trajectory `index`, int64 (T,)."""
     with corrupt_as_invalid(f"The labels of trajectory {index}"), path.open("rb") as file:
         table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
         labels: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
@@ -254,11 +207,3 @@ def _png(pixels: npt.NDArray[np.uint8]) -> bytes:
 def _action_column(actions: npt.NDArray[Any]) -> pa.Array:
     flat = pa.array(np.ascontiguousarray(actions).ravel())
     return flat if actions.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, actions.shape[1])
-
-
-def _as_lists(of_feature: FeatureStatistics) -> dict[str, list[Any]]:
-    return {name: values.tolist() for name, values in of_feature.items()}
-
-
-def _as_arrays(of_feature: dict[str, list[Any]]) -> FeatureStatistics:
-    return {name: np.array(values, np.float64) for name, values in of_feature.items()}

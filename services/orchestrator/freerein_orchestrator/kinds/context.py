@@ -19,7 +19,7 @@ from freerein.clients import (
     SimClient,
     SyncClient,
 )
-from freerein.clients.channel import Client
+from freerein.clients.rpc import Client
 from freerein.ports import address, addresses
 from freerein.types.common import ModelRef
 from freerein_orchestrator.envs.retry import Retry

@@ -10,7 +10,7 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_sim.workers.snapshots import generator
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
-from freerein_sim.worlds.world import World, WorldSpec, check_view, skill_indices
+from freerein_sim.worlds.world import World, WorldSpec, sized_cameras, skill_indices
 
 _MAX_TRIES = 10
 
@@ -19,10 +19,6 @@ def make_demonstration(world: World, request: DemonstrateRequest) -> Demonstrate
     """Returns trajectory `first` of a request.
 
     It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
-
-    Raises:
-        InvalidInput: Unknown skill or camera, or impossible bounds.
-        FailedPrecondition: The expert failed in every try.
     """
     views = _views(world.spec, request)
     skills = _skills(world.spec, request)
@@ -50,18 +46,9 @@ def _act(
         world.reset(rng, recipe=chosen)
         policy = world.expert(chosen, rng)
     else:
-        chosen = []
         world.reset(rng)
         policy = SmoothRandomPolicy(world.spec.action, rng)
-    return record_episode(
-        world,
-        policy,
-        skills=chosen,
-        cameras=[view.name for view in views],
-        height=views[0].height,
-        width=views[0].width,
-        max_steps=world.spec.max_episode_steps,
-    )
+    return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
 
 
 def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
@@ -97,15 +84,11 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
 
 def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:
     """Returns the cameras to record, with the one size at which they are recorded."""
-    names = dict.fromkeys(request.cameras or (spec.cameras[0].name,))
-    own = [camera for camera in spec.cameras if camera.name in names] or spec.cameras[:1]
-    if len({(request.height or camera.height, request.width or camera.width) for camera in own}) > 1:
+    views = sized_cameras(spec, request.cameras or (spec.cameras[0].name,), height=request.height, width=request.width)
+    if len({(view.height, view.width) for view in views}) > 1:
         raise InvalidInput(
             "`height` and `width` must be given where cameras differ in size; got none.",
             field="height",
             hint="All cameras of a trajectory are recorded at one size.",
         )
-    height, width = request.height or own[0].height, request.width or own[0].width
-    return tuple(
-        Camera(name, height, width, check_view(spec, name, height=height, width=width).channels) for name in names
-    )
+    return views

@@ -2,8 +2,7 @@
 
 import logging
 import socket
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 from uuid import uuid4
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
@@ -22,17 +21,6 @@ class RequestHandler:
         self._tasks = tasks
         self._sessions: dict[str, VectorEnv] = {}
         self._demonstration_worlds: dict[str, World] = {}  # by task
-        self._answers: dict[type[Any], Callable[[Any], object]] = {
-            sim.ListTasksRequest: self._list_tasks,
-            sim.CreateSessionRequest: self._create_session,
-            sim.ResetRequest: self._reset,
-            sim.StepRequest: self._step,
-            sim.RenderRequest: self._render,
-            sim.SnapshotRequest: self._snapshot,
-            sim.RestoreRequest: self._restore,
-            sim.DemonstrateRequest: self._demonstrate,
-            sim.CloseSessionRequest: self._close_session,
-        }
 
     def handle(self, request: object) -> object:
         """Returns the response to a request of `protocol.CALLS`.
@@ -41,7 +29,7 @@ class RequestHandler:
             ServiceError: The request is refused. After `Internal` its session is closed.
         """
         try:
-            return self._answers[type(request)](request)
+            return self._answer(request)
         except ServiceError:
             raise
         except Exception as error:  # a bug in one session must not end the others
@@ -55,16 +43,42 @@ class RequestHandler:
             envs.close()
         for world in self._demonstration_worlds.values():
             world.close()
-        self._sessions.clear()
-        self._demonstration_worlds.clear()
 
-    def _list_tasks(self, _request: sim.ListTasksRequest) -> sim.ListTasksResponse:
-        return sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
+    def _answer(self, request: object) -> object:
+        response: object
+        match request:
+            case sim.ListTasksRequest():
+                response = sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
+            case sim.CreateSessionRequest():
+                response = self._create_session(request)
+            case sim.ResetRequest():
+                response = self._envs(request.session).reset(request.envs, request.seed, cameras=request.cameras)
+            case sim.StepRequest():
+                response = self._envs(request.session).step(request.actions, request.cameras)
+            case sim.RenderRequest():
+                response = self._envs(request.session).render(
+                    request.cameras, height=request.height, width=request.width
+                )
+            case sim.SnapshotRequest():
+                response = sim.SnapshotResponse(self._envs(request.session).snapshot())
+            case sim.RestoreRequest():
+                envs = self._envs(request.session)
+                envs.restore(request.snapshot)
+                response = sim.RestoreResponse(envs.step_id)
+            case sim.DemonstrateRequest():
+                if request.task not in self._demonstration_worlds:
+                    self._demonstration_worlds[request.task] = self._task(request.task).make()
+                response = demonstrations.make_demonstration(self._demonstration_worlds[request.task], request)
+            case sim.CloseSessionRequest():
+                self._discard(request.session)
+                response = sim.CloseSessionResponse()
+            case _:
+                raise TypeError(f"no answer to {type(request).__name__}")
+        return response
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Creates a session; the service has filled in the request's defaults."""
-        task, seed = self._task(request.task), request.seed or 0
-        session = uuid4().hex
+        task, seed, session = self._task(request.task), request.seed or 0, uuid4().hex
         self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
@@ -74,32 +88,6 @@ class RequestHandler:
             privileged=request.privileged,
         )
         return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
-
-    def _reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
-        return self._envs(request.session).reset(request.envs, request.seed, cameras=request.cameras)
-
-    def _step(self, request: sim.StepRequest) -> sim.StepResponse:
-        return self._envs(request.session).step(request.actions, request.cameras)
-
-    def _render(self, request: sim.RenderRequest) -> sim.RenderResponse:
-        return self._envs(request.session).render(request.cameras, height=request.height, width=request.width)
-
-    def _snapshot(self, request: sim.SnapshotRequest) -> sim.SnapshotResponse:
-        return sim.SnapshotResponse(self._envs(request.session).snapshot())
-
-    def _restore(self, request: sim.RestoreRequest) -> sim.RestoreResponse:
-        envs = self._envs(request.session)
-        envs.restore(request.snapshot)
-        return sim.RestoreResponse(envs.step_id)
-
-    def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
-        if request.task not in self._demonstration_worlds:
-            self._demonstration_worlds[request.task] = self._task(request.task).make()
-        return demonstrations.make_demonstration(self._demonstration_worlds[request.task], request)
-
-    def _close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
-        self._discard(request.session)
-        return sim.CloseSessionResponse()
 
     def _task(self, name: str) -> TaskDefinition:
         if (task := self._tasks.get(name)) is None:
@@ -130,9 +118,8 @@ def serve(connection: socket.socket, handler: RequestHandler) -> None:
 
 
 def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
-    """Returns the frame of the response."""
     try:
-        request = protocol.decode(body, protocol.CALLS[header.call][0])
+        request = protocol.decode(body, protocol.CALLS[header.call])
         return protocol.encode(handler.handle(request), call=header.call, number=header.number)
     except ServiceError as error:
         return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)

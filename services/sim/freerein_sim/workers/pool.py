@@ -20,24 +20,20 @@ class WorkerPool:
 
     Attributes:
         tasks: The tasks by name; empty before `start`.
+        demonstrators: Number of demonstrations recorded in parallel.
     """
 
     def __init__(self, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0) -> None:
         self.tasks: dict[str, Task] = {}
+        self.demonstrators = demonstrators
         self._slots = [_WorkerSlot(stuck_s) for _ in range(workers)]
-        self._demonstrators = [_Demonstrator(stuck_s) for _ in range(demonstrators)]
-
-    @property
-    def demonstrators(self) -> int:
-        """Number of demonstrations recorded in parallel."""
-        return len(self._demonstrators)
+        self._demonstrator_slots = [_WorkerSlot(stuck_s) for _ in range(demonstrators)]
+        self._idle: asyncio.LifoQueue[_WorkerSlot] = asyncio.LifoQueue()
+        for slot in self._demonstrator_slots:
+            self._idle.put_nowait(slot)
 
     async def start(self) -> None:
-        """Starts the workers that hold sessions, and waits until they answer.
-
-        Raises:
-            WorkerLost: One cannot start.
-        """
+        """Starts the workers that hold sessions, and waits until they answer. Raises WorkerLost if one cannot start."""
         try:
             workers = await asyncio.gather(*(slot.fill() for slot in self._slots))
         except WorkerLost:
@@ -49,32 +45,35 @@ class WorkerPool:
     async def place(self, num_envs: int) -> Worker:
         """Returns the worker with the least load and adds `num_envs` to it; the caller subtracts it again.
 
-        Raises:
-            WorkerLost: A worker died and cannot be restarted.
+        Raises WorkerLost if a worker died and cannot be restarted.
         """
         worker = await min(self._slots, key=lambda slot: slot.load).fill()
         worker.load += num_envs
         return worker
 
     async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns the trajectory at index `first` of the request; cancelling a queued call drops it.
-
-        Raises:
-            WorkerLost: Its worker died.
-            ServiceError: The worker refused the request.
-        """
-        return await min(self._demonstrators, key=lambda each: each.load).make(request)
+        """Returns trajectory `first` of the request, as `Worker.call`; cancelling a queued call drops it."""
+        slot = await self._idle.get()
+        slot.demonstrating = asyncio.create_task(self._demonstrate(slot, request))
+        return await asyncio.shield(slot.demonstrating)  # completed even if the caller is cancelled
 
     async def close(self) -> None:
         """Stops all workers."""
-        slots, demonstrators = self._slots, self._demonstrators
-        await asyncio.gather(*(each.close() for each in slots), *(each.close() for each in demonstrators))
+        await asyncio.gather(*(slot.close() for slot in (*self._slots, *self._demonstrator_slots)))
+
+    async def _demonstrate(self, slot: "_WorkerSlot", request: DemonstrateRequest) -> DemonstrateResponse:
+        try:
+            worker = await slot.fill()
+            return await worker.call(request, DemonstrateResponse)
+        finally:
+            self._idle.put_nowait(slot)
 
 
 class _WorkerSlot:
     """Holds one worker, and starts the next when it dies."""
 
     def __init__(self, stuck_s: float) -> None:
+        self.demonstrating: asyncio.Task[DemonstrateResponse] | None = None  # a task that nothing refers to may vanish
         self._stuck_s = stuck_s
         self._filling: asyncio.Task[Worker] | None = None
         self._refilling: asyncio.Task[None] | None = None
@@ -83,7 +82,6 @@ class _WorkerSlot:
 
     @property
     def load(self) -> int:
-        """Load of its worker."""
         return 0 if self._worker is None or self._worker.is_lost else self._worker.load
 
     async def fill(self) -> Worker:
@@ -97,7 +95,6 @@ class _WorkerSlot:
         return await asyncio.shield(self._filling)
 
     async def close(self) -> None:
-        """Ends its worker; no other takes its slot."""
         self._is_closed = True
         if self._filling is not None:
             await asyncio.wait([self._filling])
@@ -123,34 +120,3 @@ class _WorkerSlot:
             await self.fill()
         except WorkerLost:
             _LOG.error("a worker died while starting; the next session starts another")
-
-
-class _Demonstrator:
-    """A worker that records one demonstration at a time."""
-
-    def __init__(self, stuck_s: float) -> None:
-        self.load = 0
-        self._slot = _WorkerSlot(stuck_s)
-        self._turn = asyncio.Lock()
-        self._making: asyncio.Task[DemonstrateResponse] | None = None
-
-    async def make(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        """Returns a trajectory; requests are served in order."""
-        self.load += 1
-        try:
-            await self._turn.acquire()
-            self._making = asyncio.create_task(self._make(request))  # completed even if the caller is cancelled
-            return await asyncio.shield(self._making)
-        finally:
-            self.load -= 1
-
-    async def close(self) -> None:
-        """Stops its worker."""
-        await self._slot.close()
-
-    async def _make(self, request: DemonstrateRequest) -> DemonstrateResponse:
-        try:
-            worker = await self._slot.fill()
-            return await worker.call(request, DemonstrateResponse)
-        finally:
-            self._turn.release()

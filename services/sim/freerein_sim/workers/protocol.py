@@ -7,8 +7,7 @@ Little-endian. A reply carries the call and number of its request; an error the 
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from freerein import wire
 from freerein.errors import InvalidInput, ServiceError, TooLarge, by_code
@@ -23,62 +22,41 @@ MAX_FRAME_BYTES = 63 * 2**20
 """Frames in one reply."""
 
 REFUSED = 0
-CALLS: tuple[tuple[type[Any], type[Any]], ...] = (
-    (Error, Error),  # REFUSED; never a request
-    (sim.ListTasksRequest, sim.ListTasksResponse),
-    (sim.CreateSessionRequest, sim.CreateSessionResponse),
-    (sim.ResetRequest, sim.ResetResponse),
-    (sim.StepRequest, sim.StepResponse),
-    (sim.RenderRequest, sim.RenderResponse),
-    (sim.SnapshotRequest, sim.SnapshotResponse),
-    (sim.RestoreRequest, sim.RestoreResponse),
-    (sim.DemonstrateRequest, sim.DemonstrateResponse),  # one trajectory: the one at `first`
-    (sim.CloseSessionRequest, sim.CloseSessionResponse),
+CALLS: tuple[type[Any], ...] = (
+    Error,  # REFUSED; never a request
+    sim.ListTasksRequest,
+    sim.CreateSessionRequest,
+    sim.ResetRequest,
+    sim.StepRequest,
+    sim.RenderRequest,
+    sim.SnapshotRequest,
+    sim.RestoreRequest,
+    sim.DemonstrateRequest,  # one trajectory: the one at `first`
+    sim.CloseSessionRequest,
 )
-"""Request and response of each call."""
+"""Request of each call."""
 
-_NUMBERS = {request: number for number, (request, _) in enumerate(CALLS)}
 _HEADER = struct.Struct("<IBQ")
 HEADER_BYTES = _HEADER.size
 
 
-@dataclass(frozen=True)
-class Header:
-    """Header of a frame.
-
-    Attributes:
-        length: Bytes of the message.
-        call: Index into `CALLS`.
-        number: Request number, counted by the sender.
-    """
+class Header(NamedTuple):
+    """Header of a frame: bytes of the message, index into `CALLS`, and number of the request."""
 
     length: int
     call: int
     number: int
 
 
-def call_of(request: object) -> int:
-    """Returns a request's index into `CALLS`."""
-    return _NUMBERS[type(request)]
-
-
 def encode(message: object, *, call: int, number: int) -> tuple[bytes, bytes]:
-    """Returns a dataclass as (header, message).
-
-    Raises:
-        TooLarge: The message is longer than `MAX_MESSAGE_BYTES`.
-    """
+    """Returns a dataclass as (header, message). Raises TooLarge above `MAX_MESSAGE_BYTES`."""
     body = wire.pack(message).SerializeToString()
     _check_length(len(body))
     return _HEADER.pack(len(body), call, number), body
 
 
 def decode_header(data: bytes | bytearray) -> Header:
-    """Returns the header of `HEADER_BYTES` bytes.
-
-    Raises:
-        TooLarge: It announces more than `MAX_MESSAGE_BYTES`; nothing is allocated.
-    """
+    """Returns the header of `HEADER_BYTES` bytes. Raises TooLarge if it announces more than `MAX_MESSAGE_BYTES`."""
     header = Header(*_HEADER.unpack(data))
     _check_length(header.length)
     return header
@@ -106,15 +84,7 @@ def error_from(message: Error) -> ServiceError:
 def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: int, images: int) -> None:
     """Checks the size of a reply before anything is rendered. Ignores unknown cameras: the worker refuses them.
 
-    Args:
-        task: The task.
-        cameras: Requested cameras.
-        height: Frame height in pixels; 0 means the cameras' own.
-        width: Frame width in pixels; 0 means the cameras' own.
-        images: Greatest number of images per camera in the reply.
-
-    Raises:
-        InvalidInput: The frames are too large.
+    A height or width of 0 means the cameras' own; `images` is the greatest number of images per camera in the reply.
     """
     if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
         raise InvalidInput(

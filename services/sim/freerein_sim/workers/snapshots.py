@@ -24,13 +24,7 @@ _ENV = struct.Struct("<II16s16sBI")  # steps, length of the world's part; PCG64:
 
 @dataclass(frozen=True, eq=False)
 class EnvState:
-    """State of one environment.
-
-    Attributes:
-        steps: Steps made in the episode.
-        rng: Generator.
-        world: Snapshot of the world.
-    """
+    """State of one environment: steps made in the episode, generator, and snapshot of the world."""
 
     steps: int
     rng: np.random.Generator
@@ -39,14 +33,7 @@ class EnvState:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a vector env.
-
-    Attributes:
-        task: Task name.
-        fingerprint: Fingerprint of the worlds.
-        step_id: Total number of steps.
-        envs: State of each environment.
-    """
+    """State of a vector env, with the fingerprint of its worlds and the total number of steps."""
 
     task: str
     fingerprint: str
@@ -74,12 +61,7 @@ def encode(snapshot: Snapshot) -> bytes:
 
 
 def decode(data: bytes) -> Snapshot:
-    """Decodes a snapshot.
-
-    Raises:
-        InvalidInput: The bytes are damaged, or not a snapshot.
-        FailedPrecondition: The snapshot has another format version.
-    """
+    """Decodes a snapshot. Raises InvalidInput or FailedPrecondition where it is damaged or of another format."""
     if hashlib.sha256(data[_SHA256_BYTES:]).digest() != data[:_SHA256_BYTES]:
         raise _not_a_snapshot("bytes that do not match their hash")
     try:

@@ -10,7 +10,7 @@ from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
 from freerein.types.common import Camera
 from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import TaskDefinition, check_actions, check_view
+from freerein_sim.worlds.world import TaskDefinition, check_actions, sized_cameras
 
 
 class VectorEnv:
@@ -27,12 +27,7 @@ class VectorEnv:
         privileged: Whether replies hold `Truth`.
 
     Attributes:
-        task: The task.
-        num_envs: N.
         step_id: Steps made in total; not changed by `reset`, set by `restore`.
-
-    Raises:
-        InvalidInput: Unsupported frame size.
     """
 
     def __init__(
@@ -55,19 +50,15 @@ class VectorEnv:
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
         self._is_reset = False
-        self._try_viewsd: set[Camera] = set()
+        self._tried_views: set[Camera] = set()
 
     def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
-        """Begins new episodes.
+        """Begins new episodes; the first reset must be of all environments.
 
         Args:
             envs: Indices of environments; empty for all.
             seed: Re-seeds all generators first; None keeps them.
             cameras: Cameras to render.
-
-        Raises:
-            InvalidInput: Unknown environment or camera, or a repeated environment.
-            FailedPrecondition: The first reset is not of all environments.
         """
         chosen = self._chosen(envs)
         views = self._cameras(cameras)
@@ -85,10 +76,6 @@ class VectorEnv:
         Args:
             actions: float32 or int64 (N, size), matching the task's action spec.
             cameras: Cameras to render.
-
-        Raises:
-            InvalidInput: The actions do not match the spec, or unknown camera.
-            FailedPrecondition: There was no reset yet.
         """
         self._check_reset("Step")
         check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
@@ -116,23 +103,13 @@ class VectorEnv:
         )
 
     def render(self, cameras: Sequence[str] = (), *, height: int = 0, width: int = 0) -> RenderResponse:
-        """Returns the current frames; no cameras means all, a size of 0 the session's.
-
-        Raises:
-            InvalidInput: Unknown camera, or unsupported size.
-            FailedPrecondition: There was no reset yet.
-        """
+        """Returns the current frames; no cameras means all, a size of 0 the session's."""
         self._check_reset("Render")
         names = cameras or [camera.name for camera in self.task.spec.cameras]
         return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
 
     def snapshot(self) -> bytes:
-        """Returns the complete state; after `restore` the same actions give the same bits.
-
-        Raises:
-            FailedPrecondition: There was no reset yet.
-            Unimplemented: The task's worlds have no exact snapshots.
-        """
+        """Returns the complete state; after `restore` the same actions give the same bits."""
         self._check_snapshots()
         self._check_reset("Snapshot")
         states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
@@ -140,13 +117,7 @@ class VectorEnv:
         return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
 
     def restore(self, snapshot: bytes) -> None:
-        """Restores a snapshot.
-
-        Raises:
-            InvalidInput: The bytes are not a snapshot.
-            FailedPrecondition: It has another task, number of environments or build.
-            Unimplemented: The task's worlds have no exact snapshots.
-        """
+        """Restores a snapshot of the same task, build and number of environments."""
         self._check_snapshots()
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
@@ -182,25 +153,19 @@ class VectorEnv:
             success=np.array([truth.success for truth in truths], np.bool_),
         )
 
-    def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> list[Camera]:
+    def _cameras(self, names: Iterable[str], height: int = 0, width: int = 0) -> tuple[Camera, ...]:
         """Returns the named cameras with the size at which to render them."""
-        spec = self.task.spec
-        views = []
-        for name in dict.fromkeys(names):
-            own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
-            view = Camera(name, height or self._height or own.height, width or self._width or own.width, own.channels)
-            check_view(spec, name, height=view.height, width=view.width)
-            views.append(view)
-        return views
+        height, width = height or self._height, width or self._width
+        return sized_cameras(self.task.spec, names, height=height, width=width)
 
     def _try_views(self, views: Sequence[Camera]) -> None:
         """Renders each new view once, so that one that cannot be rendered is refused before a step."""
-        untried = set(views) - self._try_viewsd
+        untried = set(views) - self._tried_views
         if untried and not self._is_reset:
             self._worlds[0].reset(np.random.default_rng(0))
         for view in untried:
             self._worlds[0].render(view.name, height=view.height, width=view.width)
-        self._try_viewsd |= untried
+        self._tried_views |= untried
 
     def _restore_worlds(self, states: Sequence[bytes]) -> None:
         """Restores all worlds, or none."""

@@ -41,11 +41,7 @@ class Worker:
 
     @classmethod
     async def start(cls, *, stuck_s: float) -> "Worker":
-        """Starts a child, and returns when it answers.
-
-        Raises:
-            WorkerLost: It died before it answered.
-        """
+        """Starts a child, and returns when it answers. Raises WorkerLost if it died before."""
         ours, theirs = socket.socketpair()
         with theirs:
             process = _spawn(theirs)
@@ -102,11 +98,7 @@ class Worker:
 
 
 class Connection(asyncio.BufferedProtocol):
-    """The service's end of the socket: calls in flight by number, and the frame being received.
-
-    Attributes:
-        lost: Set when the connection is lost.
-    """
+    """The service's end of the socket: calls in flight by number, and the frame being received."""
 
     def __init__(self) -> None:
         self.lost = asyncio.Event()
@@ -117,15 +109,10 @@ class Connection(asyncio.BufferedProtocol):
         self._received = 0
 
     async def ask(self, request: object) -> bytearray:
-        """Sends a request and returns the bytes of the response.
-
-        Raises:
-            WorkerLost: The connection is lost.
-            ServiceError: The child refused the request.
-        """
+        """Sends a request and returns the bytes of the response. Raises WorkerLost or the child's refusal."""
         self._asked += 1
         number = self._asked
-        frame = protocol.encode(request, call=protocol.call_of(request), number=number)
+        frame = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=number)
         if self.lost.is_set():
             raise worker_lost()
         answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
@@ -154,7 +141,8 @@ class Connection(asyncio.BufferedProtocol):
         while self._received == len(self._buffer):
             self._received = 0
             if self._header is None:
-                self._begin_message()
+                self._header = protocol.decode_header(self._buffer)  # asyncio ends a connection whose protocol raises
+                self._buffer = bytearray(self._header.length)
             else:
                 self._end_message(self._header)
 
@@ -164,10 +152,6 @@ class Connection(asyncio.BufferedProtocol):
         for answer in self._calls.values():
             if not answer.done():
                 answer.set_exception(worker_lost())
-
-    def _begin_message(self) -> None:
-        self._header = protocol.decode_header(self._buffer)  # asyncio ends a connection whose protocol raises
-        self._buffer = bytearray(self._header.length)
 
     def _end_message(self, header: protocol.Header) -> None:
         message, self._buffer, self._header = self._buffer, bytearray(protocol.HEADER_BYTES), None

@@ -162,9 +162,7 @@ def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
         rng = np.random.default_rng(_SEED)
         world.reset(rng, recipe=spec.skills)
         expert = world.expert(spec.skills, rng)
-        shown = record_episode(
-            world, expert, skills=spec.skills, cameras=(), height=1, width=1, max_steps=spec.max_episode_steps
-        )
+        shown = record_episode(world, expert, cameras=(), max_steps=spec.max_episode_steps)
         _require(shown.success, "The expert succeeds.")
         order = shown.labels[np.flatnonzero(np.diff(shown.labels, prepend=-2))]
         _require(order.tolist() == list(range(len(spec.skills))), "Labels follow the recipe.")
@@ -177,7 +175,7 @@ def has_an_expert_that_survives_any_state(task: TaskDefinition) -> None:
         for _ in _act_randomly(world):
             pass
         expert = world.expert(task.spec.skills, np.random.default_rng(_SEED))
-        record_episode(world, expert, skills=task.spec.skills, cameras=(), height=1, width=1, max_steps=5 * _STEPS)
+        record_episode(world, expert, cameras=(), max_steps=5 * _STEPS)
         _require(world.expert((), np.random.default_rng(_SEED)).act() is None, "Nothing asked, nothing done.")
 
 

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+from collections.abc import Callable
 
 from freerein.errors import FailedPrecondition, Unimplemented
 
@@ -66,8 +67,5 @@ def _can_load(library: str) -> bool:
     return True
 
 
-def _has_screen() -> bool:
-    return True  # `glfw` fails on its own without one
-
-
-_PROBES = {"egl": _has_egl_device, "osmesa": _has_osmesa, "glfw": _has_screen}
+_PROBES: dict[str, Callable[[], bool]] = {"egl": _has_egl_device, "osmesa": _has_osmesa, "glfw": lambda: True}
+"""`glfw` fails on its own without a screen."""

@@ -5,7 +5,7 @@ Shadows, reflections, haze, skybox and multisampling are off, and the offscreen 
 
 import importlib
 import threading
-from typing import Protocol, cast
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -96,17 +96,10 @@ class _ThreadRenderers(threading.local):
 _thread = _ThreadRenderers()
 
 
-class _GL(Protocol):
-    """MuJoCo's OpenGL context."""
-
-    def make_current(self) -> None: ...
-
-    def free(self) -> None: ...
-
-
-def _open_gl(size_px: int) -> _GL:
+def _open_gl(size_px: int) -> Any:
+    """Returns MuJoCo's OpenGL context."""
     backend = choose_backend()
     try:
-        return cast("_GL", importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px))
+        return importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px)
     except (ImportError, AttributeError, OSError, RuntimeError) as error:  # what PyOpenGL raises
         raise Unimplemented(f"Expected to render with {backend}; this machine cannot.", hint=INSTALL_HINT) from error

@@ -1,6 +1,6 @@
 """The `World` protocol: one simulated environment that can be reset, stepped, rendered and snapshotted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -48,12 +48,7 @@ class WorldSpec:
 
 @dataclass(frozen=True)
 class StepResult:
-    """Result of one step.
-
-    Attributes:
-        terminated: Whether the episode terminated. Truncation is up to the caller.
-        diverged: Whether the simulation diverged; `terminated` is then true, too.
-    """
+    """Whether the episode terminated, and because the simulation diverged; truncation is up to the caller."""
 
     terminated: bool
     diverged: bool = False
@@ -76,12 +71,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, eq=False)
 class LabelledAction:
-    """Action of one timestep and the skill that it belongs to.
-
-    Attributes:
-        action: The action.
-        skill: Index of the skill, or `NO_SKILL`.
-    """
+    """Action of one timestep and the index of the skill that it belongs to, or `NO_SKILL`."""
 
     action: Action
     skill: int
@@ -196,11 +186,7 @@ class TaskDefinition:
 
 
 def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
-    """Checks one action, or a batch of actions of shape (*batch, A).
-
-    Raises:
-        InvalidInput: The dtype, shape or values do not match the spec.
-    """
+    """Raises InvalidInput where one action, or a batch of shape (*batch, A), does not match the spec."""
     dtype = np.dtype(np.int64 if spec.choices else np.float32)
     low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
     shape = (*batch, spec.size)
@@ -217,30 +203,34 @@ def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[i
     )
 
 
-def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> Camera:
-    """Returns the camera of that name.
-
-    Raises:
-        InvalidInput: Unknown camera, or size out of bounds.
-    """
-    found = next((each for each in spec.cameras if each.name == camera), None)
-    if found is None:
-        names = ", ".join(each.name for each in spec.cameras)
-        raise InvalidInput(f"Expected one of the cameras {names}; got another name.", field="camera")
+def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> None:
+    """Raises InvalidInput where the camera is unknown, or the size out of bounds."""
+    names = [each.name for each in spec.cameras]
+    if camera not in names:
+        raise InvalidInput(f"Expected one of the cameras {', '.join(names)}; got another name.", field="camera")
     if not (1 <= height <= spec.max_size and 1 <= width <= spec.max_size):
         raise InvalidInput(
             f"Frames are 1 to {spec.max_size} pixels high and wide; got {height} x {width}.",
             field="height" if not 1 <= height <= spec.max_size else "width",
         )
-    return found
+
+
+def sized_cameras(spec: WorldSpec, names: Iterable[str], *, height: int, width: int) -> tuple[Camera, ...]:
+    """Returns the named cameras, each once, with the frame size to render; 0 means the camera's own.
+
+    Raises InvalidInput as `check_view`.
+    """
+    sized = []
+    for name in dict.fromkeys(names):
+        own = next((camera for camera in spec.cameras if camera.name == name), spec.cameras[0])
+        camera = Camera(name, height or own.height, width or own.width, own.channels)
+        check_view(spec, name, height=camera.height, width=camera.width)
+        sized.append(camera)
+    return tuple(sized)
 
 
 def skill_indices(spec: WorldSpec, skills: Sequence[str]) -> tuple[int, ...]:
-    """Returns the indices of skills in the spec.
-
-    Raises:
-        InvalidInput: Unknown skill.
-    """
+    """Returns the indices of skills in the spec. Raises InvalidInput where one is unknown."""
     missing = sum(skill not in spec.skills for skill in skills)
     if missing:
         raise InvalidInput(

@@ -41,13 +41,7 @@ _PHRASES = {
 
 @dataclass(frozen=True)
 class BlockGoal:
-    """One block in a relation to another.
-
-    Attributes:
-        first: Colour of the block to move.
-        relation: Required relation of the first block to the second.
-        second: Colour of the reference block.
-    """
+    """The block of colour `first`, which is moved, in a relation to the block of colour `second`."""
 
     first: str
     relation: BlockRelation

@@ -56,12 +56,7 @@ class GripperState:
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """State before the first action.
-
-    Attributes:
-        blocks: float64 (N, 3), centres of the blocks in metres.
-        gripper: The gripper.
-    """
+    """State before the first action; `blocks` are the centres in metres, float64 (N, 3)."""
 
     blocks: Position
     gripper: GripperState

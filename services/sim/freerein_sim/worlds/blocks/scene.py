@@ -59,11 +59,9 @@ _CAMERAS = {
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene, shared by all worlds of its colours.
+    """A compiled scene, shared by all worlds of its colours, so the model must not be modified.
 
-    Attributes:
-        model: The model; must not be modified.
-        fingerprint: Hash of the model and MuJoCo's version.
+    The fingerprint is a hash of the model and MuJoCo's version.
     """
 
     model: mujoco.MjModel
@@ -72,11 +70,7 @@ class Scene:
 
 @lru_cache(maxsize=_CACHED_SCENES)
 def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
-    """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second.
-
-    Raises:
-        FailedPrecondition: The wheel with the gripper's meshes is not installed.
-    """
+    """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second."""
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -1,0 +1,184 @@
+"""RPCs as typed methods of a client: dataclasses are sent as messages, responses returned as dataclasses, or raised.
+
+    dataclass -- wire.pack --> message == gRPC ==> message  -- wire.unpack --> dataclass
+                                               ==> AioRpcError -- grpc_errors --> ServiceError
+
+Every call gets its deadline, token and request id here.
+"""
+
+import uuid
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import replace
+from functools import cached_property
+from operator import methodcaller
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar, cast
+
+from google.protobuf.descriptor import MethodDescriptor
+from google.protobuf.message import Message
+from grpc import aio
+
+from freerein import wire
+from freerein.clients.channel import MAX_MESSAGE_BYTES, Channel
+from freerein.clients.grpc_errors import service_error
+from freerein.errors import Internal, InvalidInput, TooLarge
+
+DEADLINE_S = 30.0
+
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+
+
+class Client:
+    """A client of one gRPC service, with an `Rpc` for each RPC.
+
+    Args:
+        channel: The connection; clients of one address may share it.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self.channel = channel
+
+    async def close(self) -> None:
+        """Closes the channel."""
+        await self.channel.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+class Rpc(Generic[Request, Response]):
+    """One RPC, as an attribute of a client's class; on an instance it is a method.
+
+    Args:
+        request: Dataclass of the request; it has the RPC's name and the suffix `Request`.
+        response: Dataclass of the response.
+    """
+
+    _channel: Channel
+
+    def __init__(self, request: type[Request], response: type[Response]) -> None:
+        self.response = response
+        self.descriptor = _method_of(request)
+
+    def __set_name__(self, owner: type[Client], name: str) -> None:
+        self._attribute = name
+
+    def __get__(self, client: Client | None, owner: type[Client]) -> Self:
+        if client is None:
+            return self
+        bound = copy(self)
+        bound._channel = client.channel
+        client.__dict__[self._attribute] = bound  # as `cached_property`: found there from now on
+        return bound
+
+    @cached_property
+    def _grpc_call(self) -> Any:
+        """The method of the gRPC channel."""
+        rpc = self.descriptor
+        sent, received = ("stream" if streams else "unary" for streams in (rpc.client_streaming, rpc.server_streaming))
+        return getattr(self._channel.grpc, f"{sent}_{received}")(
+            f"/{rpc.containing_service.full_name}/{rpc.name}",
+            request_serializer=methodcaller("SerializeToString"),
+            response_deserializer=wire.message_type(self.response).FromString,
+        )
+
+    @contextmanager
+    def _errors(self, request_id: str) -> Iterator[None]:
+        """Translates gRPC's errors."""
+        try:
+            yield
+        except aio.AioRpcError as error:
+            raised = service_error(error, call=f"{self.descriptor.name} at {self._channel.address}")
+            raised.add_note(f"Request id: {request_id}")
+            raise raised from error
+
+    async def _stream(
+        self, sent: Message | AsyncIterator[Message], timeout_s: float | None
+    ) -> AsyncGenerator[Response, None]:
+        request_id = uuid.uuid4().hex
+        # Begun only when iterated, so that an unused iterator leaves no call open.
+        stream = self._grpc_call(sent, timeout=timeout_s, metadata=self._channel.metadata(request_id))
+        try:
+            with self._errors(request_id):
+                async for received in stream:
+                    yield self._unpacked(received)
+        finally:
+            stream.cancel()
+
+    def _unpacked(self, message: Message) -> Response:
+        try:
+            return wire.unpack(message, self.response)
+        except InvalidInput as error:
+            raise Internal(
+                f"The service's reply cannot be read: {error.detail}",
+                hint="Use the client and the service of one version.",
+            ) from error
+
+
+class UnaryRpc(Rpc[Request, Response]):
+    """An RPC with one response."""
+
+    async def __call__(self, request: Request, *, timeout_s: float = DEADLINE_S) -> Response:
+        """Sends one request and returns the response.
+
+        Args:
+            request: The request; an empty `idempotency_key` is filled in, so that the call can be retried.
+            timeout_s: Deadline of all attempts together, in seconds.
+
+        Raises:
+            ServiceError: The service refused the request, could not be reached or did not answer in time.
+        """
+        request_id = uuid.uuid4().hex
+        message = _packed(_keyed(request))
+        with self._errors(request_id):
+            received = await self._grpc_call(message, timeout=timeout_s, metadata=self._channel.metadata(request_id))
+        return self._unpacked(received)
+
+
+class ServerStreamRpc(Rpc[Request, Response]):
+    """An RPC with a stream of responses to one request."""
+
+    def __call__(self, request: Request, *, timeout_s: float | None = None) -> AsyncGenerator[Response, None]:
+        """Returns an iterator over the responses; closing it cancels the call. Otherwise as `UnaryRpc`."""
+        return self._stream(_packed(request), timeout_s)
+
+
+class StreamRpc(Rpc[Request, Response]):
+    """An RPC with a stream of responses to a stream of requests."""
+
+    def __call__(
+        self, requests: AsyncIterator[Request], *, timeout_s: float | None = None
+    ) -> AsyncGenerator[Response, None]:
+        """Returns an iterator over the responses; as `ServerStreamRpc`."""
+        return self._stream((_packed(request) async for request in requests), timeout_s)
+
+
+def _method_of(request: type[object]) -> MethodDescriptor:
+    message = wire.descriptor_of(request)
+    name = request.__name__.removesuffix("Request")
+    services = message.file.services_by_name.values()
+    return next(method for service in services for method in service.methods if method.name == name)
+
+
+def _keyed(request: Request) -> Request:
+    if getattr(request, "idempotency_key", None) != "":
+        return request
+    return cast(Request, replace(cast(Any, request), idempotency_key=uuid.uuid4().hex))
+
+
+def _packed(request: object) -> Message:
+    message = wire.pack(request)
+    if (size := message.ByteSize()) > MAX_MESSAGE_BYTES:
+        raise TooLarge(
+            f"A request must be at most {MAX_MESSAGE_BYTES} bytes; got {size}.",
+            hint="Send a shorter trajectory or smaller frames, or encoded images.",
+        )
+    return message

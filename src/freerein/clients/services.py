@@ -1,0 +1,80 @@
+"""The client of each service. Its methods are the service's RPCs, which `proto/` documents."""
+
+from freerein.clients.rpc import Client, ServerStreamRpc, StreamRpc, UnaryRpc
+from freerein.types import imitation, learning, orchestrator, segmentation, sim
+from freerein.types import reward as rewards
+
+
+class SimClient(Client):
+    """Client of the sim service."""
+
+    list_tasks = UnaryRpc(sim.ListTasksRequest, sim.ListTasksResponse)
+    create_session = UnaryRpc(sim.CreateSessionRequest, sim.CreateSessionResponse)
+    reset = UnaryRpc(sim.ResetRequest, sim.ResetResponse)
+    step = UnaryRpc(sim.StepRequest, sim.StepResponse)
+    connect = StreamRpc(sim.ConnectRequest, sim.ConnectResponse)
+    """A third of a millisecond faster per step than `step`, but without retries and deadlines. A reply with `draining`
+    is unsolicited."""
+    render = UnaryRpc(sim.RenderRequest, sim.RenderResponse)
+    snapshot = UnaryRpc(sim.SnapshotRequest, sim.SnapshotResponse)
+    restore = UnaryRpc(sim.RestoreRequest, sim.RestoreResponse)
+    demonstrate = ServerStreamRpc(sim.DemonstrateRequest, sim.DemonstrateResponse)
+    close_session = UnaryRpc(sim.CloseSessionRequest, sim.CloseSessionResponse)
+
+
+class SegmentationClient(Client):
+    """Client of the segmentation service."""
+
+    segment = UnaryRpc(segmentation.SegmentRequest, segmentation.SegmentResponse)
+    list_skills = UnaryRpc(segmentation.ListSkillsRequest, segmentation.ListSkillsResponse)
+
+
+class ImitationClient(Client):
+    """Client of the imitation service."""
+
+    get_spec = UnaryRpc(imitation.GetSpecRequest, imitation.GetSpecResponse)
+    act = UnaryRpc(imitation.ActRequest, imitation.ActResponse)
+    control = StreamRpc(imitation.ControlRequest, imitation.ControlResponse)
+    """First the spec; then a chunk or an error for each observation that no newer one overtook. Never retried; a reply
+    with `draining` is unsolicited."""
+
+
+class RewardClient(Client):
+    """Client of the reward service."""
+
+    reward = UnaryRpc(rewards.RewardRequest, rewards.RewardResponse)
+    ground = UnaryRpc(rewards.GroundRequest, rewards.GroundResponse)
+    describe = UnaryRpc(rewards.DescribeRequest, rewards.DescribeResponse)
+    embed_goal = UnaryRpc(rewards.EmbedGoalRequest, rewards.EmbedGoalResponse)
+
+
+class OrchestratorClient(Client):
+    """Client of the orchestrator."""
+
+    start_run = UnaryRpc(orchestrator.StartRunRequest, orchestrator.StartRunResponse)
+    get_run = UnaryRpc(orchestrator.GetRunRequest, orchestrator.GetRunResponse)
+    list_runs = UnaryRpc(orchestrator.ListRunsRequest, orchestrator.ListRunsResponse)
+    watch_run = ServerStreamRpc(orchestrator.WatchRunRequest, orchestrator.WatchRunResponse)
+    get_metrics = UnaryRpc(orchestrator.GetMetricsRequest, orchestrator.GetMetricsResponse)
+    cancel_run = UnaryRpc(orchestrator.CancelRunRequest, orchestrator.CancelRunResponse)
+    resume_run = UnaryRpc(orchestrator.ResumeRunRequest, orchestrator.ResumeRunResponse)
+    list_artifacts = UnaryRpc(orchestrator.ListArtifactsRequest, orchestrator.ListArtifactsResponse)
+    get_artifact = ServerStreamRpc(orchestrator.GetArtifactRequest, orchestrator.GetArtifactResponse)
+
+
+class FitClient(Client):
+    """Client of `FitService`, which every learned service has."""
+
+    start_fit = UnaryRpc(learning.StartFitRequest, learning.StartFitResponse)
+    get_fit = UnaryRpc(learning.GetFitRequest, learning.GetFitResponse)
+    list_fits = UnaryRpc(learning.ListFitsRequest, learning.ListFitsResponse)
+    watch_fit = ServerStreamRpc(learning.WatchFitRequest, learning.WatchFitResponse)
+    get_fit_metrics = UnaryRpc(learning.GetFitMetricsRequest, learning.GetFitMetricsResponse)
+    cancel_fit = UnaryRpc(learning.CancelFitRequest, learning.CancelFitResponse)
+
+
+class ModelClient(Client):
+    """Client of `ModelService`, which every learned service has."""
+
+    list_models = UnaryRpc(learning.ListModelsRequest, learning.ListModelsResponse)
+    activate_model = UnaryRpc(learning.ActivateModelRequest, learning.ActivateModelResponse)
