@@ -133,10 +133,10 @@ def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
         expected, row = file.index + 1, recorded[file.index] if file.index < len(recorded) else None
         first_frame = row["dataset_from_index"] if row else first_frame
         try:
-            described = _check_data_file(
+            entry = _check_data_file(
                 root, spec, index=file.index, first_frame=first_frame, sha256=row and row["data/sha256"], tasks=tasks
             )
-            first_frame += described["length"]
+            first_frame += entry["length"]
         except InvalidInput as error:
             yield Problem(_where("data", file.index), error.detail, _RESTORE)
             if row is None:
@@ -151,19 +151,19 @@ def _check_data_file(
     `sha256` is the recorded hash, if any; `tasks` has the index of each goal text so far, and a new one is added.
     """
     path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
-    described = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)
+    row = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)
     rows = read_rows(path, index=index, columns=schema.names)
-    if len(rows) != described["length"] or not rows.schema.equals(schema):
+    if len(rows) != row["length"] or not rows.schema.equals(schema):
         raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")
     t = np.arange(len(rows))
     if not (np.array_equal(rows["frame_index"], t) and np.array_equal(rows["index"], first_frame + t)):
         raise InvalidInput(f"The frames must count on from frame {first_frame} of the dataset; they do not.")
-    if sha256 and described["data/sha256"] != sha256:
+    if sha256 and row["data/sha256"] != sha256:
         raise InvalidInput("The file must be as it was written; it has changed since.")
-    number = tasks.setdefault(described["tasks"][0], len(tasks))
+    number = tasks.setdefault(row["tasks"][0], len(tasks))
     if not np.all(rows["task_index"].to_numpy() == number):
         raise InvalidInput(f"The goal text must be number {number} of the dataset in every frame; it is not.")
-    return described
+    return row
 
 
 def _count_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:

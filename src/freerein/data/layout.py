@@ -183,15 +183,15 @@ def camera_key(camera: str) -> str:
 
 def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
     """Returns the `features` of `info.json`: every column of a data file."""
-    described: dict[str, dict[str, object]] = {
+    features: dict[str, dict[str, object]] = {
         camera_key(camera): {"dtype": "image", "shape": list(size), "names": ["height", "width", "channels"]}
         for camera, size in spec.cameras.items()
     }
     names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
-    described["action"] = {"dtype": str(spec.action_dtype), "shape": [spec.action.size], "names": names}
+    features["action"] = {"dtype": str(spec.action_dtype), "shape": [spec.action.size], "names": names}
     for name, dtype in _INDEX_COLUMNS.items():
-        described[name] = {"dtype": dtype, "shape": [1], "names": None}
-    return described
+        features[name] = {"dtype": dtype, "shape": [1], "names": None}
+    return features
 
 
 def info(spec: DatasetSpec, *, trajectories: int, frames: int, tasks: int) -> dict[str, object]:

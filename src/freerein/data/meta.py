@@ -144,8 +144,8 @@ def episodes_schema(spec: DatasetSpec) -> pa.Schema:
     """Returns the columns of the episodes table."""
     integers = [(name, pa.int64()) for name in ("episode_index", *_INTEGERS)]
     statistics_ = [
-        (f"stats/{feature}/{name}", _statistic_type(str(described["dtype"]), name))
-        for feature, described in layout.features(spec).items()
+        (f"stats/{feature}/{name}", _statistic_type(str(column["dtype"]), name))
+        for feature, column in layout.features(spec).items()
         for name in STATISTICS
     ]
     own_place = [("meta/episodes/chunk_index", pa.int64()), ("meta/episodes/file_index", pa.int64())]

@@ -50,7 +50,7 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
     columns["action"] = _action_column(trajectory.actions)
     columns |= {name: pa.array(column[:, 0]) for name, column in numbers.items() if name != "action"}
-    described: dict[str, Any] = {
+    footer: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
         "goal_text": trajectory.goal_text,
@@ -59,7 +59,7 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
             for feature, each in _statistics(trajectory, spec, numbers).items()
         },
     }
-    schema = layout.data_schema(spec).with_metadata({_FOOTER_KEY: json.dumps(described).encode()})
+    schema = layout.data_schema(spec).with_metadata({_FOOTER_KEY: json.dumps(footer).encode()})
     sink = io.BytesIO()
     # PNG bytes do not compress again, and column statistics of images would copy two of them into the footer.
     pq.write_table(
@@ -80,15 +80,15 @@ def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
         if text is None:
             return None
-        described = json.loads(text)
+        footer = json.loads(text)
         return TrajectoryFooter(
-            spec=loads(json.dumps(described["spec"])),
+            spec=loads(json.dumps(footer["spec"])),
             length=metadata.num_rows,
-            skills=tuple(described["skills"]),
-            goal_text=str(described.get("goal_text", "")),
+            skills=tuple(footer["skills"]),
+            goal_text=str(footer.get("goal_text", "")),
             statistics={
                 feature: {name: np.array(values, np.float64) for name, values in each.items()}
-                for feature, each in described["statistics"].items()
+                for feature, each in footer["statistics"].items()
             },
         )
 
