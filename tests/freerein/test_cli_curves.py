@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from freerein.cli.job_display import draw
-from freerein.cli.job_progress import JobProgress, by_relevance
-from freerein.cli.terminal_plot import plot
+from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.progress import JobProgress, by_relevance
+from freerein.cli.jobs.terminal_plot import plot
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
 

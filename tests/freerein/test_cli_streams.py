@@ -5,7 +5,7 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from freerein.cli.streams import reconnecting
+from freerein.cli.jobs.streams import reconnecting
 from freerein.errors import Unavailable
 
 TIMEOUT_S = 0.1

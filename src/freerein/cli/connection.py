@@ -2,11 +2,12 @@
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
 from freerein.clients.channel import Channel, Client
+from freerein.errors import ServiceError, Unavailable
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)
@@ -24,12 +25,38 @@ def connect(client: type[C], service: str) -> C:
 
 def call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
     """Returns what a coroutine function does with a connected client; raises as `connect` and the function."""
+    return asyncio.run(_call(client, service, use))
 
-    async def connected() -> T:
-        async with connect(client, service) as opened:
-            return await use(opened)
 
-    return asyncio.run(connected())
+def call_each(
+    client: type[C], services: Sequence[str], use: Callable[[C], Awaitable[T]]
+) -> tuple[dict[str, T], dict[str, ServiceError]]:
+    """Returns the answers of several services, at least one, and the errors of the others, by service.
+
+    Raises:
+        ServiceError: No service has an answer; the error of one that runs, if any.
+    """
+
+    async def answer(service: str) -> T | ServiceError:
+        try:
+            return await _call(client, service, use)
+        except ServiceError as error:
+            return error
+
+    async def ask() -> list[T | ServiceError]:
+        return await asyncio.gather(*map(answer, services))
+
+    replies = dict(zip(services, asyncio.run(ask()), strict=True))
+    answers = {service: reply for service, reply in replies.items() if not isinstance(reply, ServiceError)}
+    errors = {service: reply for service, reply in replies.items() if isinstance(reply, ServiceError)}
+    if not answers:
+        raise min(errors.values(), key=lambda error: isinstance(error, Unavailable))
+    return answers, errors
+
+
+async def _call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
+    async with connect(client, service) as connected:
+        return await use(connected)
 
 
 def channel_to(target: str, settings: CliSettings) -> Channel:

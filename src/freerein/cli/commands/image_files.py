@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from freerein import images
 from freerein.errors import NotFound
-
-if TYPE_CHECKING:
-    from freerein.types.common import Image
+from freerein.types.common import Image
 
 FILES = "[CAMERA=]FILE"
 """Syntax of an image option; the camera is needed where the model has several."""
@@ -15,7 +13,7 @@ FILES = "[CAMERA=]FILE"
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
-def read_images(named: Sequence[str]) -> "tuple[Image, ...]":
+def read_images(named: Sequence[str]) -> tuple[Image, ...]:
     """Returns images; those of a folder in the order of their names.
 
     Args:
@@ -45,9 +43,6 @@ def _files(text: str) -> list[tuple[str, Path]]:
     return [(camera, file) for file in found]
 
 
-def _read(path: Path, camera: str) -> "Image":
-    from freerein import images
-    from freerein.types.common import Image
-
+def _read(path: Path, camera: str) -> Image:
     data = path.read_bytes()
     return Image(images.sniff(data, field="image"), 0, 0, data, camera)

@@ -8,22 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freerein.cli import job_events
 from freerein.cli.commands.sim import record
 from freerein.cli.connection import channel_to
 from freerein.cli.demo.report import Reporter
-from freerein.cli.job_progress import JobProgress
+from freerein.cli.jobs.display import check_succeeded
+from freerein.cli.jobs.progress import JobProgress
+from freerein.cli.jobs.streams import follow_fit, follow_run
 from freerein.cli.services import Endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, FitClient, OrchestratorClient, SimClient
 from freerein.data import dataset_path
-from freerein.errors import FailedPrecondition
 from freerein.types.learning import Fit, StartFitRequest
 from freerein.types.orchestrator import GetArtifactRequest, RunKind, StartRunRequest
 from freerein.types.sim import DemonstrateRequest
 
 HELD_OUT_SEED = 1_000_000
 """Added to the seed for held-out data and evaluation episodes."""
+
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +84,10 @@ class Context:
         self.reporter.command(f"freerein fit watch {fit.id} --service {service}")
         with self.reporter.progress(f"{service} {fit.model_name}", fit.steps) as advance:
             client = FitClient(self.channel(service))
-            async with client, aclosing(job_events.follow_fit(client, fit.id)) as changes:
+            async with client, aclosing(follow_fit(client, fit.id)) as changes:
                 async for fit in changes:
                     advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
-        _check_succeeded(f"fit of {fit.model_name}", fit.state, fit.error)
+        check_succeeded(f"fit of {fit.model_name}", fit)
 
     async def start_run(self, kind: RunKind, config: dict[str, Any]) -> str:
         """Starts a run; returns its id. The orchestrator runs one run at a time."""
@@ -107,11 +108,11 @@ class Context:
         """
         self.reporter.command(f"freerein runs watch {run_id}")
         client = OrchestratorClient(self.channel("orchestrator"))
-        async with client, aclosing(job_events.follow_run(client, run_id)) as changes:
+        async with client, aclosing(follow_run(client, run_id)) as changes:
             with self.reporter.curves(name, metrics) as show:
                 async for run in changes:
                     curves = show(run)
-        _check_succeeded(f"run {name}", run.state, run.error)
+        check_succeeded(f"run {name}", run)
         return curves
 
     async def artifact(self, run_id: str, name: str) -> dict[str, Any]:
@@ -127,14 +128,6 @@ def _options(config: Mapping[str, object]) -> str:
     """Returns a configuration as `--set` options."""
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in config.items()}
     return " ".join(f"--set {shlex.quote(f'{key}={text}')}" for key, text in texts.items())
-
-
-def _check_succeeded(name: str, state: str, error: str) -> None:
-    if state != "succeeded":
-        raise FailedPrecondition(
-            f"The {name} must succeed; its state is {state}. {error}".rstrip(),
-            hint="Read log.txt in its folder in the data directory.",
-        )
 
 
 def _record_command(name: str, request: DemonstrateRequest) -> str:

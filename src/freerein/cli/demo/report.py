@@ -13,8 +13,8 @@ from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freerein.cli.job_display import draw
-from freerein.cli.job_progress import Job, JobProgress
+from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.progress import Job, JobProgress
 from freerein.cli.output import print_json
 
 _COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")

@@ -1,4 +1,4 @@
-"""The configuration of a fit or run on the command line: `--config FILE.json` and `--set KEY=VALUE`."""
+"""Options that the commands of fits and runs share, and the configuration that they make."""
 
 import json
 from collections.abc import Sequence
@@ -12,6 +12,8 @@ from freerein.errors import InvalidInput
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a configuration key; repeatable.")
 ]
+FromStep = Annotated[int, typer.Option(min=0, help="First step to print.")]
+MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -39,12 +41,8 @@ def configuration(settings: Sequence[str] | None, file: Path | None = None) -> d
     Raises:
         InvalidInput: The file does not hold a JSON object, or a setting is malformed.
     """
-    return {**(_read(file) if file else {}), **dict(setting(text) for text in settings or ())}
-
-
-def _read(file: Path) -> dict[str, Any]:
     try:
-        values = json.loads(file.read_bytes())
+        values = json.loads(file.read_bytes()) if file else {}
     except ValueError:
         values = None
     if not isinstance(values, dict):
@@ -53,4 +51,4 @@ def _read(file: Path) -> dict[str, Any]:
             field="config",
             hint='Such as {"task": "grid", "count": 20}.',
         )
-    return values
+    return {**values, **dict(setting(text) for text in settings or ())}

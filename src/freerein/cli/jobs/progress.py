@@ -1,15 +1,13 @@
 """The progress of a fit or run: its learning curves, and the time left."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from freerein.types.jobs import MetricRow
+from freerein.types.learning import Fit
+from freerein.types.orchestrator import Run
 
-if TYPE_CHECKING:
-    from freerein.types.learning import Fit
-    from freerein.types.orchestrator import Run
-
-Job: TypeAlias = "Fit | Run"
+Job: TypeAlias = Fit | Run
 _HISTORY_S = 1.0
 _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
 
@@ -77,7 +75,11 @@ class JobProgress:
 
 def by_relevance(names: Iterable[str]) -> list[str]:
     """Returns names of metrics ordered by relevance: returns before losses before the rest."""
-    return sorted(names, key=lambda name: (_relevance(name), name))
+
+    def relevance(name: str) -> int:
+        return next((place for place, word in enumerate(_RELEVANT) if word in name), len(_RELEVANT))
+
+    return sorted(names, key=lambda name: (relevance(name), name))
 
 
 def steps_text(job: Job) -> str:
@@ -88,7 +90,3 @@ def steps_text(job: Job) -> str:
 def metrics_text(job: Job) -> str:
     """Returns the latest metrics on one line."""
     return " ".join(f"{name}={job.metrics[name]:.4g}" for name in by_relevance(job.metrics))
-
-
-def _relevance(name: str) -> int:
-    return next((place for place, word in enumerate(_RELEVANT) if word in name), len(_RELEVANT))
