@@ -17,9 +17,10 @@ COMMANDS = {
     "fit": "Fits of models.",
     "runs": "Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.",
     "dataset": "Inspect and check datasets.",
-    "models": "Models of the segmentation, imitation and reward services.",
+    "models": "Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their "
+    "runs: see `freerein runs artifacts`.",
 }
-"""The first sentence of each command's help."""
+"""The first paragraph of each command's help."""
 
 
 class _LazyGroup(TyperGroup):

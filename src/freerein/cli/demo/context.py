@@ -26,7 +26,6 @@ HELD_OUT_SEED = 1_000_000
 """Added to the seed for held-out data and evaluation episodes."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class Context:
     """Where and how the demo runs.

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.padding import Padding
@@ -16,6 +17,7 @@ from rich.table import Table
 from freerein.cli.jobs.display import draw
 from freerein.cli.jobs.progress import Job, JobProgress
 from freerein.cli.output import print_json
+from freerein.metrics import mean_interval
 
 _COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
@@ -69,6 +71,35 @@ class Figure:
         baseline = "" if self.baseline is None else f"{self.baseline:.3g} ({self.baseline_text})"
         verdict = {None: "", True: "met", False: "not met"}[self.met]
         return self.name, f"{self.value:.3g}", interval, baseline, self.bar, verdict
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Oracle returns of a policy: control steps at the goal, in the same episodes for every policy.
+
+    Attributes:
+        episodes: One return per episode.
+    """
+
+    episodes: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(np.mean(self.episodes))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the mean."""
+        return mean_interval(self.episodes, rng=np.random.default_rng(0))
+
+    def __sub__(self, other: "Returns") -> "Returns":
+        """Returns the differences by episode."""
+        return Returns(tuple(np.subtract(self.episodes, other.episodes).tolist()))
+
+    def __add__(self, other: "Returns") -> "Returns":
+        """Returns the episodes of both."""
+        return Returns(self.episodes + other.episodes)
 
 
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:

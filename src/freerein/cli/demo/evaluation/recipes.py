@@ -21,19 +21,6 @@ UNDISTURBED_M = SIDE_M / 2
 _RESTING_M = 0.008
 
 
-@dataclass(frozen=True, eq=False)
-class SkillAttempt:
-    """One skill of a recipe as it was executed.
-
-    Attributes:
-        skill: Name of the skill, `move-COLOUR`.
-        states: float64 (T, S), from the skill's first state to the first state of the next skill.
-    """
-
-    skill: str
-    states: States
-
-
 @dataclass(frozen=True)
 class SkillOutcome:
     """Result of a skill attempt.
@@ -47,8 +34,10 @@ class SkillOutcome:
     completed: bool
 
 
-def attempts(recipe: Sequence[str], states: States, goal_index: npt.NDArray[np.integer[Any]]) -> list[SkillAttempt]:
-    """Returns an attempt for each skill of a recipe that the policy started.
+def attempts(
+    recipe: Sequence[str], states: States, goal_index: npt.NDArray[np.integer[Any]]
+) -> list[tuple[str, States]]:
+    """Returns each skill of a recipe that the policy started, with its states up to the first of the next skill.
 
     Args:
         recipe: Skills, in order.
@@ -57,16 +46,16 @@ def attempts(recipe: Sequence[str], states: States, goal_index: npt.NDArray[np.i
     """
     bounds = np.searchsorted(goal_index, np.arange(len(recipe) + 1))  # first timestep of each skill
     return [
-        SkillAttempt(skill, states[start : stop + 1])
+        (skill, states[start : stop + 1])
         for skill, start, stop in zip(recipe, bounds, bounds[1:], strict=False)
         if start < stop
     ]
 
 
-def outcome(attempt: SkillAttempt) -> SkillOutcome:
-    """Returns the result of a skill attempt."""
-    positions = block_positions(attempt.states)  # (T, blocks, 3)
-    target = COLOURS.index(attempt.skill.removeprefix("move-"))
+def outcome(skill: str, states: States) -> SkillOutcome:
+    """Returns the result of an attempt at a skill `move-COLOUR`, given its states float64 (T, S)."""
+    positions = block_positions(states)  # (T, blocks, 3)
+    target = COLOURS.index(skill.removeprefix("move-"))
     height = positions[:, target, 2]
     lifted = bool(height.max() - height[0] > LIFTED_M)
     moved = np.linalg.norm(positions[-1] - positions[0], axis=1)  # (blocks,)
