@@ -15,16 +15,12 @@ T = TypeVar("T")
 
 
 def connect(client: type[C], service: str) -> C:
-    """Returns a client of a service at its address in the environment, by default that of `freerein up`.
-
-    Raises:
-        InvalidInput: The service or its address is invalid.
-    """
+    """Returns a client of a service at its address in the environment, by default that of `freerein up`."""
     return client(channel_to(address(service, os.environ), CliSettings()))
 
 
 def call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
-    """Returns what a coroutine function does with a connected client; raises as `connect` and the function."""
+    """Returns what a coroutine function does with a connected client."""
     return asyncio.run(_call(client, service, use))
 
 
@@ -33,8 +29,7 @@ def call_each(
 ) -> tuple[dict[str, T], dict[str, ServiceError]]:
     """Returns the answers of several services, at least one, and the errors of the others, by service.
 
-    Raises:
-        ServiceError: No service has an answer; the error of one that runs, if any.
+    Raises ServiceError where no service has an answer: the error of one that runs, if any.
     """
 
     async def answer(service: str) -> T | ServiceError:

@@ -75,11 +75,7 @@ def dataset_root(name: str) -> Path:
 
 
 def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
-    """Returns a trajectory of a dataset.
-
-    Raises:
-        NotFound: The index is out of range.
-    """
+    """Returns a trajectory of a dataset; raises NotFound where the index is out of range."""
     if index >= len(dataset):
         raise NotFound(
             f"The index must be below {len(dataset)}, the number of trajectories; got {index}.",
@@ -90,11 +86,7 @@ def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
 
 
 def choose_camera(dataset: Dataset, camera: str) -> str:
-    """Returns the named camera; the first one where the name is empty.
-
-    Raises:
-        InvalidInput: There is no such camera.
-    """
+    """Returns the named camera, or the first one where the name is empty; raises InvalidInput where there is none."""
     cameras = tuple(dataset.spec.cameras)
     if camera and camera not in cameras:
         raise InvalidInput(

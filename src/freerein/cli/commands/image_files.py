@@ -14,14 +14,9 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 def read_images(named: Sequence[str]) -> tuple[Image, ...]:
-    """Returns images; those of a folder in the order of their names.
+    """Returns the images in files or folders, each named as `FILES` describes; a folder's in the order of their names.
 
-    Args:
-        named: Files or folders, each as `FILES` describes.
-
-    Raises:
-        NotFound: A file does not exist, or a folder holds no image.
-        UnsupportedMedia: A file is not PNG, JPEG or WebP.
+    Raises NotFound where there is no image, UnsupportedMedia where a file is not PNG, JPEG or WebP.
     """
     return tuple(_read(path, camera) for text in named for camera, path in _files(text))
 

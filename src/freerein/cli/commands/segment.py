@@ -82,17 +82,8 @@ async def label_all(
 ) -> LabelsInfo:
     """Labels every trajectory of a dataset by one version of a model, and stores the labels beside it.
 
-    The labels count only once all trajectories have theirs.
-
-    Args:
-        client: The segmentation service.
-        root: Folder of the dataset.
-        request: Model and options; frames and actions are filled in.
-        camera: Camera of the frames.
-        on_count: Called with the number of trajectories labelled.
-
-    Raises:
-        ServiceError: The service refused a trajectory, or the dataset cannot be read.
+    The labels count only once all trajectories have theirs. `request` holds model and options; `on_count` is called
+    with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
     labels.discard(root)

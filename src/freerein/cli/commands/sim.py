@@ -74,18 +74,8 @@ def demonstrate(
 async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]) -> int:
     """Records demonstrations until a dataset holds `request.count`; trajectories that it holds already stay.
 
-    Args:
-        client: The sim service.
-        request: What to demonstrate; `first` is filled in.
-        root: Folder of the dataset.
-        on_count: Called with the number of trajectories on disk, at the start and after each one.
-
-    Returns:
-        Number of trajectories in the dataset.
-
-    Raises:
-        FailedPrecondition: The dataset was recorded with other options.
-        ServiceError: The service refused, or is gone.
+    Returns the number of trajectories in the dataset, with which `on_count` is called at the start and after each one.
+    Raises FailedPrecondition where the dataset was recorded with other options.
     """
     with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))

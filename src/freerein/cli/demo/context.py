@@ -28,15 +28,7 @@ HELD_OUT_SEED = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """Where and how the demo runs.
-
-    Attributes:
-        endpoints: Addresses of the services.
-        settings: Token and certificate of the services.
-        data_dir: The services' data directory.
-        seed: Random seed.
-        reporter: Prints progress.
-    """
+    """Addresses, settings, data directory and seed of a demo; records datasets, and starts and follows jobs."""
 
     endpoints: Endpoints
     settings: CliSettings
@@ -73,12 +65,7 @@ class Context:
             return service, (await client.start_fit(StartFitRequest(dataset, model_name, seeded))).fit
 
     async def follow_fit(self, started: tuple[str, Fit]) -> None:
-        """Shows a fit's progress to its end.
-
-        Raises:
-            FailedPrecondition: It ended without a model.
-            ServiceError: The service is gone.
-        """
+        """Shows a fit's progress to its end; raises FailedPrecondition where it did not succeed."""
         service, fit = started
         self.reporter.command(f"freerein fit watch {fit.id} --service {service}")
         with self.reporter.progress(f"{service} {fit.model_name}", fit.steps) as advance:
@@ -95,16 +82,7 @@ class Context:
             return (await client.start_run(StartRunRequest(kind, config))).run.id
 
     async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
-        """Shows a run's progress to its end; returns its curves.
-
-        Args:
-            name: Name on the terminal.
-            run_id: Id of the run.
-            metrics: Metrics whose curves are drawn.
-
-        Raises:
-            FailedPrecondition: It did not succeed.
-        """
+        """Shows a run's progress, with the curves of `metrics`, as `follow_fit`; returns all curves."""
         self.reporter.command(f"freerein runs watch {run_id}")
         client = OrchestratorClient(self.channel("orchestrator"))
         async with client, aclosing(follow_run(client, run_id)) as changes:

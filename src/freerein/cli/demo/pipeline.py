@@ -32,16 +32,10 @@ _SHIPPED = {"ppo": [language_policies.INIT_FROM], "distill": list(language_polic
 
 
 async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> None:
-    """Runs every stage, and writes `summary.json`, `summary.md` and the pictures.
+    """Runs every stage, and writes `summary.json`, `summary.md` and the pictures into `out`, which is emptied first.
 
-    Args:
-        out: Output folder: new, empty, or an earlier demo's, which is emptied.
-        seed: Random seed.
-        reporter: Prints progress.
-        running: Whether to use services that already run, where the environment says; else the demo starts its own.
-
-    Raises:
-        ServiceError: The folder holds something else, or a stage failed.
+    With `running`, services that already run are used, where the environment says; else the demo starts its own. Raises
+    ServiceError where the folder is not the demo's to empty, or a stage failed.
     """
     started_s = time.perf_counter()
     settings = CliSettings()
@@ -107,10 +101,8 @@ async def _learn_and_measure(context: Context, out: Path) -> tuple[Figure, ...]:
     with stage("Evaluate goal images, rewards and recipes"):
         goal_images = await imitation.follow_goal_images(context)
         two, four = await reward.look_at_two_blocks(context), Scenes.of_rollout(goal_images.exploration)
-        rewards = (
-            *await reward.classify(context, "two_blocks", two),
-            *await reward.classify(context, "four_blocks", four),
-        )
+        two_blocks = await reward.classify(context, "two_blocks", two)
+        four_blocks = await reward.classify(context, "four_blocks", four)
         examples = await reward.examples(context, two, four)
         recipes = await skill_policies.execute_recipes(context)
     with stage("Train a policy by PPO on images and the learned reward"):

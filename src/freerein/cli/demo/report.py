@@ -75,11 +75,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Returns:
-    """Oracle returns of a policy: control steps at the goal, in the same episodes for every policy.
-
-    Attributes:
-        episodes: One return per episode.
-    """
+    """Oracle returns of a policy by episode: control steps at the goal, in the same episodes for every policy."""
 
     episodes: tuple[float, ...]
 
@@ -105,10 +101,7 @@ class Returns:
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:
     """Returns `summary.json`: each value by name, and under `figures` its baseline, interval, bar and verdict.
 
-    Args:
-        figures: What was measured.
-        seed: Random seed of the demo.
-        shipped: By stage, the models that came with freerein and were not learned in the demo.
+    `shipped` holds by stage the models that came with freerein.
     """
     details = {
         figure.name: {

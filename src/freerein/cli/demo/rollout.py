@@ -64,16 +64,7 @@ async def robot_session(
 
 @dataclass(frozen=True)
 class RobotSession:
-    """A sim session of several robots; each rollout starts from the same states.
-
-    Attributes:
-        sim: The sim service.
-        session: Id of the session.
-        camera: Camera of the frames.
-        count: Number of robots.
-        action_size: Numbers per action.
-        start: Snapshot of the states that rollouts start from.
-    """
+    """A sim session of `count` robots; each rollout starts from the states in the snapshot `start`."""
 
     sim: SimClient
     session: str
@@ -114,10 +105,6 @@ class ServedPolicy:
     """A policy of the imitation service that pursues one goal per robot until all are done.
 
     Attributes:
-        client: The imitation service.
-        model: Name and version of the model.
-        goals: One goal per robot.
-        camera: Camera of the observations.
         max_steps_per_goal: Steps after which a goal is abandoned for the next one; 0 for the model's default.
         goal_index: int64 (N,) per timestep, the number of goals that each robot is done with.
         confidence: float64 (N,) per timestep, confidence that the goal pursued is reached.
@@ -160,13 +147,7 @@ class ServedPolicy:
 
 @dataclass(eq=False)
 class RandomPolicy:
-    """Smooth random actions, with the parameters of the sim service's random behaviour.
-
-    Attributes:
-        size: Numbers per action.
-        count: Number of robots.
-        rng: Draws the targets and how long they are held.
-    """
+    """Smooth random actions, with the parameters of the sim service's random behaviour."""
 
     size: int
     count: int

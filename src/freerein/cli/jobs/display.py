@@ -58,9 +58,6 @@ def watch(
         command: The command that watches it again.
         as_json: Whether each change is printed as a JSON document.
         metrics: Names of the metrics to draw; None for the most relevant ones.
-
-    Raises:
-        FailedPrecondition: It did not succeed.
     """
 
     async def show_all() -> J:
@@ -116,14 +113,7 @@ def _display(
 
 
 def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> RenderableType:
-    """Returns the state of a fit or run, with its curves below.
-
-    Args:
-        name: What it is called.
-        progress: Its progress.
-        metrics: Names of the metrics to draw; None for the most relevant ones.
-        width: Characters per line of the terminal.
-    """
+    """Returns the state of a fit or run, with the curves of `metrics` or of the most relevant ones below."""
     if progress.job is None:
         return Text(f"{name}  …", style="bold")
     state = _state_line(name, progress.job, progress.seconds_left)

@@ -17,11 +17,7 @@ MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Returns the key and value of a setting; the value is JSON, else a string.
-
-    Raises:
-        InvalidInput: It has no key or no value.
-    """
+    """Returns the key and value of a setting; the value is JSON, else a string."""
     key, equals, value = text.partition("=")
     if not (key and equals):
         raise InvalidInput(
@@ -36,11 +32,7 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def configuration(settings: Sequence[str] | None, file: Path | None = None) -> dict[str, Any]:
-    """Returns the configuration in a file, overridden by settings.
-
-    Raises:
-        InvalidInput: The file does not hold a JSON object, or a setting is malformed.
-    """
+    """Returns the configuration in a file, overridden by settings."""
     try:
         values = json.loads(file.read_bytes()) if file else {}
     except ValueError:

@@ -13,11 +13,7 @@ _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
 
 
 class JobProgress:
-    """The progress of a fit or run as far as it is known.
-
-    Attributes:
-        job: Its latest state; None before the first.
-    """
+    """The latest state of a fit or run, `job`, its curves, and the time left."""
 
     def __init__(self) -> None:
         self.job: Job | None = None
@@ -35,11 +31,9 @@ class JobProgress:
                     curve.append((row.step, value))
 
     def add(self, job: Job, *, at_s: float) -> None:
-        """Adds a state. States within a second of the first are history, which says nothing about the pace.
+        """Adds a state received at a monotonic time.
 
-        Args:
-            job: The state.
-            at_s: When it was received, by a monotonic clock.
+        States within a second of the first are history, which says nothing about the pace.
         """
         if self._watched_since_s is None:
             self._watched_since_s = at_s
@@ -62,12 +56,7 @@ class JobProgress:
         return tuple(self._curves.get(name, ()))
 
     def curves(self, names: Sequence[str] | None, *, most: int) -> dict[str, list[float]]:
-        """Returns the values of metrics with at least two points, in order of steps.
-
-        Args:
-            names: Names of the metrics; None for the most relevant ones.
-            most: Maximum number of the most relevant ones.
-        """
+        """Returns the values of metrics with at least two points; by default of the `most` most relevant ones."""
         drawn = [name for name, points in self._curves.items() if len(points) > 1]
         chosen = by_relevance(drawn)[:most] if names is None else [name for name in names if name in drawn]
         return {name: [value for _, value in self._curves[name]] for name in chosen}

@@ -20,10 +20,7 @@ _RETRY_S = 0.5
 
 
 def follow_fit(client: FitClient, fit_id: str) -> AsyncGenerator[Fit, None]:
-    """Yields a fit after each change, from the first to the last.
-
-    Raises ServiceError when there is no such fit, or the service is gone.
-    """
+    """Yields a fit after each change, from the first to the last."""
     return _follow(lambda start: client.watch_fit(WatchFitRequest(fit_id, start)), lambda event: event.fit)
 
 
@@ -35,15 +32,10 @@ def follow_run(client: OrchestratorClient, run_id: str) -> AsyncGenerator[Run, N
 async def reconnecting(
     open_stream: Callable[[], AsyncGenerator[T, None]], *, timeout_s: float = TIMEOUT_S
 ) -> AsyncGenerator[T, None]:
-    """Yields the items of a stream; opens it again when the service goes away.
+    """Yields the items of a stream, which is opened again where it broke off when the service goes away.
 
-    Args:
-        open_stream: Opens the stream where it broke off.
-        timeout_s: How long the service may be away. A stream that was open for longer, however quiet, shows that it
-            was there.
-
-    Raises:
-        Unavailable: The service stayed away, or `WorkerLost`.
+    The service may be away for `timeout_s`; a stream that was open for longer, however quiet, shows that it was there.
+    Raises Unavailable or WorkerLost when it stays away.
     """
     there_s = time.monotonic()
     while True:

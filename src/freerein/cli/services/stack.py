@@ -81,11 +81,7 @@ class Stack:
         return tuple(process.status for process in self._processes)
 
     async def watch(self) -> AsyncGenerator[tuple[ServiceStatus, ...], None]:
-        """Yields the statuses, now and after every change.
-
-        Raises:
-            OSError: A service's log cannot be written.
-        """
+        """Yields the statuses, now and after every change; raises OSError where a service's log cannot be written."""
         while True:
             changed = self._changed
             for task in self._tasks:
@@ -95,12 +91,7 @@ class Stack:
             await changed.wait()
 
     async def ready(self, *, timeout_s: float) -> None:
-        """Waits until every service is ready.
-
-        Raises:
-            FailedPrecondition: A service failed.
-            DeadlineExceeded: A service is not ready after `timeout_s` seconds.
-        """
+        """Waits until every service is ready; raises FailedPrecondition or DeadlineExceeded."""
         try:
             async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
                 async for statuses in changes:
@@ -114,11 +105,7 @@ class Stack:
             ) from None
 
     async def __aenter__(self) -> Self:
-        """Starts the services.
-
-        Raises:
-            FailedPrecondition: A port is in use.
-        """
+        """Starts the services; raises FailedPrecondition where a port is in use."""
         check_free(self._ports, host=self._host)
         self._tasks = [asyncio.create_task(process.run()) for process in self._processes]
         for task in self._tasks:

@@ -23,7 +23,7 @@ _RESTING_M = 0.008
 
 @dataclass(frozen=True)
 class SkillOutcome:
-    """Result of a skill attempt.
+    """Result of an attempt at a skill.
 
     Attributes:
         lifted: Whether the skill's block rose.
@@ -39,10 +39,8 @@ def attempts(
 ) -> list[tuple[str, States]]:
     """Returns each skill of a recipe that the policy started, with its states up to the first of the next skill.
 
-    Args:
-        recipe: Skills, in order.
-        states: float64 (T, S), the true state of each observation.
-        goal_index: int (T,), skills done according to the reply to each observation; it never falls.
+    `states` are float64 (T, S); `goal_index`, int (T,), counts the skills done according to the reply to each; it never
+    falls.
     """
     bounds = np.searchsorted(goal_index, np.arange(len(recipe) + 1))  # first timestep of each skill
     return [
@@ -65,12 +63,7 @@ def outcome(skill: str, states: States) -> SkillOutcome:
 
 
 def is_resting(positions: States, block: int) -> bool:
-    """Returns whether a block lies on the table or on another block.
-
-    Args:
-        positions: float64 (blocks, 3), x, y and z of their centres in metres; the table's top is z = 0.
-        block: Index of the block.
-    """
+    """Returns whether a block lies on the table, z = 0, or on another; positions are float64 (blocks, 3) in metres."""
     offset = positions[block] - np.delete(positions, block, axis=0)  # (blocks - 1, 3)
     on_another = (np.abs(offset[:, 2] - SIDE_M) < _RESTING_M) & (np.abs(offset[:, :2]) < SIDE_M / 2).all(axis=1)
     return bool(abs(positions[block, 2] - SIDE_M / 2) < _RESTING_M or on_another.any())
