@@ -75,6 +75,17 @@ def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     console.print(table)
 
 
+def show_all(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], documents: Iterable[Mapping[str, object]], *, as_json: bool
+) -> None:
+    """Prints a table, or the JSON document of each row."""
+    if as_json:
+        for document in documents:
+            print_json(document)
+    else:
+        show_table(columns, rows)
+
+
 @contextmanager
 def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[[int], None]]:
     """Yields a function that moves a progress bar on stderr; the bar is hidden where stderr is no terminal."""

@@ -1,6 +1,6 @@
 """`freerein fit`: start, list, watch and cancel fits; their metrics."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -11,7 +11,7 @@ from freerein.cli.jobs import display
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, show_all
 from freerein.clients import FitClient
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
@@ -129,13 +129,10 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
         _show([(service, fit)], as_json=False)
 
 
-def _show(fits: Iterable[tuple[str, Fit]], *, as_json: bool) -> None:
+def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:
     """Prints fits and their services."""
-    if as_json:
-        for service, fit in fits:
-            print_json({"service": service, **wire.to_json(fit)})
-        return
-    rows = [
+    documents = ({"service": service, **wire.to_json(fit)} for service, fit in fits)
+    rows = (
         (
             fit.id,
             service,
@@ -146,5 +143,6 @@ def _show(fits: Iterable[tuple[str, Fit]], *, as_json: bool) -> None:
             fit.error or metrics_text(fit),
         )
         for service, fit in fits
-    ]
-    show_table(("fit", "service", "state", "dataset", "model", "steps", "metrics"), rows)
+    )
+    columns = ("fit", "service", "state", "dataset", "model", "steps", "metrics")
+    show_all(columns, rows, documents, as_json=as_json)

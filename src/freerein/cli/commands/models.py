@@ -1,13 +1,13 @@
 """`freerein models`: the models of the learned services, and the version of each that is active."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 
 from freerein import wire
 from freerein.cli.connection import call, call_each
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, show_all
 from freerein.clients import ModelClient
 from freerein.errors import Unavailable
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest, Model
@@ -55,16 +55,13 @@ def activate(
     _show([(service, active)], as_json=as_json)
 
 
-def _show(models: Iterable[tuple[str, Model]], *, as_json: bool) -> None:
-    if as_json:
-        for service, model in models:
-            print_json({"service": service, **wire.to_json(model)})
-        return
-    rows = [
+def _show(models: Sequence[tuple[str, Model]], *, as_json: bool) -> None:
+    documents = ({"service": service, **wire.to_json(model)} for service, model in models)
+    rows = (
         (service, model.ref.name, model.ref.version, "active" if model.active else "", _dataset(model.card))
         for service, model in models
-    ]
-    show_table(("service", "model", "version", "", "dataset"), rows)
+    )
+    show_all(("service", "model", "version", "", "dataset"), rows, documents, as_json=as_json)
 
 
 def _dataset(card: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from freerein.cli.jobs import display
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, print_json, show_all
 from freerein.clients import OrchestratorClient
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import (
@@ -183,11 +183,7 @@ def _ask(use: Callable[[OrchestratorClient], Awaitable[T]]) -> T:
 
 
 def _show(runs: Sequence[Run], *, as_json: bool) -> None:
-    if as_json:
-        for run in runs:
-            print_json(wire.to_json(run))
-        return
-    rows = [
+    rows = (
         (
             run.id,
             run.kind,
@@ -197,14 +193,11 @@ def _show(runs: Sequence[Run], *, as_json: bool) -> None:
             run.error or metrics_text(run),
         )
         for run in runs
-    ]
-    show_table(("run", "kind", "state", "steps", "model", "metrics"), rows)
+    )
+    show_all(("run", "kind", "state", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json)
 
 
 def _list_artifacts(run_id: str, *, as_json: bool) -> None:
     found = _ask(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
-    if as_json:
-        for artifact in found:
-            print_json(wire.to_json(artifact))
-        return
-    show_table(("artifact", "bytes"), [(artifact.name, str(artifact.size)) for artifact in found])
+    rows = ((artifact.name, str(artifact.size)) for artifact in found)
+    show_all(("artifact", "bytes"), rows, map(wire.to_json, found), as_json=as_json)

@@ -17,7 +17,7 @@ from freerein import wire
 from freerein.cli.connection import connect
 from freerein.cli.jobs.progress import Job, JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.jobs.terminal_plot import plot
-from freerein.cli.output import print_json, show_table
+from freerein.cli.output import print_json, show_all
 from freerein.clients.channel import Client
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
@@ -128,13 +128,9 @@ def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None,
 
 def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
     """Prints rows of metrics."""
-    if as_json:
-        for row in rows:
-            print_json({"step": row.step, **row.metrics})
-        return
     names = by_relevance({name for row in rows for name in row.metrics})
-    cells = [[str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows]
-    show_table(("step", *names), cells)
+    cells = ([str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows)
+    show_all(("step", *names), cells, ({"step": row.step, **row.metrics} for row in rows), as_json=as_json)
 
 
 def _state_line(name: str, job: Job, seconds_left: float | None) -> RenderableType:
