@@ -1,6 +1,6 @@
 """One policy per skill in the demo: cloned from demonstrations segmented by tags alone, executed by recipe."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -59,12 +59,16 @@ async def execute_recipes(context: Context) -> tuple[Figure, ...]:
     outcomes = _outcomes(plans, executed, np.stack(policy.goal_index))
     timed = np.repeat((np.arange(_STEPS) // skill_steps).clip(max=len(spec.skills))[:, None], _ROBOTS, axis=1)
     random_outcomes = _outcomes(plans, random, timed)
-    asked, guess = _ROBOTS * len(spec.skills), "random actions"
-    completed, random_completed = (sum(each.completed for each in some) / asked for some in (outcomes, random_outcomes))
-    lifted, random_lifted = (sum(each.lifted for each in some) / asked for some in (outcomes, random_outcomes))
+
+    def share(flags: Iterable[bool]) -> float:
+        return sum(flags) / (_ROBOTS * len(spec.skills))
+
+    completed, lifted = share(each.completed for each in outcomes), share(each.lifted for each in outcomes)
+    random_completed = share(each.completed for each in random_outcomes)
+    random_lifted = share(each.lifted for each in random_outcomes)
     return (
-        Figure("recipe.skills_completed", completed, random_completed, guess, beats_baseline=True),
-        Figure("recipe.blocks_lifted", lifted, random_lifted, guess),
+        Figure("recipe.skills_completed", completed, random_completed, "random actions", beats_baseline=True),
+        Figure("recipe.blocks_lifted", lifted, random_lifted, "random actions"),
     )
 
 
