@@ -62,8 +62,10 @@ class Stack:
         self._changed = asyncio.Event()
         self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=tls_context(certificate))
         self._tasks: list[asyncio.Task[None]] = []
-        unset = {name: value for name, value in _addresses(self.addresses).items() if not environ.get(name)}
-        shared = {**environ, **unset, "FREEREIN_DATA_DIR": str(data_dir)}
+        shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir)}
+        for name, target in self.addresses.items():
+            variable = f"FREEREIN_{name.upper()}_ADDRESS"
+            shared[variable] = environ.get(variable) or target
         self._processes = [
             ServiceProcess(
                 ServiceCommand(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
@@ -141,7 +143,3 @@ def _raise_if_failed(statuses: tuple[ServiceStatus, ...]) -> None:
 
 def _environ(shared: Mapping[str, str], ports: Ports) -> dict[str, str]:
     return {**shared, "FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
-
-
-def _addresses(addresses: Mapping[str, str]) -> dict[str, str]:
-    return {f"FREEREIN_{name.upper()}_ADDRESS": address for name, address in addresses.items()}
