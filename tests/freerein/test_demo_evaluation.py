@@ -6,7 +6,7 @@ import pytest
 
 from freerein.cli.demo.evaluation import blocks, landmarks, recipes
 from freerein.cli.demo.evaluation.landmarks import ReachedRates
-from freerein.cli.demo.evaluation.recipes import SkillAttempt, SkillOutcome
+from freerein.cli.demo.evaluation.recipes import SkillOutcome
 from freerein.cli.demo.evaluation.relations import RELATIONS, BlockPair, true_relations, visible_pairs
 from freerein.errors import InvalidInput
 
@@ -115,12 +115,12 @@ def test_landmarks_are_evenly_spaced_later_frames(length: int, count: int, steps
 def test_a_skill_is_completed_when_its_block_was_lifted_and_rests_elsewhere(
     changes: list[dict[str, tuple[float, float]]], lifted: bool, completed: bool
 ) -> None:
-    assert recipes.outcome(SkillAttempt("move-red", episode(*changes))) == SkillOutcome(lifted, completed)
+    assert recipes.outcome("move-red", episode(*changes)) == SkillOutcome(lifted, completed)
 
 
 def test_each_attempt_ends_in_the_state_in_which_the_next_begins() -> None:
     states = episode(*[{"red": (0.01 * t, ON_TABLE)} for t in range(6)])
     found = recipes.attempts(["move-red", "move-blue", "move-green"], states, np.array([0, 0, 0, 1, 1, 1]))
-    assert [attempt.skill for attempt in found] == ["move-red", "move-blue"]
-    np.testing.assert_array_equal(found[0].states, states[:4])
-    np.testing.assert_array_equal(found[1].states, states[3:])
+    assert [skill for skill, _ in found] == ["move-red", "move-blue"]
+    np.testing.assert_array_equal(found[0][1], states[:4])
+    np.testing.assert_array_equal(found[1][1], states[3:])

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from freerein.cli.demo.language_policies import Returns, Student
+from freerein.cli.demo.language_policies import Student
 from freerein.cli.demo.output_folder import MARKER, prepare
 from freerein.cli.demo.pipeline import isolated_environ, run
-from freerein.cli.demo.report import Figure, Reporter, summary, write
+from freerein.cli.demo.report import Figure, Reporter, Returns, summary, write
 from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
 

@@ -1,28 +1,48 @@
 """`freerein`: the command line."""
 
-import typer
+from importlib import import_module
+from typing import Any
 
-from freerein.cli.commands import act, dataset, fit, models, reward, runs, segment, sim, up
-from freerein.cli.demo import demo
-from freerein.cli.doctor import doctor
+import typer
+from typer.core import TyperGroup
+
+COMMANDS = {
+    "up": "Run the services until Ctrl-C; restart them when they crash.",
+    "doctor": "Check this machine and the services; exit code 1 where something required is missing.",
+    "demo": "Run the whole pipeline, measure it, and draw the results.",
+    "segment": "Label every timestep of a trajectory with a skill; with --save, of the whole dataset.",
+    "reward": "Reward images against a goal text.",
+    "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
+    "sim": "List simulated tasks and record demonstrations.",
+    "fit": "Fits of models.",
+    "runs": "Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.",
+    "dataset": "Inspect and check datasets.",
+    "models": "Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their "
+    "runs: see `freerein runs artifacts`.",
+}
+"""The first paragraph of each command's help."""
+
+
+class _LazyGroup(TyperGroup):
+    """Imports the module of a command, with its `app`, only when the command runs: `freerein --help` is fast."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, placeholder, rest = super().resolve_command(ctx, args)
+        if name is None or placeholder is None:
+            return name, placeholder, rest
+        room = "freerein.cli" if name in ("doctor", "demo") else "freerein.cli.commands"
+        return name, typer.main.get_command(import_module(f"{room}.{name}").app), rest
+
 
 app = typer.Typer(
+    cls=_LazyGroup,
     help="Serve learned robot skills. `freerein demo` shows everything; `freerein doctor` checks the machine.",
     epilog="Exit codes: 0 success, 1 error, 2 invalid command line, 130 Ctrl-C (0 for `up`).",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.command()(up.up)
-app.command()(doctor)
-app.command()(demo)
-app.command()(segment.segment)
-app.command()(reward.reward)
-app.add_typer(act.app, name="act")
-app.add_typer(sim.app, name="sim")
-app.add_typer(fit.app, name="fit")
-app.add_typer(runs.app, name="runs")
-app.add_typer(dataset.app, name="dataset")
-app.add_typer(models.app, name="models")
+for _name, _help in COMMANDS.items():
+    app.command(_name, help=_help)(lambda: None)
 
 
 def main() -> None:

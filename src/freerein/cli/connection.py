@@ -2,12 +2,13 @@
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
 from freerein.cli.settings import CliSettings
 from freerein.clients.channel import Channel
 from freerein.clients.rpc import Client
+from freerein.errors import ServiceError, Unavailable
 from freerein.ports import address
 
 C = TypeVar("C", bound=Client)
@@ -15,22 +16,43 @@ T = TypeVar("T")
 
 
 def connect(client: type[C], service: str) -> C:
-    """Returns a client of a service at its address in the environment, by default that of `freerein up`.
-
-    Raises:
-        InvalidInput: The service or its address is invalid.
-    """
+    """Returns a client of a service at its address in the environment, by default that of `freerein up`."""
     return client(channel_to(address(service, os.environ), CliSettings()))
 
 
 def call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
-    """Returns what a coroutine function does with a connected client; raises as `connect` and the function."""
+    """Returns what a coroutine function does with a connected client."""
+    return asyncio.run(_call(client, service, use))
 
-    async def connected() -> T:
-        async with connect(client, service) as opened:
-            return await use(opened)
 
-    return asyncio.run(connected())
+def call_each(
+    client: type[C], services: Sequence[str], use: Callable[[C], Awaitable[T]]
+) -> tuple[dict[str, T], dict[str, ServiceError]]:
+    """Returns the answers of several services, at least one, and the errors of the others, by service.
+
+    Raises ServiceError where no service has an answer: the error of one that runs, if any.
+    """
+
+    async def answer(service: str) -> T | ServiceError:
+        try:
+            return await _call(client, service, use)
+        except ServiceError as error:
+            return error
+
+    async def ask() -> list[T | ServiceError]:
+        return await asyncio.gather(*map(answer, services))
+
+    replies = dict(zip(services, asyncio.run(ask()), strict=True))
+    answers = {service: reply for service, reply in replies.items() if not isinstance(reply, ServiceError)}
+    errors = {service: reply for service, reply in replies.items() if isinstance(reply, ServiceError)}
+    if not answers:
+        raise min(errors.values(), key=lambda error: isinstance(error, Unavailable))
+    return answers, errors
+
+
+async def _call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
+    async with connect(client, service) as connected:
+        return await use(connected)
 
 
 def channel_to(target: str, settings: CliSettings) -> Channel:

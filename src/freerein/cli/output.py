@@ -3,11 +3,15 @@
 import functools
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, ParamSpec
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
 
 from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
@@ -53,21 +57,14 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
         document = {"code": error.code, "detail": error.detail, "field": error.field, "hint": hint}
         sys.stderr.write(json.dumps({"error": document}) + "\n")
         return
-    from rich.console import Console
-    from rich.text import Text
-
     console = Console(stderr=True)
     console.print(Text.assemble(("error: ", "bold red"), error.detail), soft_wrap=True)
     if hint:
         console.print(Text.assemble(("hint:  ", "bold"), hint), soft_wrap=True)
 
 
-def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Prints a table: wrapped on a terminal, one line per row elsewhere."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     table = Table(*columns, box=None, header_style="bold", pad_edge=False)
     for column in table.columns:
         column.overflow = "fold"
@@ -78,12 +75,20 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     console.print(table)
 
 
+def show_all(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], documents: Iterable[Mapping[str, object]], *, as_json: bool
+) -> None:
+    """Prints a table, or the JSON document of each row."""
+    if as_json:
+        for document in documents:
+            print_json(document)
+    else:
+        show_table(columns, rows)
+
+
 @contextmanager
 def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[[int], None]]:
     """Yields a function that moves a progress bar on stderr; the bar is hidden where stderr is no terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not (is_shown and console.is_terminal)) as progress:

@@ -1,18 +1,19 @@
 """`freerein act`: asks a policy for the next actions, or for its observation and action spec."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from freerein import wire
 from freerein.cli.commands.image_files import FILES, read_images
+from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.clients import ImitationClient
 from freerein.errors import InvalidInput
+from freerein.types.common import Goal, ModelRef, Observation
+from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 
-if TYPE_CHECKING:
-    from freerein.types.common import ModelRef
-    from freerein.types.imitation import ActResponse, GetSpecResponse
-
-app = typer.Typer(invoke_without_command=True)
+app = typer.Typer(invoke_without_command=True, add_completion=False)
 
 Model = Annotated[str, typer.Option(help="Name of the model; `default` when empty.")]
 Version = Annotated[str, typer.Option(help="Version of the model; the active one by default.")]
@@ -38,11 +39,6 @@ def act(
     """Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text."""
     if context.invoked_subcommand:
         return
-    from freerein import wire
-    from freerein.cli.connection import call
-    from freerein.clients import ImitationClient
-    from freerein.types.common import Goal, ModelRef, Observation
-    from freerein.types.imitation import ActRequest
 
     _check(image, goal, recipe, goal_text)
     request = ActRequest(
@@ -58,12 +54,6 @@ def act(
 @command
 def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> None:
     """Show the observations and actions of a model."""
-    from freerein import wire
-    from freerein.cli.connection import call
-    from freerein.clients import ImitationClient
-    from freerein.types.common import ModelRef
-    from freerein.types.imitation import GetSpecRequest
-
     request = GetSpecRequest(ModelRef(model, version))
     answer = call(ImitationClient, "imitation", lambda client: client.get_spec(request))
     print_json(wire.to_json(answer)) if as_json else _show_spec(answer)
@@ -81,7 +71,7 @@ def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | 
         )
 
 
-def _show_answer(answer: "ActResponse") -> None:
+def _show_answer(answer: ActResponse) -> None:
     rows = [(str(step), ", ".join(f"{number:.4g}" for number in action)) for step, action in enumerate(answer.actions)]
     show_table(("step", "action"), rows)
     reached = "reached" if answer.goal_reached else f"pursuing goal {answer.goal_index}"
@@ -91,7 +81,7 @@ def _show_answer(answer: "ActResponse") -> None:
     typer.echo(f"{reached}{abandoned}; {confidence}; {_name(answer.model)}")
 
 
-def _show_spec(answer: "GetSpecResponse") -> None:
+def _show_spec(answer: GetSpecResponse) -> None:
     cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in answer.cameras)
     action = answer.action
     rows = [
@@ -108,5 +98,5 @@ def _show_spec(answer: "GetSpecResponse") -> None:
     show_table(("", ""), [row for row in rows if row[1]])
 
 
-def _name(model: "ModelRef") -> str:
+def _name(model: ModelRef) -> str:
     return f"model {model.name} {model.version}"

@@ -3,18 +3,18 @@
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from freerein import data
 from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.settings import CliSettings
+from freerein.data import Dataset, DatasetSummary, Problem, dataset_path
 from freerein.errors import InvalidInput, NotFound
+from freerein.types.common import Trajectory
 
-if TYPE_CHECKING:
-    from freerein.data import Dataset, DatasetSummary, Problem
-    from freerein.types.common import Trajectory
-
-app = typer.Typer(help="Inspect and check datasets.", no_args_is_help=True)
+app = typer.Typer(help="Inspect and check datasets.", no_args_is_help=True, add_completion=False)
 
 _MOST_GOAL_TEXTS = 6
 
@@ -25,8 +25,6 @@ _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data direct
 @command
 def list_datasets(as_json: AsJson = False) -> None:
     """List the datasets in the data directory."""
-    from freerein.cli.settings import CliSettings
-
     names = sorted(path.parent.name for path in (CliSettings().data_dir / "datasets").glob("*/meta"))
     if as_json:
         print_json({"datasets": names})
@@ -38,8 +36,6 @@ def list_datasets(as_json: AsJson = False) -> None:
 @command
 def inspect(name: _Name, as_json: AsJson = False) -> None:
     """Show the contents of a dataset."""
-    from freerein import data
-
     summary = data.inspect(dataset_root(name))
     if as_json:
         print_json({"dataset": name, **asdict(summary)})
@@ -51,8 +47,6 @@ def inspect(name: _Name, as_json: AsJson = False) -> None:
 @command
 def verify(name: _Name, as_json: AsJson = False) -> None:
     """Read every file of a dataset and list damage; exit code 1 where there is any."""
-    from freerein import data
-
     _report(name, data.verify, as_json=as_json, verdict="is undamaged")
 
 
@@ -60,12 +54,10 @@ def verify(name: _Name, as_json: AsJson = False) -> None:
 @command
 def check(name: _Name, as_json: AsJson = False) -> None:
     """List what prevents learning skills from a dataset; exit code 1 where there is anything."""
-    from freerein import data
-
     _report(name, data.check, as_json=as_json, verdict="is fit for training")
 
 
-def _report(name: str, examine: "Callable[[Path], list[Problem]]", *, as_json: bool, verdict: str) -> None:
+def _report(name: str, examine: Callable[[Path], list[Problem]], *, as_json: bool, verdict: str) -> None:
     problems = examine(dataset_root(name))
     if as_json:
         print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
@@ -79,18 +71,11 @@ def _report(name: str, examine: "Callable[[Path], list[Problem]]", *, as_json: b
 
 def dataset_root(name: str) -> Path:
     """Returns the folder of a dataset in the data directory, whether or not it exists."""
-    from freerein.cli.settings import CliSettings
-    from freerein.data import dataset_path
-
     return dataset_path(CliSettings().data_dir, name)
 
 
-def read_trajectory(dataset: "Dataset", index: int) -> "Trajectory":
-    """Returns a trajectory of a dataset.
-
-    Raises:
-        NotFound: The index is out of range.
-    """
+def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
+    """Returns a trajectory of a dataset; raises NotFound where the index is out of range."""
     if index >= len(dataset):
         raise NotFound(
             f"The index must be below {len(dataset)}, the number of trajectories; got {index}.",
@@ -100,12 +85,8 @@ def read_trajectory(dataset: "Dataset", index: int) -> "Trajectory":
     return dataset[index]
 
 
-def choose_camera(dataset: "Dataset", camera: str) -> str:
-    """Returns the named camera; the first one where the name is empty.
-
-    Raises:
-        InvalidInput: There is no such camera.
-    """
+def choose_camera(dataset: Dataset, camera: str) -> str:
+    """Returns the named camera, or the first one where the name is empty; raises InvalidInput where there is none."""
     cameras = tuple(dataset.spec.cameras)
     if camera and camera not in cameras:
         raise InvalidInput(
@@ -116,7 +97,7 @@ def choose_camera(dataset: "Dataset", camera: str) -> str:
     return camera or cameras[0]
 
 
-def _goal_texts(summary: "DatasetSummary") -> str:
+def _goal_texts(summary: DatasetSummary) -> str:
     """Returns the trajectories' own goal texts, most frequent first."""
     counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
     own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
@@ -125,7 +106,7 @@ def _goal_texts(summary: "DatasetSummary") -> str:
     )
 
 
-def _rows(name: str, summary: "DatasetSummary") -> list[tuple[str, str]]:
+def _rows(name: str, summary: DatasetSummary) -> list[tuple[str, str]]:
     spec = summary.spec
     cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
     action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers"

@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from freerein import images
 from freerein.errors import NotFound
-
-if TYPE_CHECKING:
-    from freerein.types.common import Image
+from freerein.types.common import Image
 
 FILES = "[CAMERA=]FILE"
 """Syntax of an image option; the camera is needed where the model has several."""
@@ -15,15 +13,10 @@ FILES = "[CAMERA=]FILE"
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
-def read_images(named: Sequence[str]) -> "tuple[Image, ...]":
-    """Returns images; those of a folder in the order of their names.
+def read_images(named: Sequence[str]) -> tuple[Image, ...]:
+    """Returns the images in files or folders, each named as `FILES` describes; a folder's in the order of their names.
 
-    Args:
-        named: Files or folders, each as `FILES` describes.
-
-    Raises:
-        NotFound: A file does not exist, or a folder holds no image.
-        UnsupportedMedia: A file is not PNG, JPEG or WebP.
+    Raises NotFound where there is no image, UnsupportedMedia where a file is not PNG, JPEG or WebP.
     """
     return tuple(_read(path, camera) for text in named for camera, path in _files(text))
 
@@ -45,9 +38,6 @@ def _files(text: str) -> list[tuple[str, Path]]:
     return [(camera, file) for file in found]
 
 
-def _read(path: Path, camera: str) -> "Image":
-    from freerein import images
-    from freerein.types.common import Image
-
+def _read(path: Path, camera: str) -> Image:
     data = path.read_bytes()
     return Image(images.sniff(data, field="image"), 0, 0, data, camera)

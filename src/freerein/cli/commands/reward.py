@@ -1,22 +1,24 @@
 """`freerein reward`: rewards images against a goal text, and finds noun phrases in them."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 import typer
 
+from freerein import images, wire
+from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.commands.image_files import FILES, read_images
+from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.clients import RewardClient
+from freerein.data import Dataset
 from freerein.errors import InvalidInput
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    from freerein.clients import RewardClient
-    from freerein.types.common import Image
-    from freerein.types.reward import Grounding, RewardRequest, RewardResponse
+from freerein.types.common import Image, ModelRef
+from freerein.types.reward import Grounding, GroundRequest, RewardRequest, RewardResponse
 
 _IMAGES_PER_REQUEST = 16
 _BYTES_PER_REQUEST = 32 * 2**20
@@ -31,7 +33,10 @@ _Heatmap = Annotated[
 ]
 _Phrases = Annotated[list[str] | None, typer.Option(help="Noun phrase to find, such as `a red block`; repeatable.")]
 
+app = typer.Typer(add_completion=False)
 
+
+@app.command()
 @command
 def reward(
     image: _Images = None,
@@ -48,12 +53,6 @@ def reward(
     as_json: AsJson = False,
 ) -> None:
     """Reward images against a goal text."""
-    from freerein import wire
-    from freerein.cli.connection import call
-    from freerein.clients import RewardClient
-    from freerein.types.common import ModelRef
-    from freerein.types.reward import RewardRequest
-
     _check(image, dataset, heatmap, phrase)
     asked = RewardRequest(
         goal_text=goal, rivals=tuple(rival or ()), mode="raw" if raw else "binary", model=ModelRef(model, version)
@@ -87,10 +86,8 @@ def _check(image: list[str] | None, dataset: str, heatmap: Path | None, phrase: 
         )
 
 
-def _from_files(asked: "RewardRequest", named: Sequence[str]) -> "Iterator[RewardRequest]":
+def _from_files(asked: RewardRequest, named: Sequence[str]) -> Iterator[RewardRequest]:
     """Yields requests of a few timesteps each, with the images of all cameras."""
-    from dataclasses import replace
-
     by_camera: dict[str, list[Image]] = {}
     for one in read_images(named):
         by_camera.setdefault(one.camera, []).append(one)
@@ -100,13 +97,8 @@ def _from_files(asked: "RewardRequest", named: Sequence[str]) -> "Iterator[Rewar
         yield replace(asked, images=some)
 
 
-def _from_dataset(asked: "RewardRequest", name: str, index: int) -> "Iterator[RewardRequest]":
+def _from_dataset(asked: RewardRequest, name: str, index: int) -> Iterator[RewardRequest]:
     """Yields requests with the frames of a trajectory from all cameras, each small enough for a message."""
-    from dataclasses import replace
-
-    from freerein.cli.commands.dataset import dataset_root, read_trajectory
-    from freerein.data import Dataset
-
     frames = read_trajectory(Dataset(dataset_root(name)), index).frames
     timesteps = next(iter(frames.values())).shape[0]
     per_request = max(1, _BYTES_PER_REQUEST * timesteps // sum(array.nbytes for array in frames.values()))
@@ -114,37 +106,28 @@ def _from_dataset(asked: "RewardRequest", name: str, index: int) -> "Iterator[Re
         yield replace(asked, frames={camera: array[start : start + per_request] for camera, array in frames.items()})
 
 
-async def _ask(client: "RewardClient", parts: "Sequence[RewardRequest]") -> "list[RewardResponse]":
+async def _ask(client: RewardClient, parts: Sequence[RewardRequest]) -> list[RewardResponse]:
     return [await client.reward(part) for part in parts]
 
 
-def _draw(first: "RewardRequest", phrases: tuple[str, ...], path: Path) -> "tuple[Grounding, ...]":
+def _draw(first: RewardRequest, phrases: tuple[str, ...], path: Path) -> tuple[Grounding, ...]:
     """Writes the heatmaps of phrases in the first image; returns the groundings."""
-    from freerein import images
-    from freerein.cli.connection import call
-    from freerein.clients import RewardClient
-    from freerein.types.reward import GroundRequest
-
     image = first.images[0] if first.images else images.encode(next(iter(first.frames.values()))[0])
     groundings = call(RewardClient, "reward", lambda client: client.ground(GroundRequest(image, phrases))).groundings
     path.write_bytes(images.encode(_heatmaps(images.decode(image), groundings)).data)
     return groundings
 
 
-def _heatmaps(image: "npt.NDArray[np.uint8]", groundings: "Sequence[Grounding]") -> "npt.NDArray[np.uint8]":
+def _heatmaps(image: npt.NDArray[np.uint8], groundings: Sequence[Grounding]) -> npt.NDArray[np.uint8]:
     """Returns an image uint8 (H, W, 1 or 3) beside a heatmap for each phrase, uint8 (H, W', 3)."""
-    import numpy as np
-
     colour = np.broadcast_to(image, (*image.shape[:2], 3))
     gap = np.full((image.shape[0], _GAP, 3), 255, np.uint8)
     panels = [colour, *(panel for grounding in groundings for panel in (gap, _lit(colour, grounding)))]
     return np.concatenate(panels, axis=1)
 
 
-def _lit(image: "npt.NDArray[np.uint8]", grounding: "Grounding") -> "npt.NDArray[np.uint8]":
+def _lit(image: npt.NDArray[np.uint8], grounding: Grounding) -> npt.NDArray[np.uint8]:
     """Returns the image darkened outside the heatmap, with a cross at the phrase's pixel."""
-    import numpy as np
-
     heat = grounding.heatmap[:, :, np.newaxis]
     lit = image * (_DARK + (1 - _DARK) * heat) * (1 - heat / 2) + np.array(_LIGHT, np.float32) * (heat / 2)
     height, width = image.shape[:2]
@@ -155,12 +138,8 @@ def _lit(image: "npt.NDArray[np.uint8]", grounding: "Grounding") -> "npt.NDArray
     return lit.astype(np.uint8)
 
 
-def _joined(answers: "Sequence[RewardResponse]") -> "RewardResponse":
+def _joined(answers: Sequence[RewardResponse]) -> RewardResponse:
     """Returns the answers to parts of a request as one answer."""
-    from dataclasses import replace
-
-    import numpy as np
-
     return replace(
         answers[0],
         rewards=np.concatenate([answer.rewards for answer in answers]),
@@ -169,7 +148,7 @@ def _joined(answers: "Sequence[RewardResponse]") -> "RewardResponse":
     )
 
 
-def _show(answer: "RewardResponse") -> None:
+def _show(answer: RewardResponse) -> None:
     rows = [
         (str(moment), f"{reward:.3g}", f"{similarity:.3f}", answer.texts[winner])
         for moment, (reward, similarity, winner) in enumerate(
@@ -184,7 +163,7 @@ def _show(answer: "RewardResponse") -> None:
         typer.echo("A text was too long for the model and was truncated.")
 
 
-def _show_places(groundings: "Sequence[Grounding]", path: Path, *, as_json: bool) -> None:
+def _show_places(groundings: Sequence[Grounding], path: Path, *, as_json: bool) -> None:
     places = [{"phrase": found.phrase, "x": found.x, "y": found.y, "presence": found.presence} for found in groundings]
     if as_json:
         print_json({"heatmap": str(path), "groundings": places})

@@ -1,29 +1,41 @@
 """`freerein runs`: start, list, watch, cancel and resume runs; their metrics and artifacts."""
 
-import asyncio
 import os
 import sys
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import aclosing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO, Literal, TypeVar
+from typing import Annotated, BinaryIO, Literal, TypeVar
 
 import typer
 
-from freerein.cli import job_display
-from freerein.cli.config_options import Settings, configuration
-from freerein.cli.job_progress import metrics_text, steps_text
-from freerein.cli.output import AsJson, command, print_json, show_table
-
-if TYPE_CHECKING:
-    from freerein.clients import OrchestratorClient
-    from freerein.types.jobs import MetricRow
-    from freerein.types.orchestrator import Run
+from freerein import wire
+from freerein.atomic_files import TEMP_SUFFIX
+from freerein.cli.connection import call
+from freerein.cli.jobs import display
+from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
+from freerein.cli.jobs.progress import metrics_text, steps_text
+from freerein.cli.jobs.streams import follow_run
+from freerein.cli.output import AsJson, command, print_json, show_all
+from freerein.clients import OrchestratorClient
+from freerein.types.jobs import MetricRow
+from freerein.types.orchestrator import (
+    CancelRunRequest,
+    GetArtifactRequest,
+    GetMetricsRequest,
+    ListArtifactsRequest,
+    ListRunsRequest,
+    ResumeRunRequest,
+    Run,
+    StartRunRequest,
+)
 
 T = TypeVar("T")
 
 app = typer.Typer(
-    help="Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.", no_args_is_help=True
+    help="Runs: collect, fit, ppo, distill, evaluate and pipelines; they survive crashes.",
+    no_args_is_help=True,
+    add_completion=False,
 )
 
 _Kind = Annotated[
@@ -36,8 +48,6 @@ _Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the e
 _Metrics = Annotated[
     list[str] | None, typer.Option("--metric", help="Metric to draw; repeatable. Default: the most relevant ones.")
 ]
-_FromStep = Annotated[int, typer.Option(min=0, help="First step to print.")]
-_MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, as listed by `freerein runs list`.")]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
 _Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file, `-` for stdout; default NAME.")]
@@ -57,17 +67,15 @@ def start(
     as_json: AsJson = False,
 ) -> None:
     """Start a run."""
-    from freerein.types.orchestrator import StartRunRequest
-
     request = StartRunRequest(kind, configuration(settings, config), key)
-    _show_or_watch(_call(lambda client: client.start_run(request)).run, watch=watch, as_json=as_json)
+    _show_or_watch(_ask(lambda client: client.start_run(request)).run, watch=watch, as_json=as_json)
 
 
 @app.command("list")
 @command
 def list_runs(as_json: AsJson = False) -> None:
     """List all runs, newest first."""
-    _show(_call(_all_runs), as_json=as_json)
+    _show(_ask(_all_runs), as_json=as_json)
 
 
 @app.command("watch")
@@ -79,27 +87,24 @@ def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> No
 
 @app.command()
 @command
-def metrics(run: _Id, from_step: _FromStep = 0, max_rows: _MaxRows = 1000, as_json: AsJson = False) -> None:
+def metrics(run: _Id, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json: AsJson = False) -> None:
     """Print the metrics of a run."""
-    job_display.show_metrics(_call(lambda client: _rows(client, run, from_step, max_rows)), as_json=as_json)
+    request = GetMetricsRequest(run, from_step, max_rows)
+    display.show_metrics(_ask(lambda client: _rows(client, request)), as_json=as_json)
 
 
 @app.command()
 @command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
     """Cancel a run; its last checkpoint is kept."""
-    from freerein.types.orchestrator import CancelRunRequest
-
-    _show([_call(lambda client: client.cancel_run(CancelRunRequest(run))).run], as_json=as_json)
+    _show([_ask(lambda client: client.cancel_run(CancelRunRequest(run))).run], as_json=as_json)
 
 
 @app.command()
 @command
 def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
     """Resume a failed or cancelled run from its last checkpoint."""
-    from freerein.types.orchestrator import ResumeRunRequest
-
-    _show_or_watch(_call(lambda client: client.resume_run(ResumeRunRequest(run))).run, watch=watch, as_json=as_json)
+    _show_or_watch(_ask(lambda client: client.resume_run(ResumeRunRequest(run))).run, watch=watch, as_json=as_json)
 
 
 @app.command()
@@ -109,35 +114,28 @@ def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = Fa
     if not name:
         _list_artifacts(run, as_json=as_json)
     elif out == _STDOUT:
-        _call(lambda client: _fetch(client, run, name, sys.stdout.buffer))
+        _ask(lambda client: _fetch(client, run, name, sys.stdout.buffer))
     else:
         path = out or Path(name)
-        size = _call(lambda client: _download(client, run, name, path))
+        size = _ask(lambda client: _download(client, run, name, path))
         print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
 
 
-async def _all_runs(client: "OrchestratorClient") -> "list[Run]":
-    from freerein.types.orchestrator import ListRunsRequest
-
-    runs: list[Run] = []
-    token = ""
-    while True:
-        page = await client.list_runs(ListRunsRequest(page_token=token))
+async def _all_runs(client: OrchestratorClient) -> list[Run]:
+    page = await client.list_runs(ListRunsRequest())
+    runs = list(page.runs)
+    while page.next_page_token:
+        page = await client.list_runs(ListRunsRequest(page_token=page.next_page_token))
         runs += page.runs
-        if not (token := page.next_page_token):
-            return runs
+    return runs
 
 
-async def _rows(client: "OrchestratorClient", run_id: str, from_step: int, max_rows: int) -> "Sequence[MetricRow]":
-    from freerein.types.orchestrator import GetMetricsRequest
-
-    return (await client.get_metrics(GetMetricsRequest(run_id, from_step, max_rows))).rows
+async def _rows(client: OrchestratorClient, request: GetMetricsRequest) -> Sequence[MetricRow]:
+    return (await client.get_metrics(request)).rows
 
 
-async def _download(client: "OrchestratorClient", run_id: str, name: str, path: Path) -> int:
+async def _download(client: OrchestratorClient, run_id: str, name: str, path: Path) -> int:
     """Writes an artifact to a file, whole or not at all; returns its size in bytes."""
-    from freerein.atomic_files import TEMP_SUFFIX
-
     unfinished = path.with_name(f".{path.name}.{os.getpid()}{TEMP_SUFFIX}")
     try:
         with unfinished.open("wb") as file:
@@ -148,10 +146,8 @@ async def _download(client: "OrchestratorClient", run_id: str, name: str, path: 
     return size
 
 
-async def _fetch(client: "OrchestratorClient", run_id: str, name: str, file: BinaryIO) -> int:
+async def _fetch(client: OrchestratorClient, run_id: str, name: str, file: BinaryIO) -> int:
     """Writes the parts of an artifact; returns its size in bytes."""
-    from freerein.types.orchestrator import GetArtifactRequest
-
     size = 0
     async with aclosing(client.get_artifact(GetArtifactRequest(run_id, name))) as parts:
         async for part in parts:
@@ -159,7 +155,7 @@ async def _fetch(client: "OrchestratorClient", run_id: str, name: str, file: Bin
     return size
 
 
-def _show_or_watch(run: "Run", *, watch: bool, as_json: bool) -> None:
+def _show_or_watch(run: Run, *, watch: bool, as_json: bool) -> None:
     if watch:
         _watch(run.id, as_json=as_json)
     else:
@@ -167,17 +163,12 @@ def _show_or_watch(run: "Run", *, watch: bool, as_json: bool) -> None:
 
 
 def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) -> None:
-    """Shows a run until it ends.
-
-    Raises:
-        FailedPrecondition: It did not succeed.
-    """
-    from freerein.cli.job_events import follow_run
-
-    run = job_display.watch(
-        _connect,
+    """Shows a run until it ends; raises FailedPrecondition when it did not succeed."""
+    run = display.watch(
+        OrchestratorClient,
+        "orchestrator",
         lambda client: follow_run(client, run_id),
-        lambda client: _rows(client, run_id, 0, 0),
+        lambda client: _rows(client, GetMetricsRequest(run_id)),
         name=f"run {run_id[:8]}",
         command=f"freerein runs watch {run_id}",
         metrics=metrics,
@@ -187,29 +178,12 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
         _show([run], as_json=False)
 
 
-def _connect() -> "OrchestratorClient":
-    from freerein.cli.connection import connect
-    from freerein.clients import OrchestratorClient
-
-    return connect(OrchestratorClient, "orchestrator")
+def _ask(use: Callable[[OrchestratorClient], Awaitable[T]]) -> T:
+    return call(OrchestratorClient, "orchestrator", use)
 
 
-def _call(ask: "Callable[[OrchestratorClient], Awaitable[T]]") -> T:
-    async def call() -> T:
-        async with _connect() as client:
-            return await ask(client)
-
-    return asyncio.run(call())
-
-
-def _show(runs: "Sequence[Run]", *, as_json: bool) -> None:
-    from freerein import wire
-
-    if as_json:
-        for run in runs:
-            print_json(wire.to_json(run))
-        return
-    rows = [
+def _show(runs: Sequence[Run], *, as_json: bool) -> None:
+    rows = (
         (
             run.id,
             run.kind,
@@ -219,17 +193,11 @@ def _show(runs: "Sequence[Run]", *, as_json: bool) -> None:
             run.error or metrics_text(run),
         )
         for run in runs
-    ]
-    show_table(("run", "kind", "state", "steps", "model", "metrics"), rows)
+    )
+    show_all(("run", "kind", "state", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json)
 
 
 def _list_artifacts(run_id: str, *, as_json: bool) -> None:
-    from freerein import wire
-    from freerein.types.orchestrator import ListArtifactsRequest
-
-    found = _call(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
-    if as_json:
-        for artifact in found:
-            print_json(wire.to_json(artifact))
-        return
-    show_table(("artifact", "bytes"), [(artifact.name, str(artifact.size)) for artifact in found])
+    found = _ask(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
+    rows = ((artifact.name, str(artifact.size)) for artifact in found)
+    show_all(("artifact", "bytes"), rows, map(wire.to_json, found), as_json=as_json)

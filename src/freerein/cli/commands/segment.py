@@ -1,27 +1,33 @@
 """`freerein segment`: labels the timesteps of one trajectory, or of a whole dataset, with skills."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from string import ascii_uppercase
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
+from freerein import wire
+from freerein.cli.commands.dataset import choose_camera, dataset_root, read_trajectory
+from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json, progress_bar
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from rich.text import Text
-
-    from freerein.clients import SegmentationClient
-    from freerein.data import Dataset
-    from freerein.data.labels import LabelsInfo
-    from freerein.types.segmentation import SegmentRequest, SegmentResponse
+from freerein.clients import SegmentationClient
+from freerein.data import Dataset, labels
+from freerein.data.labels import LabelsInfo
+from freerein.types.common import ModelRef
+from freerein.types.segmentation import ListSkillsRequest, SegmentRequest, SegmentResponse
 
 _COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", "bright_magenta")
 _WIDEST_BAR = 100
 
+app = typer.Typer(add_completion=False)
 
+
+@app.command()
 @command
 def segment(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
@@ -36,13 +42,6 @@ def segment(
     as_json: AsJson = False,
 ) -> None:
     """Label every timestep of a trajectory with a skill; with --save, of the whole dataset."""
-    from freerein.cli.commands.dataset import choose_camera, dataset_root
-    from freerein.cli.connection import call
-    from freerein.clients import SegmentationClient
-    from freerein.data import Dataset
-    from freerein.types.common import ModelRef
-    from freerein.types.segmentation import SegmentRequest
-
     opened = Dataset(dataset_root(dataset))
     chosen = choose_camera(opened, camera)
     request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing)
@@ -58,21 +57,14 @@ def segment(
         _segment_one(opened, index, request, chosen, as_json=as_json)
 
 
-def _segment_one(dataset: "Dataset", index: int, request: "SegmentRequest", camera: str, *, as_json: bool) -> None:
-    from dataclasses import replace
-
-    from freerein import wire
-    from freerein.cli.commands.dataset import read_trajectory
-    from freerein.cli.connection import call
-    from freerein.clients import SegmentationClient
-
+def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: str, *, as_json: bool) -> None:
     trajectory = read_trajectory(dataset, index)
     filled = replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)
     answer = call(SegmentationClient, "segmentation", lambda client: client.segment(filled))
     print_json(wire.to_json(answer)) if as_json else _show(answer)
 
 
-def _show_saved(dataset: str, count: int, info: "LabelsInfo", *, as_json: bool) -> None:
+def _show_saved(dataset: str, count: int, info: LabelsInfo, *, as_json: bool) -> None:
     if as_json:
         model = {"name": info.model.name, "version": info.model.version}
         print_json({"dataset": dataset, "labelled": count, "skills": list(info.skills), "model": model})
@@ -81,32 +73,18 @@ def _show_saved(dataset: str, count: int, info: "LabelsInfo", *, as_json: bool) 
 
 
 async def label_all(
-    client: "SegmentationClient",
-    root: "Path",
-    request: "SegmentRequest",
+    client: SegmentationClient,
+    root: Path,
+    request: SegmentRequest,
     *,
     camera: str,
     on_count: Callable[[int], None],
-) -> "LabelsInfo":
+) -> LabelsInfo:
     """Labels every trajectory of a dataset by one version of a model, and stores the labels beside it.
 
-    The labels count only once all trajectories have theirs.
-
-    Args:
-        client: The segmentation service.
-        root: Folder of the dataset.
-        request: Model and options; frames and actions are filled in.
-        camera: Camera of the frames.
-        on_count: Called with the number of trajectories labelled.
-
-    Raises:
-        ServiceError: The service refused a trajectory, or the dataset cannot be read.
+    The labels count only once all trajectories have theirs. `request` holds model and options; `on_count` is called
+    with the number of trajectories labelled.
     """
-    from dataclasses import replace
-
-    from freerein.data import Dataset, labels
-    from freerein.types.segmentation import ListSkillsRequest
-
     skills = await client.list_skills(ListSkillsRequest(request.model))
     labels.discard(root)
     for index, trajectory in enumerate(Dataset(root)):
@@ -119,12 +97,8 @@ async def label_all(
     return info
 
 
-def _show(answer: "SegmentResponse") -> None:
+def _show(answer: SegmentResponse) -> None:
     """Prints the segments as a table, and the trajectory as a bar."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     console = Console()
     table = Table("", "skill", "from", "to", "confidence", box=None, header_style="bold", pad_edge=False)
     for segment in answer.segments:
@@ -135,15 +109,11 @@ def _show(answer: "SegmentResponse") -> None:
     console.print(f"{len(answer.labels)} timesteps, model {answer.model.name} {answer.model.version}", style="dim")
 
 
-def skill_bar(labels: Sequence[int], *, width: int) -> "Text":
+def skill_bar(labels: Sequence[int], *, width: int) -> Text:
     """Returns a trajectory as a line of at most `width` letters: A in its own colour for skill 0, B for skill 1."""
-    from rich.text import Text
-
     cells = min(width, len(labels))
     return Text.assemble(*(_mark(labels[cell * len(labels) // cells]) for cell in range(cells)))
 
 
-def _mark(skill: int) -> "Text":
-    from rich.text import Text
-
+def _mark(skill: int) -> Text:
     return Text(ascii_uppercase[skill % len(ascii_uppercase)], style=f"black on {_COLOURS[skill % len(_COLOURS)]}")

@@ -3,29 +3,26 @@
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from freerein import wire
+from freerein.cli.commands.dataset import dataset_root
+from freerein.cli.connection import call
+from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
+from freerein.clients import SimClient
+from freerein.clients.dataset_recorder import DatasetRecorder
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, Task
 
-if TYPE_CHECKING:
-    from freerein.clients import SimClient
-    from freerein.clients.dataset_recorder import DatasetRecorder
-    from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, Task
-
-app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True)
+app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True, add_completion=False)
 
 
 @app.command()
 @command
 def tasks(as_json: AsJson = False) -> None:
     """List the tasks."""
-    from freerein import wire
-    from freerein.cli.connection import call
-    from freerein.clients import SimClient
-    from freerein.types.sim import ListTasksRequest
-
     found = call(SimClient, "sim", lambda client: client.list_tasks(ListTasksRequest()))
     if as_json:
         print_json(wire.to_json(found))
@@ -53,11 +50,6 @@ def demonstrate(
     as_json: AsJson = False,
 ) -> None:
     """Record demonstrations of a task into a dataset."""
-    from freerein.cli.commands.dataset import dataset_root
-    from freerein.cli.connection import call
-    from freerein.clients import SimClient
-    from freerein.types.sim import DemonstrateRequest
-
     request = DemonstrateRequest(
         task=task,
         behaviour=behaviour,
@@ -79,28 +71,12 @@ def demonstrate(
         typer.echo(f"The dataset {out} holds {held} trajectories.")
 
 
-async def record(
-    client: "SimClient", request: "DemonstrateRequest", root: Path, *, on_count: Callable[[int], None]
-) -> int:
+async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]) -> int:
     """Records demonstrations until a dataset holds `request.count`; trajectories that it holds already stay.
 
-    Args:
-        client: The sim service.
-        request: What to demonstrate; `first` is filled in.
-        root: Folder of the dataset.
-        on_count: Called with the number of trajectories on disk, at the start and after each one.
-
-    Returns:
-        Number of trajectories in the dataset.
-
-    Raises:
-        FailedPrecondition: The dataset was recorded with other options.
-        ServiceError: The service refused, or is gone.
+    Returns the number of trajectories in the dataset, with which `on_count` is called at the start and after each one.
+    Raises FailedPrecondition where the dataset was recorded with other options.
     """
-    from freerein.cli.streams import reconnecting
-    from freerein.clients.dataset_recorder import DatasetRecorder
-    from freerein.types.sim import ListTasksRequest
-
     with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
         on_count(len(recording))
         if not recording.is_complete:
@@ -111,7 +87,7 @@ async def record(
         return len(recording)
 
 
-async def _rest(client: "SimClient", recording: "DatasetRecorder") -> "AsyncGenerator[DemonstrateResponse, None]":
+async def _rest(client: SimClient, recording: DatasetRecorder) -> AsyncGenerator[DemonstrateResponse, None]:
     """Yields the demonstrations that the dataset does not hold yet."""
     async with aclosing(client.demonstrate(recording.remaining)) as demonstrations:
         async for demonstration in demonstrations:
@@ -119,7 +95,7 @@ async def _rest(client: "SimClient", recording: "DatasetRecorder") -> "AsyncGene
     recording.check_complete()
 
 
-def _row(task: "Task") -> tuple[str, ...]:
+def _row(task: Task) -> tuple[str, ...]:
     cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras)
     action = f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers"
     return task.name, task.world, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)

@@ -7,17 +7,18 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
 
 from freerein.cli.output import AsJson, command
+from freerein.cli.services import ServiceStatus, Stack, choose, configured_ports
+from freerein.cli.services import free_ports as find_free_ports
+from freerein.cli.settings import CliSettings
 from freerein.errors import FailedPrecondition
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from freerein.cli.services import ServiceStatus, Stack
 
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
 
@@ -25,14 +26,13 @@ _Services = Annotated[list[str] | None, typer.Argument(help="Services to run; al
 _FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on free ports instead of the standard ones.")]
 _Show = Callable[[tuple["ServiceStatus", ...]], None]
 
+app = typer.Typer(add_completion=False)
 
+
+@app.command()
 @command
 def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
     """Run the services until Ctrl-C; restart them when they crash."""
-    from freerein.cli.services import Stack, choose, configured_ports
-    from freerein.cli.services import free_ports as find_free_ports
-    from freerein.cli.settings import CliSettings
-
     chosen = choose(services or ())
     ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, os.environ)
     stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
@@ -40,7 +40,7 @@ def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJs
         asyncio.run(_run(stack, show))
 
 
-async def _run(stack: "Stack", show: _Show) -> None:
+async def _run(stack: Stack, show: _Show) -> None:
     """Runs the services until a signal arrives or all have failed. A second signal kills them."""
     this = asyncio.current_task()
     assert this is not None  # noqa: S101  # a coroutine runs in a task
@@ -61,9 +61,6 @@ async def _run(stack: "Stack", show: _Show) -> None:
 @contextmanager
 def _display(*, as_json: bool) -> Iterator[_Show]:
     """Yields a function that shows statuses: a live table on a terminal, else a line per change."""
-    from rich.console import Console
-    from rich.live import Live
-
     console = Console()
     if console.is_terminal and not as_json:
         with Live(console=console, auto_refresh=False) as live:
@@ -81,14 +78,12 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
     yield show_changes
 
 
-def _line(status: "ServiceStatus") -> str:
+def _line(status: ServiceStatus) -> str:
     detail = f"REST {status.rest_url}  gRPC {status.grpc_address}" if status.state == "ready" else status.reason
     return f"{status.service:<13} {status.state:<13} {detail}".rstrip()
 
 
-def _table(statuses: tuple["ServiceStatus", ...]) -> "Table":
-    from rich.table import Table
-
+def _table(statuses: tuple["ServiceStatus", ...]) -> Table:
     table = Table("service", "state", "REST", "gRPC", "restarts", "", caption="Ctrl-C stops all services", box=None)
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")

@@ -1,13 +1,19 @@
 """`freerein demo`: runs the whole pipeline on this machine and measures every stage."""
 
+import asyncio
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from freerein.cli.demo.pipeline import run
+from freerein.cli.demo.report import Reporter
 from freerein.cli.output import AsJson, command
 
+app = typer.Typer(add_completion=False)
 
+
+@app.command()
 @command
 def demo(
     out: Annotated[Path, typer.Option(help="Output folder; the output of an earlier demo is deleted.")] = Path(
@@ -24,9 +30,4 @@ def demo(
     Writes summary.json, summary.md and the pictures. The exit code is 1 when a stage fails. A figure that does not
     meet its bar is reported as "not met"; the exit code stays 0.
     """
-    import asyncio
-
-    from freerein.cli.demo.pipeline import run
-    from freerein.cli.demo.report import Reporter
-
     asyncio.run(run(out, seed=seed, reporter=Reporter(as_json=as_json), running=running))

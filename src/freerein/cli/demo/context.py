@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from freerein.cli import job_events
 from freerein.cli.commands.sim import record
 from freerein.cli.connection import channel_to
 from freerein.cli.demo.report import Reporter
-from freerein.cli.job_progress import JobProgress
+from freerein.cli.jobs.display import check_succeeded
+from freerein.cli.jobs.progress import JobProgress
+from freerein.cli.jobs.streams import follow_fit, follow_run
 from freerein.cli.services import Endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel, FitClient, OrchestratorClient, SimClient
 from freerein.data import dataset_path
-from freerein.errors import FailedPrecondition
 from freerein.types.learning import Fit, StartFitRequest
 from freerein.types.orchestrator import GetArtifactRequest, RunKind, StartRunRequest
 from freerein.types.sim import DemonstrateRequest
@@ -28,15 +28,7 @@ HELD_OUT_SEED = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """Where and how the demo runs.
-
-    Attributes:
-        endpoints: Addresses of the services.
-        settings: Token and certificate of the services.
-        data_dir: The services' data directory.
-        seed: Random seed.
-        reporter: Prints progress.
-    """
+    """Addresses, settings, data directory and seed of a demo; records datasets, and starts and follows jobs."""
 
     endpoints: Endpoints
     settings: CliSettings
@@ -73,20 +65,15 @@ class Context:
             return service, (await client.start_fit(StartFitRequest(dataset, model_name, seeded))).fit
 
     async def follow_fit(self, started: tuple[str, Fit]) -> None:
-        """Shows a fit's progress to its end.
-
-        Raises:
-            FailedPrecondition: It ended without a model.
-            ServiceError: The service is gone.
-        """
+        """Shows a fit's progress to its end; raises FailedPrecondition where it did not succeed."""
         service, fit = started
         self.reporter.command(f"freerein fit watch {fit.id} --service {service}")
         with self.reporter.progress(f"{service} {fit.model_name}", fit.steps) as advance:
             client = FitClient(self.channel(service))
-            async with client, aclosing(job_events.follow_fit(client, fit.id)) as changes:
+            async with client, aclosing(follow_fit(client, fit.id)) as changes:
                 async for fit in changes:
                     advance(fit.step, " ".join(f"{name} {value:.3g}" for name, value in fit.metrics.items()))
-        _check_succeeded(f"fit of {fit.model_name}", fit.state, fit.error)
+        check_succeeded(f"fit of {fit.model_name}", fit)
 
     async def start_run(self, kind: RunKind, config: dict[str, Any]) -> str:
         """Starts a run; returns its id. The orchestrator runs one run at a time."""
@@ -95,23 +82,14 @@ class Context:
             return (await client.start_run(StartRunRequest(kind, config))).run.id
 
     async def follow_run(self, name: str, run_id: str, *, metrics: Sequence[str] = ()) -> JobProgress:
-        """Shows a run's progress to its end; returns its curves.
-
-        Args:
-            name: Name on the terminal.
-            run_id: Id of the run.
-            metrics: Metrics whose curves are drawn.
-
-        Raises:
-            FailedPrecondition: It did not succeed.
-        """
+        """Shows a run's progress, with the curves of `metrics`, as `follow_fit`; returns all curves."""
         self.reporter.command(f"freerein runs watch {run_id}")
         client = OrchestratorClient(self.channel("orchestrator"))
-        async with client, aclosing(job_events.follow_run(client, run_id)) as changes:
+        async with client, aclosing(follow_run(client, run_id)) as changes:
             with self.reporter.curves(name, metrics) as show:
                 async for run in changes:
                     curves = show(run)
-        _check_succeeded(f"run {name}", run.state, run.error)
+        check_succeeded(f"run {name}", run)
         return curves
 
     async def artifact(self, run_id: str, name: str) -> dict[str, Any]:
@@ -127,14 +105,6 @@ def _options(config: Mapping[str, object]) -> str:
     """Returns a configuration as `--set` options."""
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in config.items()}
     return " ".join(f"--set {shlex.quote(f'{key}={text}')}" for key, text in texts.items())
-
-
-def _check_succeeded(name: str, state: str, error: str) -> None:
-    if state != "succeeded":
-        raise FailedPrecondition(
-            f"The {name} must succeed; its state is {state}. {error}".rstrip(),
-            hint="Read log.txt in its folder in the data directory.",
-        )
 
 
 def _record_command(name: str, request: DemonstrateRequest) -> str:

@@ -8,10 +8,10 @@ import numpy.typing as npt
 from freerein import images
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import landmarks
-from freerein.cli.demo.evaluation.landmarks import LandmarkPursuit, ReachedRates
+from freerein.cli.demo.evaluation.landmarks import Flags, LandmarkPursuit, ReachedRates
 from freerein.cli.demo.pictures import FilmstripGoal
 from freerein.cli.demo.report import Figure
-from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
+from freerein.cli.demo.rollout import Rollout, ServedPolicy, robot_session
 from freerein.clients import ImitationClient
 from freerein.metrics import auroc, expected_calibration_error
 from freerein.types.common import Goal, ModelRef
@@ -27,38 +27,17 @@ _EXPLORATION_STEPS = _LANDMARKS * landmarks.SPACING_STEPS
 _LANDMARK_STEPS = landmarks.landmark_steps(_EXPLORATION_STEPS + 1, count=_LANDMARKS)
 
 
-@dataclass(frozen=True)
-class RecognizerQuality:
-    """The goal recognizer on the states that the follower visited, against true states.
-
-    Attributes:
-        auroc: Area under the ROC curve.
-        calibration_error: Expected calibration error of the confidence.
-        at_landmark: Share of visited states truly at the landmark pursued.
-    """
-
-    auroc: float
-    calibration_error: float
-    at_landmark: float
-
-
 @dataclass(frozen=True, eq=False)
 class GoalImageResult:
     """How well goal images were followed.
 
     Attributes:
-        reached: Landmarks at which the robot was at some time while it pursued them.
-        reached_at_random: The same for random actions, told by true states when to go on.
-        recognized: Landmarks at which the robot was when it went on to the next.
-        recognizer: Quality of the goal recognizer.
+        figures: What was measured.
         filmstrip: The landmarks of the robot of median success.
         exploration: The rollout that the landmarks come from.
     """
 
-    reached: ReachedRates
-    reached_at_random: ReachedRates
-    recognized: float
-    recognizer: RecognizerQuality
+    figures: tuple[Figure, ...]
     filmstrip: tuple[FilmstripGoal, ...]
     exploration: Rollout
 
@@ -77,24 +56,25 @@ async def start_fit(context: Context) -> tuple[str, Fit]:
 
 async def follow_goal_images(context: Context) -> GoalImageResult:
     """Takes landmarks from random rollouts from unseen starts, and has the policy follow them from the same starts."""
-    rng = np.random.default_rng(context.seed + HELD_OUT_SEED)
+    seed = context.seed + HELD_OUT_SEED
+    rng = np.random.default_rng(seed)
     async with context.sim() as sim, ImitationClient(context.channel("imitation")) as client:
         spec = await client.get_spec(GetSpecRequest(_MODEL))
         steps = _LANDMARKS * spec.max_steps_per_goal
-        session = RobotSession(sim, _TASK, camera=_CAMERA, count=_ROBOTS, seed=context.seed + HELD_OUT_SEED)
-        async with session:
-            size = session.task.action.size
-            explored = await session.rollout(RandomPolicy(size, _ROBOTS, rng), steps=_EXPLORATION_STEPS)
+        async with robot_session(sim, _TASK, camera=_CAMERA, count=_ROBOTS, seed=seed) as session:
+            explored = await session.rollout(session.random_policy(rng), steps=_EXPLORATION_STEPS)
             policy = ServedPolicy(client, _MODEL, _goals(explored), _CAMERA)
             with context.reporter.progress("follow goal images", steps) as advance:
                 followed = await session.rollout(policy, steps=steps, on_step=advance)
-            random = await session.rollout(RandomPolicy(size, _ROBOTS, rng), steps=steps)
+            random = await session.rollout(session.random_policy(rng), steps=steps)
     return _measure(explored, followed, policy, random, max_steps=spec.max_steps_per_goal)
 
 
 def _goals(explored: Rollout) -> list[Goal]:
-    encoded = [[images.encode(frame, encoding="raw_rgb8") for frame in frames] for frames in _goal_images(explored)]
-    return [Goal(images=tuple(each)) for each in encoded]
+    return [
+        Goal(images=tuple(images.encode(frame, encoding="raw_rgb8") for frame in frames))
+        for frames in _goal_images(explored)
+    ]
 
 
 def _goal_images(explored: Rollout) -> npt.NDArray[np.uint8]:
@@ -119,19 +99,46 @@ def _measure(
         states = random.states[: random.lengths[robot], robot]
         at_random.append(landmarks.reached_at_random(states, targets, max_steps=max_steps))
         block_moves.append(landmarks.needs_block_move(explored.states[0, robot], targets))
-    moves, visited = np.concatenate(block_moves), np.concatenate(truth)
-    scores = np.concatenate(confidence)
+    moves = np.concatenate(block_moves)
     shown = sorted(pursuits, key=lambda robot: float(pursuits[robot].recognized.mean()))[len(pursuits) // 2]
     return GoalImageResult(
-        reached=landmarks.reached_rates(np.concatenate([each.reached for each in pursuits.values()]), moves),
-        reached_at_random=landmarks.reached_rates(np.concatenate(at_random), moves),
-        recognized=float(np.concatenate([each.recognized for each in pursuits.values()]).mean()),
-        recognizer=RecognizerQuality(
-            auroc(scores, visited), expected_calibration_error(scores, visited), float(visited.mean())
+        figures=(
+            *_reached_figures(
+                landmarks.reached_rates(np.concatenate([each.reached for each in pursuits.values()]), moves),
+                landmarks.reached_rates(np.concatenate(at_random), moves),
+            ),
+            Figure(
+                "imitation.landmarks_recognized",
+                float(np.concatenate([each.recognized for each in pursuits.values()]).mean()),
+            ),
+            *_recognizer_figures(np.concatenate(confidence), np.concatenate(truth)),
         ),
         filmstrip=_filmstrip(explored, followed, policy, pursuits[shown], shown),
         exploration=explored,
     )
+
+
+def _reached_figures(followed: ReachedRates, random: ReachedRates) -> list[Figure]:
+    """Returns the shares of landmarks reached; random actions are told by true states when to go on."""
+    rates = (
+        ("landmarks_reached", followed.overall, random.overall),
+        ("no_block_moves.landmarks_reached", followed.no_block_moves, random.no_block_moves),
+        ("block_moves.landmarks_reached", followed.block_moves, random.block_moves),
+    )
+    return [
+        Figure(f"imitation.{name}", value, baseline, "random actions", beats_baseline=True)
+        for name, value, baseline in rates
+    ]
+
+
+def _recognizer_figures(confidence: npt.NDArray[np.float64], at_landmark: Flags) -> list[Figure]:
+    """Returns the quality of the goal recognizer on the M states that the policy visited; arguments (M,)."""
+    error = expected_calibration_error(confidence, at_landmark)
+    return [
+        Figure("imitation.visited.at_landmark", float(at_landmark.mean())),
+        Figure("imitation.visited.goal_auroc", auroc(confidence, at_landmark), 0.5, "chance", beats_baseline=True),
+        Figure("imitation.visited.goal_ece", error, 0.0, "always the base rate"),
+    ]
 
 
 def _filmstrip(
@@ -148,24 +155,4 @@ def _filmstrip(
             bool(pursuit.at_landmark[t]),
         )
         for t in np.flatnonzero(pursuit.left).tolist()
-    )
-
-
-def figures(result: GoalImageResult) -> tuple[Figure, ...]:
-    """Returns the figures of following goal images."""
-    recognizer = result.recognizer
-    reached = (
-        ("landmarks_reached", result.reached.overall, result.reached_at_random.overall),
-        ("no_block_moves.landmarks_reached", result.reached.no_block_moves, result.reached_at_random.no_block_moves),
-        ("block_moves.landmarks_reached", result.reached.block_moves, result.reached_at_random.block_moves),
-    )
-    return (
-        *(
-            Figure(f"imitation.{name}", value, random, "random actions", beats_baseline=True)
-            for name, value, random in reached
-        ),
-        Figure("imitation.landmarks_recognized", result.recognized),
-        Figure("imitation.visited.at_landmark", recognizer.at_landmark),
-        Figure("imitation.visited.goal_auroc", recognizer.auroc, 0.5, "chance", beats_baseline=True),
-        Figure("imitation.visited.goal_ece", recognizer.calibration_error, 0.0, "always the base rate"),
     )

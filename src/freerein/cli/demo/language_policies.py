@@ -5,13 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from freerein.cli.demo import reward
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
-from freerein.cli.demo.pictures import IntervalBar
-from freerein.cli.demo.report import Figure
-from freerein.metrics import mean_interval
+from freerein.cli.demo.report import Figure, Returns
 
 SIDES = ("left", "right")
 TASKS = {side: f"blocks.yellow-{side}-of-green" for side in SIDES}
@@ -37,35 +33,6 @@ _PPO = {
     "lr": 3e-4,
     "init_from": INIT_FROM,
 }
-
-
-@dataclass(frozen=True)
-class Returns:
-    """Oracle returns of a policy: control steps at the goal, in the same episodes for every policy.
-
-    Attributes:
-        episodes: One return per episode.
-    """
-
-    episodes: tuple[float, ...]
-
-    @property
-    def mean(self) -> float:
-        """Mean return."""
-        return float(np.mean(self.episodes))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean."""
-        return mean_interval(self.episodes, rng=np.random.default_rng(0))
-
-    def __sub__(self, other: "Returns") -> "Returns":
-        """Returns the differences by episode."""
-        return Returns(tuple(np.subtract(self.episodes, other.episodes).tolist()))
-
-    def __add__(self, other: "Returns") -> "Returns":
-        """Returns the episodes of both."""
-        return Returns(self.episodes + other.episodes)
 
 
 @dataclass(frozen=True)
@@ -175,17 +142,16 @@ def _evaluation(context: Context, side: str, policy: str | dict[str, Any]) -> di
     return {"task": TASKS[side], "policy": policy, "episodes": _EPISODES, "num_envs": _EPISODES, "seed": seed}
 
 
-def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, list[IntervalBar]]:
-    """Returns the bars of the picture by the title of their panel."""
+def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, Mapping[str, Returns]]:
+    """Returns what the picture compares: returns by policy, by the title of their panel."""
     told = {
         side: {f'student,\ntold "{told}"': student.returns[side, told] for told in sorted(SIDES, key=side.__ne__)}
         for side in SIDES
     }
     left = {"random": baselines["random-left"], "checkpoint": baselines["checkpoint"], "ppo": ppo.returns}
-    groups = {"left": {**left, **told["left"]}, "right": {"random": baselines["random-right"], **told["right"]}}
     return {
-        f"{side}-of: steps at the goal": [IntervalBar(name, each.mean, each.interval) for name, each in group.items()]
-        for side, group in groups.items()
+        "left-of: steps at the goal": {**left, **told["left"]},
+        "right-of: steps at the goal": {"random": baselines["random-right"], **told["right"]},
     }
 
 

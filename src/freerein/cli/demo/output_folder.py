@@ -14,13 +14,8 @@ _SERVICE_FOLDERS = ("datasets", "fits", "logs", "models", "runs")
 def prepare(out: Path, *, keep: Path | None) -> None:
     """Creates or empties the output folder, and writes the marker.
 
-    Args:
-        out: The folder.
-        keep: A data directory that must stay untouched; None for none.
-
-    Raises:
-        InvalidInput: The folder contains the data directory, or lies in one of its service folders.
-        FailedPrecondition: It holds files of something other than a demo.
+    Raises InvalidInput where it contains the data directory `keep` or lies in one of its service folders, and
+    FailedPrecondition where something other than a demo made it.
     """
     folder = out.resolve()
     if keep and _overlaps(folder, keep.resolve()):

@@ -4,7 +4,6 @@ import os
 import time
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 
 from freerein.cli.demo import (
@@ -18,13 +17,9 @@ from freerein.cli.demo import (
     skill_policies,
 )
 from freerein.cli.demo.context import Context
-from freerein.cli.demo.imitation import GoalImageResult
-from freerein.cli.demo.language_policies import PPOResult, Returns, Student
-from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import Figure, Reporter
-from freerein.cli.demo.reward import RewardResult, Scenes
-from freerein.cli.demo.segmentation import BLOCKS, GRID, SegmentationResult
-from freerein.cli.demo.skill_policies import RecipeResult
+from freerein.cli.demo.reward import Scenes
+from freerein.cli.demo.segmentation import BLOCKS, GRID
 from freerein.cli.services import Endpoints, Stack, choose, free_ports
 from freerein.cli.services.endpoints import is_free, running_endpoints
 from freerein.cli.settings import CliSettings
@@ -36,34 +31,11 @@ _LONGEST_S = 600.0
 _SHIPPED = {"ppo": [language_policies.INIT_FROM], "distill": list(language_policies.SHIPPED_TEACHERS)}
 
 
-@dataclass(frozen=True, eq=False)
-class _Results:
-    """Results of all stages."""
-
-    grid: SegmentationResult
-    blocks: SegmentationResult
-    goal_images: GoalImageResult
-    two_blocks: RewardResult
-    four_blocks: RewardResult
-    reward_examples: tuple[RewardExample, ...]
-    recipes: RecipeResult
-    baselines: Mapping[str, Returns]
-    ppo: PPOResult
-    student: Student
-    training_s: float
-
-
 async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> None:
-    """Runs every stage, and writes `summary.json`, `summary.md` and the pictures.
+    """Runs every stage, and writes `summary.json`, `summary.md` and the pictures into `out`, which is emptied first.
 
-    Args:
-        out: Output folder: new, empty, or an earlier demo's, which is emptied.
-        seed: Random seed.
-        reporter: Prints progress.
-        running: Whether to use services that already run, where the environment says; else the demo starts its own.
-
-    Raises:
-        ServiceError: The folder holds something else, or a stage failed.
+    With `running`, services that already run are used, where the environment says; else the demo starts its own. Raises
+    ServiceError where the folder is not the demo's to empty, or a stage failed.
     """
     started_s = time.perf_counter()
     settings = CliSettings()
@@ -74,10 +46,8 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     async with stack as endpoints:
         for name, url in endpoints.urls.items():
             reporter.line(f"{name:<13} {url}/docs   gRPC {endpoints.addresses[name]}")
-        results = await _learn_and_measure(Context(endpoints, settings, data_dir, seed, reporter))
-    with reporter.stage("Draw"):
-        _draw(results, out)
-    figures = _figures(results, total_s=time.perf_counter() - started_s)
+        measured = await _learn_and_measure(Context(endpoints, settings, data_dir, seed, reporter), out)
+    figures = (*measured, Figure("total_s", time.perf_counter() - started_s, at_most=_LONGEST_S))
     summary = report.summary(figures, seed=seed, shipped=_SHIPPED)
     report.write(out, figures, summary)
     reporter.summary(figures, summary)
@@ -105,7 +75,8 @@ async def _start(data_dir: Path, reporter: Reporter) -> AsyncGenerator[Endpoints
         yield Endpoints(stack.urls, stack.addresses)
 
 
-async def _learn_and_measure(context: Context) -> _Results:
+async def _learn_and_measure(context: Context, out: Path) -> tuple[Figure, ...]:
+    """Runs every stage, and draws the pictures; returns what was measured."""
     stage = context.reporter.stage
     with stage("Record demonstrations, exploration and images"):
         for task in (GRID, BLOCKS):
@@ -130,73 +101,30 @@ async def _learn_and_measure(context: Context) -> _Results:
     with stage("Evaluate goal images, rewards and recipes"):
         goal_images = await imitation.follow_goal_images(context)
         two, four = await reward.look_at_two_blocks(context), Scenes.of_rollout(goal_images.exploration)
-        two_blocks = await reward.classify(context, "rewards, two blocks", two)
-        four_blocks = await reward.classify(context, "rewards, four blocks", four)
-        reward_examples = await reward.examples(context, two, four)
+        two_blocks = await reward.classify(context, "two_blocks", two)
+        four_blocks = await reward.classify(context, "four_blocks", four)
+        examples = await reward.examples(context, two, four)
         recipes = await skill_policies.execute_recipes(context)
     with stage("Train a policy by PPO on images and the learned reward"):
         baselines = await language_policies.finish_baselines(context, baselines_run)
         ppo = await language_policies.learn_by_ppo(context)
     with stage("Distill it and a shipped policy into one that is told in words what to do"):
         student = await language_policies.distill(context, ppo.run)
-    return _Results(
-        grid=grid,
-        blocks=blocks,
-        goal_images=goal_images,
-        two_blocks=two_blocks,
-        four_blocks=four_blocks,
-        reward_examples=reward_examples,
-        recipes=recipes,
-        baselines=baselines,
-        ppo=ppo,
-        student=student,
-        training_s=training_s,
-    )
-
-
-def _draw(results: _Results, out: Path) -> None:
-    for task, result in (("grid", results.grid), ("blocks", results.blocks)):
-        median = result.median
-        pictures.draw_timeline(
-            out / f"timeline-{task}.png",
-            median,
-            title=f"Which skill when: the held-out trajectory of median accuracy, {task}",
-            subtitle=f"{median.accuracy:.1%} of {len(median.truth)} timesteps right; "
-            "learned from the set of skills per trajectory",
-        )
-    pictures.draw_rewards(
-        out / "rewards.png",
-        results.reward_examples,
-        title="Where the things are, and which sentence fits best",
-        subtitle="first held-out image of each relation, of two blocks and of four; green: the true sentence wins; "
-        "learned from unlabelled images and noun phrases",
-    )
-    pictures.draw_filmstrip(
-        out / "filmstrip.png",
-        results.goal_images.filmstrip,
-        title="Following goal images never seen",
-        subtitle="robot of median success: what it saw when it went on to the next goal, and its confidence; "
-        "green: truly there; learned from random exploration",
-    )
-    pictures.draw_returns(
-        out / "ppo.png",
-        results.ppo.curve,
-        language_policies.bars(results.baselines, results.ppo, results.student),
-        title="PPO from a shipped checkpoint, then distillation into a policy that is told in words what to do",
-        subtitle="control steps of 100 at the goal by true states, in the same 50 episodes each; "
-        "lines are 95 % intervals",
-    )
-
-
-def _figures(results: _Results, *, total_s: float) -> tuple[Figure, ...]:
+    with stage("Draw"):
+        for task, labelled in ((GRID, grid), (BLOCKS, blocks)):
+            path = out / f"timeline-{task.task}.png"
+            pictures.draw_timeline(path, segmentation.median(labelled), task=task.task)
+        pictures.draw_rewards(out / "rewards.png", examples)
+        pictures.draw_filmstrip(out / "filmstrip.png", goal_images.filmstrip)
+        pictures.draw_returns(out / "ppo.png", ppo.curve, language_policies.bars(baselines, ppo, student))
     return (
-        *segmentation.figures(results.blocks, results.grid),
-        *reward.figures(results.two_blocks, results.four_blocks),
-        *imitation.figures(results.goal_images),
-        *skill_policies.figures(results.recipes),
-        *language_policies.figures(results.baselines, results.ppo, results.student),
-        Figure("training_s", results.training_s),
-        Figure("total_s", total_s, at_most=_LONGEST_S),
+        *segmentation.figures(blocks, grid),
+        *two_blocks,
+        *four_blocks,
+        *goal_images.figures,
+        *recipes,
+        *language_policies.figures(baselines, ppo, student),
+        Figure("training_s", training_s),
     )
 
 

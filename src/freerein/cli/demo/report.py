@@ -7,15 +7,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from freerein.cli.job_display import draw
-from freerein.cli.job_progress import Job, JobProgress
+from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.progress import Job, JobProgress
 from freerein.cli.output import print_json
+from freerein.metrics import mean_interval
 
 _COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
@@ -71,13 +73,35 @@ class Figure:
         return self.name, f"{self.value:.3g}", interval, baseline, self.bar, verdict
 
 
+@dataclass(frozen=True)
+class Returns:
+    """Oracle returns of a policy by episode: control steps at the goal, in the same episodes for every policy."""
+
+    episodes: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(np.mean(self.episodes))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the mean."""
+        return mean_interval(self.episodes, rng=np.random.default_rng(0))
+
+    def __sub__(self, other: "Returns") -> "Returns":
+        """Returns the differences by episode."""
+        return Returns(tuple(np.subtract(self.episodes, other.episodes).tolist()))
+
+    def __add__(self, other: "Returns") -> "Returns":
+        """Returns the episodes of both."""
+        return Returns(self.episodes + other.episodes)
+
+
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:
     """Returns `summary.json`: each value by name, and under `figures` its baseline, interval, bar and verdict.
 
-    Args:
-        figures: What was measured.
-        seed: Random seed of the demo.
-        shipped: By stage, the models that came with freerein and were not learned in the demo.
+    `shipped` holds by stage the models that came with freerein.
     """
     details = {
         figure.name: {

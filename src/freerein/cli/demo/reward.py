@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.cli.demo.context import HELD_OUT_SEED, Context
-from freerein.cli.demo.evaluation.relations import BlockPair, true_relations, visible_pairs
+from freerein.cli.demo.evaluation.relations import true_relations, visible_pairs
 from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import Figure
-from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout
+from freerein.cli.demo.rollout import Rollout, robot_session
 from freerein.clients import RewardClient
 from freerein.metrics import balanced_accuracy, frame_accuracy, majority_accuracy
 from freerein.types.common import ModelRef
@@ -48,19 +48,6 @@ class Scenes:
         return cls(*(np.concatenate(list(each)) for each in ends))
 
 
-@dataclass(frozen=True, eq=False)
-class RewardResult:
-    """Which relation won, for each image and each ordered pair of visible blocks.
-
-    Attributes:
-        predicted: int64 (M,), index of the winning relation.
-        truth: int64 (M,), index of the true relation.
-    """
-
-    predicted: npt.NDArray[np.int64]
-    truth: npt.NDArray[np.int64]
-
-
 async def record(context: Context) -> None:
     """Records the training images: two blocks anywhere, a gripper that moves at random, no label."""
     request = DemonstrateRequest(_TASK, "random", count=_TRAJECTORIES, seed=context.seed, cameras=(_CAMERA,))
@@ -78,38 +65,45 @@ async def look_at_two_blocks(context: Context) -> Scenes:
     async with context.sim() as sim:
         for session in range(_SESSIONS):
             seed = context.seed + HELD_OUT_SEED + session
-            async with RobotSession(sim, _TASK, camera=_CAMERA, count=_SCENES, seed=seed) as robots:
-                policy = RandomPolicy(robots.task.action.size, _SCENES, rng)
-                scenes.append(Scenes.of_rollout(await robots.rollout(policy, steps=_RANDOM_STEPS)))
+            async with robot_session(sim, _TASK, camera=_CAMERA, count=_SCENES, seed=seed) as robots:
+                rollout = await robots.rollout(robots.random_policy(rng), steps=_RANDOM_STEPS)
+                scenes.append(Scenes.of_rollout(rollout))
     return Scenes(np.concatenate([each.frames for each in scenes]), np.concatenate([each.states for each in scenes]))
 
 
-async def classify(context: Context, name: str, scenes: Scenes) -> RewardResult:
-    """Has the reward model choose among five sentences for every image and pair of visible blocks."""
-    predicted, truth = [], []
+async def classify(context: Context, name: str, scenes: Scenes) -> tuple[Figure, ...]:
+    """Has the reward model choose among five sentences for every image and pair of visible blocks.
+
+    Returns accuracy and balanced accuracy, `reward.<name>.*`.
+    """
+    winners, relations = [], []
     pairs = visible_pairs(scenes.states)
     async with RewardClient(context.channel("reward")) as client:
-        with context.reporter.progress(name, len(pairs)) as advance:
+        with context.reporter.progress(f"rewards, {name.replace('_', ' ')}", len(pairs)) as advance:
             for done, (pair, indices) in enumerate(pairs.items(), 1):
                 goal, *rivals = pair.texts
                 frames = {_CAMERA: scenes.frames[indices]}
                 answer = await client.reward(RewardRequest(goal, frames, rivals=tuple(rivals), model=ModelRef(MODEL)))
-                predicted.append(answer.winners)
-                truth.append(true_relations(scenes.states[indices], pair))
+                winners.append(answer.winners)
+                relations.append(true_relations(scenes.states[indices], pair))
                 advance(done)
-    return RewardResult(np.concatenate(predicted), np.concatenate(truth))
+    predicted, truth = np.concatenate(winners), np.concatenate(relations)
+    plain, balanced = frame_accuracy(predicted, truth), balanced_accuracy(predicted, truth)
+    majority, constant = majority_accuracy(truth), 1 / len(np.unique(truth))
+    return (
+        Figure(f"reward.{name}.accuracy", plain, majority, "majority guess", beats_baseline=True),
+        Figure(f"reward.{name}.balanced_accuracy", balanced, constant, "constant guess", beats_baseline=True),
+    )
 
 
-async def examples(context: Context, two_blocks: Scenes, four_blocks: Scenes) -> tuple[RewardExample, ...]:
+async def examples(context: Context, two_blocks: Scenes, four_blocks: Scenes) -> list[RewardExample]:
     """Returns the examples of the picture: the first image of each relation, from both kinds of scenes."""
     async with RewardClient(context.channel("reward")) as client:
-        return tuple(
-            [
-                await _example(client, scenes, relation)
-                for scenes, relations in ((two_blocks, _DRAWN_TWO_BLOCKS), (four_blocks, _DRAWN_FOUR_BLOCKS))
-                for relation in relations
-            ]
-        )
+        return [
+            await _example(client, scenes, relation)
+            for scenes, relations in ((two_blocks, _DRAWN_TWO_BLOCKS), (four_blocks, _DRAWN_FOUR_BLOCKS))
+            for relation in relations
+        ]
 
 
 async def _example(client: RewardClient, scenes: Scenes, relation: int) -> RewardExample:
@@ -119,10 +113,6 @@ async def _example(client: RewardClient, scenes: Scenes, relation: int) -> Rewar
         if relation in truth:
             frame = scenes.frames[indices[np.argmax(truth == relation)]]
             break
-    return await _ask(client, pair, frame, relation)
-
-
-async def _ask(client: RewardClient, pair: BlockPair, frame: npt.NDArray[np.uint8], truth: int) -> RewardExample:
     raw = RewardRequest(pair.texts[0], {_CAMERA: frame[None]}, mode="raw", model=ModelRef(MODEL))
     similarities = [(await client.reward(replace(raw, goal_text=text))).similarities[0] for text in pair.texts]
     grounded = await client.ground(GroundRequest(images.encode(frame, encoding="raw_rgb8"), pair.phrases))
@@ -133,19 +123,5 @@ async def _ask(client: RewardClient, pair: BlockPair, frame: npt.NDArray[np.uint
         pixels=[(each.x, each.y) for each in grounded.groundings],
         texts=pair.texts,
         similarities=np.array(similarities, np.float32),
-        truth=truth,
+        truth=relation,
     )
-
-
-def figures(two_blocks: RewardResult, four_blocks: RewardResult) -> tuple[Figure, ...]:
-    """Returns accuracy and balanced accuracy on scenes of two blocks, as in training, and of four."""
-    found = []
-    for name, result in (("two_blocks", two_blocks), ("four_blocks", four_blocks)):
-        predicted, truth = result.predicted, result.truth
-        plain, balanced = frame_accuracy(predicted, truth), balanced_accuracy(predicted, truth)
-        majority, constant = majority_accuracy(truth), 1 / len(np.unique(truth))
-        found += [
-            Figure(f"reward.{name}.accuracy", plain, majority, "majority guess", beats_baseline=True),
-            Figure(f"reward.{name}.balanced_accuracy", balanced, constant, "constant guess", beats_baseline=True),
-        ]
-    return tuple(found)

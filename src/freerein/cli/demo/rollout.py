@@ -4,10 +4,10 @@ True states are recorded for evaluation; no policy sees them.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Self, cast
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from freerein.types.sim import (
     RestoreRequest,
     SnapshotRequest,
     StepRequest,
-    Task,
+    StepResponse,
     Truth,
 )
 
@@ -48,58 +48,56 @@ class Rollout:
     lengths: npt.NDArray[np.int64]
 
 
+@asynccontextmanager
+async def robot_session(
+    sim: SimClient, task: str, *, camera: str, count: int, seed: int
+) -> "AsyncGenerator[RobotSession, None]":
+    """Yields a privileged sim session of `count` robots that perform a task; `seed` is that of the episodes."""
+    created = await sim.create_session(CreateSessionRequest(task, num_envs=count, seed=seed, privileged=True))
+    await sim.reset(ResetRequest(created.session))
+    start = (await sim.snapshot(SnapshotRequest(created.session))).snapshot
+    try:
+        yield RobotSession(sim, created.session, camera, count, created.task.action.size, start)
+    finally:
+        await sim.close_session(CloseSessionRequest(created.session))
+
+
+@dataclass(frozen=True)
 class RobotSession:
-    """A privileged sim session of several robots; each rollout starts from the same states.
+    """A sim session of `count` robots; each rollout starts from the states in the snapshot `start`."""
 
-    Args:
-        sim: The sim service.
-        task: Name of the task.
-        camera: Camera of the frames.
-        count: Number of robots.
-        seed: Random seed of the episodes.
-    """
+    sim: SimClient
+    session: str
+    camera: str
+    count: int
+    action_size: int
+    start: bytes
 
-    def __init__(self, sim: SimClient, task: str, *, camera: str, count: int, seed: int) -> None:
-        self._sim = sim
-        self._request = CreateSessionRequest(task, num_envs=count, seed=seed, privileged=True)
-        self._camera = camera
-        self._count = count
-
-    async def __aenter__(self) -> Self:
-        """Creates the session and saves the states that rollouts start from."""
-        created = await self._sim.create_session(self._request)
-        self.task: Task = created.task
-        self._session = created.session
-        await self._sim.reset(ResetRequest(self._session))
-        self._start = (await self._sim.snapshot(SnapshotRequest(self._session))).snapshot
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Closes the session."""
-        await self._sim.close_session(CloseSessionRequest(self._session))
+    def random_policy(self, rng: np.random.Generator) -> "RandomPolicy":
+        """Returns a policy that acts at random."""
+        return RandomPolicy(self.action_size, self.count, rng)
 
     async def rollout(
         self, policy: PolicyFn, *, steps: int, on_step: Callable[[int], None] = lambda _: None
     ) -> Rollout:
         """Returns a rollout from the start states, of at most `steps` steps."""
-        step = (await self._sim.restore(RestoreRequest(self._session, self._start))).step_id
-        size = self.task.action.size
-        still = np.zeros((self._count, size), np.float32)
-        seen = await self._sim.step(StepRequest(self._session, step + 1, still, cameras=(self._camera,)))
-        frames, states = [seen.frames[self._camera]], [cast(Truth, seen.truth).state]
-        ended = np.full(self._count, steps + 1)
+        step = (await self.sim.restore(RestoreRequest(self.session, self.start))).step_id
+        seen = await self._step(step + 1, np.zeros((self.count, self.action_size), np.float32))
+        frames, states = [seen.frames[self.camera]], [cast(Truth, seen.truth).state]
+        ended = np.full(self.count, steps + 1)
         for t in range(1, steps + 1):
             actions = await policy(frames[-1])
             if actions is None:
                 break
-            seen = await self._sim.step(StepRequest(self._session, step + 1 + t, actions, cameras=(self._camera,)))
+            seen = await self._step(step + 1 + t, actions)
             ended = np.where((seen.terminated | seen.truncated) & (ended > steps), t, ended)
-            frames.append(seen.frames[self._camera])
+            frames.append(seen.frames[self.camera])
             states.append(cast(Truth, seen.truth).state)
             on_step(t)
         return Rollout(np.stack(frames), np.stack(states), np.minimum(ended, len(frames)))
+
+    async def _step(self, step_id: int, actions: Actions) -> StepResponse:
+        return await self.sim.step(StepRequest(self.session, step_id, actions, cameras=(self.camera,)))
 
 
 @dataclass(eq=False)
@@ -107,10 +105,6 @@ class ServedPolicy:
     """A policy of the imitation service that pursues one goal per robot until all are done.
 
     Attributes:
-        client: The imitation service.
-        model: Name and version of the model.
-        goals: One goal per robot.
-        camera: Camera of the observations.
         max_steps_per_goal: Steps after which a goal is abandoned for the next one; 0 for the model's default.
         goal_index: int64 (N,) per timestep, the number of goals that each robot is done with.
         confidence: float64 (N,) per timestep, confidence that the goal pursued is reached.
@@ -138,9 +132,8 @@ class ServedPolicy:
         actions = [answer.actions[:1] for answer in answers]
         if not any(map(len, actions)):
             return None
-        size = max(action.shape[1] for action in actions)
-        held = np.zeros((1, size), np.float32)
-        taken = np.concatenate([action if len(action) else held for action in actions])
+        still = np.zeros((1, max(action.shape[1] for action in actions)), np.float32)
+        taken = np.concatenate([action if len(action) else still for action in actions])
         self._requests = [
             replace(request, state=answer.state, executed_actions=done[None])
             for request, answer, done in zip(self._requests, answers, taken, strict=True)
@@ -154,13 +147,7 @@ class ServedPolicy:
 
 @dataclass(eq=False)
 class RandomPolicy:
-    """Smooth random actions, with the parameters of the sim service's random behaviour.
-
-    Attributes:
-        size: Numbers per action.
-        count: Number of robots.
-        rng: Draws the targets and how long they are held.
-    """
+    """Smooth random actions, with the parameters of the sim service's random behaviour."""
 
     size: int
     count: int

@@ -1,6 +1,6 @@
 """Chapter 2 in the demo: from demonstrations tagged with their skills to a skill label for every timestep."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,32 +53,6 @@ GRID = SegmentationTask("grid", 1000, (2, 4), 100, 5, {"steps": 300, "batch_size
 BLOCKS = SegmentationTask("blocks", 400, (2, 3), 60, 4, {"stride": 3})
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentationResult:
-    """The labelled held-out trajectories of a task."""
-
-    trajectories: tuple[LabelledTrajectory, ...]
-
-    @property
-    def frame_accuracy(self) -> float:
-        """Frame accuracy over all timesteps."""
-        return self._mean_over_timesteps(lambda each: each.accuracy)
-
-    @property
-    def majority_accuracy(self) -> float:
-        """Accuracy of a guesser who is told each trajectory's longest skill and always answers it."""
-        return self._mean_over_timesteps(lambda each: majority_accuracy(each.truth))
-
-    @property
-    def median(self) -> LabelledTrajectory:
-        """The trajectory of median accuracy."""
-        return sorted(self.trajectories, key=lambda each: each.accuracy)[len(self.trajectories) // 2]
-
-    def _mean_over_timesteps(self, value: Callable[[LabelledTrajectory], float]) -> float:
-        lengths = [len(each.truth) for each in self.trajectories]
-        return float(np.average([value(each) for each in self.trajectories], weights=lengths))
-
-
 async def record(context: Context, task: SegmentationTask) -> None:
     """Records the training dataset, with tags only, and the held-out dataset, with true labels."""
     fewest, most = task.train_skills
@@ -104,7 +78,7 @@ async def start_fit(context: Context, task: SegmentationTask) -> tuple[str, Fit]
     return await context.start_fit("segmentation", task.train_dataset, model_name=task.task, config=task.config)
 
 
-async def label_held_out(context: Context, task: SegmentationTask) -> SegmentationResult:
+async def label_held_out(context: Context, task: SegmentationTask) -> list[LabelledTrajectory]:
     """Labels the held-out trajectories."""
     context.reporter.command(f"freerein segment {task.held_out_dataset} --model {task.task} --smoothing 1 --index 0")
     root = context.dataset(task.held_out_dataset)
@@ -120,13 +94,33 @@ async def label_held_out(context: Context, task: SegmentationTask) -> Segmentati
                 truth = true_labels(root, index)
                 labelled.append(LabelledTrajectory(frames, truth, labels, answer.confidence, skills))
                 advance(index + 1)
-    return SegmentationResult(tuple(labelled))
+    return labelled
 
 
-def figures(blocks: SegmentationResult, grid: SegmentationResult) -> tuple[Figure, ...]:
-    """Returns frame accuracy on `blocks` and on the grid."""
-    guess, majority = "each trajectory's longest skill", blocks.majority_accuracy
+def median(trajectories: Sequence[LabelledTrajectory]) -> LabelledTrajectory:
+    """Returns the trajectory of median accuracy."""
+    return sorted(trajectories, key=lambda each: each.accuracy)[len(trajectories) // 2]
+
+
+def figures(blocks: Sequence[LabelledTrajectory], grid: Sequence[LabelledTrajectory]) -> tuple[Figure, ...]:
+    """Returns frame accuracy over all timesteps on `blocks` and on the grid.
+
+    The baseline is told each trajectory's longest skill and always answers it.
+    """
+    guess, majority = "each trajectory's longest skill", _majority_accuracy(blocks)
     return (
-        Figure("segmentation.frame_accuracy", blocks.frame_accuracy, majority, guess, at_least=majority + 0.25),
-        Figure("grid.frame_accuracy", grid.frame_accuracy, grid.majority_accuracy, guess, at_least=0.99),
+        Figure("segmentation.frame_accuracy", _accuracy(blocks), majority, guess, at_least=majority + 0.25),
+        Figure("grid.frame_accuracy", _accuracy(grid), _majority_accuracy(grid), guess, at_least=0.99),
     )
+
+
+def _accuracy(trajectories: Sequence[LabelledTrajectory]) -> float:
+    return _mean_over_timesteps(trajectories, [each.accuracy for each in trajectories])
+
+
+def _majority_accuracy(trajectories: Sequence[LabelledTrajectory]) -> float:
+    return _mean_over_timesteps(trajectories, [majority_accuracy(each.truth) for each in trajectories])
+
+
+def _mean_over_timesteps(trajectories: Sequence[LabelledTrajectory], values: Sequence[float]) -> float:
+    return float(np.average(values, weights=[len(each.truth) for each in trajectories]))

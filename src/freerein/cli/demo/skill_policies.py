@@ -1,7 +1,6 @@
 """One policy per skill in the demo: cloned from demonstrations segmented by tags alone, executed by recipe."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +10,7 @@ from freerein.cli.demo.context import HELD_OUT_SEED, Context
 from freerein.cli.demo.evaluation import recipes
 from freerein.cli.demo.evaluation.recipes import SkillOutcome
 from freerein.cli.demo.report import Figure
-from freerein.cli.demo.rollout import RandomPolicy, RobotSession, Rollout, ServedPolicy
+from freerein.cli.demo.rollout import Rollout, ServedPolicy, robot_session
 from freerein.cli.demo.segmentation import BLOCKS
 from freerein.clients import ImitationClient, SegmentationClient
 from freerein.types.common import Goal, ModelRef
@@ -22,23 +21,6 @@ from freerein.types.segmentation import SegmentRequest
 _CAMERA = "front"
 _MODEL = ModelRef("skills")
 _ROBOTS, _STEPS = 40, 148  # an episode ends after 150
-
-
-@dataclass(frozen=True)
-class RecipeResult:
-    """How well recipes were executed, of an order and a length that no demonstration had; shares in [0, 1].
-
-    Attributes:
-        completed: Skills completed.
-        lifted: Skills whose block was lifted.
-        random_completed: Skills that random actions complete in as many steps.
-        random_lifted: Skills whose block random actions lift.
-    """
-
-    completed: float
-    lifted: float
-    random_completed: float
-    random_lifted: float
 
 
 async def label_demonstrations(context: Context) -> None:
@@ -57,30 +39,36 @@ async def start_fit(context: Context) -> tuple[str, Fit]:
     )
 
 
-async def execute_recipes(context: Context) -> RecipeResult:
-    """Has each robot execute all skills in an order of its own, from unseen starts."""
+async def execute_recipes(context: Context) -> tuple[Figure, ...]:
+    """Has each robot execute all skills in an order of its own, from unseen starts; no demonstration had such a recipe.
+
+    Returns the shares of skills completed and of blocks lifted; random actions have as many steps per skill.
+    """
     seed = context.seed + HELD_OUT_SEED
     rng = np.random.default_rng(seed)
     async with context.sim() as sim, ImitationClient(context.channel("imitation")) as client:
         spec = await client.get_spec(GetSpecRequest(_MODEL))
         plans = [tuple(str(skill) for skill in rng.permutation(spec.skills)) for _ in range(_ROBOTS)]
         skill_steps = _STEPS // len(spec.skills)
-        session = RobotSession(sim, BLOCKS.task, camera=_CAMERA, count=_ROBOTS, seed=seed)
-        async with session:
+        async with robot_session(sim, BLOCKS.task, camera=_CAMERA, count=_ROBOTS, seed=seed) as session:
             goals = [Goal(recipe=plan) for plan in plans]
             policy = ServedPolicy(client, _MODEL, goals, _CAMERA, max_steps_per_goal=skill_steps)
             with context.reporter.progress("execute recipes", _STEPS) as advance:
                 executed = await session.rollout(policy, steps=_STEPS, on_step=advance)
-            random = await session.rollout(RandomPolicy(session.task.action.size, _ROBOTS, rng), steps=_STEPS)
+            random = await session.rollout(session.random_policy(rng), steps=_STEPS)
     outcomes = _outcomes(plans, executed, np.stack(policy.goal_index))
     timed = np.repeat((np.arange(_STEPS) // skill_steps).clip(max=len(spec.skills))[:, None], _ROBOTS, axis=1)
     random_outcomes = _outcomes(plans, random, timed)
-    asked = _ROBOTS * len(spec.skills)
-    return RecipeResult(
-        completed=sum(each.completed for each in outcomes) / asked,
-        lifted=sum(each.lifted for each in outcomes) / asked,
-        random_completed=sum(each.completed for each in random_outcomes) / asked,
-        random_lifted=sum(each.lifted for each in random_outcomes) / asked,
+
+    def share(flags: Iterable[bool]) -> float:
+        return sum(flags) / (_ROBOTS * len(spec.skills))
+
+    completed, lifted = share(each.completed for each in outcomes), share(each.lifted for each in outcomes)
+    random_completed = share(each.completed for each in random_outcomes)
+    random_lifted = share(each.lifted for each in random_outcomes)
+    return (
+        Figure("recipe.skills_completed", completed, random_completed, "random actions", beats_baseline=True),
+        Figure("recipe.blocks_lifted", lifted, random_lifted, "random actions"),
     )
 
 
@@ -92,14 +80,5 @@ def _outcomes(
     for robot, plan in enumerate(plans):
         length = min(int(rollout.lengths[robot]), len(goal_index))
         started = recipes.attempts(plan, rollout.states[:length, robot], goal_index[:length, robot])
-        found += [recipes.outcome(attempt) for attempt in started]
+        found += [recipes.outcome(skill, states) for skill, states in started]
     return found
-
-
-def figures(result: RecipeResult) -> tuple[Figure, ...]:
-    """Returns the figures of recipes."""
-    guess = "random actions"
-    return (
-        Figure("recipe.skills_completed", result.completed, result.random_completed, guess, beats_baseline=True),
-        Figure("recipe.blocks_lifted", result.lifted, result.random_lifted, guess),
-    )

@@ -1,19 +1,27 @@
 """`freerein doctor`: checks this machine and the services, all at once, and prints a line per result."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from functools import partial
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
+from freerein.cli.doctor import machine, services
+from freerein.cli.doctor.machine import CheckResult
 from freerein.cli.output import AsJson, command, print_json
-
-if TYPE_CHECKING:
-    from freerein.cli.doctor.check_result import CheckResult
+from freerein.cli.services.endpoints import installed
+from freerein.cli.settings import CliSettings
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("note", "yellow"), "problem": ("problem", "bold red")}
 
+app = typer.Typer(add_completion=False)
 
+
+@app.command()
 @command
 def doctor(as_json: AsJson = False) -> None:
     """Check this machine and the services; exit code 1 where something required is missing."""
@@ -27,15 +35,7 @@ def doctor(as_json: AsJson = False) -> None:
         raise typer.Exit(1)
 
 
-def _check_all() -> "list[CheckResult]":
-    from concurrent.futures import ThreadPoolExecutor
-    from functools import partial
-
-    from freerein.cli.doctor import machine, services
-    from freerein.cli.doctor.check_result import CheckResult
-    from freerein.cli.services.endpoints import installed
-    from freerein.cli.settings import CliSettings
-
+def _check_all() -> list[CheckResult]:
     names = installed()
     data_dir = CliSettings().data_dir
     checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
@@ -51,11 +51,7 @@ def _check_all() -> "list[CheckResult]":
     return [result for part in found for result in (part if isinstance(part, list) else [part])]
 
 
-def _show(results: "list[CheckResult]") -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+def _show(results: list[CheckResult]) -> None:
     table = Table("", "", "found", "fix", box=None, header_style="dim", pad_edge=False)
     for result in results:
         mark, style = _MARKS[result.state]

@@ -12,9 +12,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
-
-from freerein.cli.doctor.check_result import CheckResult
+from typing import Literal
 
 _PYTHON = (3, 11)
 _TIMEOUT_S = 60.0
@@ -36,6 +36,23 @@ import torch
 devices = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
 print(f"{torch.__version__}, {torch.get_num_threads()} threads, {', '.join(devices) or 'no CUDA device'}")
 """
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Result of one check.
+
+    Attributes:
+        name: What was checked.
+        state: `problem` where something required is missing; `warning` where nothing required is.
+        detail: What was found.
+        fix: How to fix it; empty where nothing needs fixing.
+    """
+
+    name: str
+    state: Literal["ok", "warning", "problem"]
+    detail: str
+    fix: str = ""
 
 
 def check_python() -> CheckResult:

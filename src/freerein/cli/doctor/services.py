@@ -6,7 +6,7 @@ from pathlib import Path
 import grpc
 import httpx
 
-from freerein.cli.doctor.check_result import CheckResult
+from freerein.cli.doctor.machine import CheckResult
 from freerein.cli.services.endpoints import LOOPBACK, is_free, tls_context
 from freerein.ports import PORTS, address, addresses
 

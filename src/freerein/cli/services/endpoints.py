@@ -17,23 +17,14 @@ _MAX_PORT = 65535
 
 @dataclass(frozen=True)
 class Endpoints:
-    """Addresses of running services.
-
-    Attributes:
-        urls: REST URL by service.
-        addresses: gRPC address by service, `host:port`.
-    """
+    """REST URL and gRPC address, `host:port`, of running services."""
 
     urls: Mapping[str, str]
     addresses: Mapping[str, str]
 
 
 def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
-    """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports.
-
-    Raises:
-        InvalidInput: A service or an address is unknown.
-    """
+    """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports."""
     addresses = {name: address(name, environ) for name in names}
     scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
     urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
@@ -47,11 +38,7 @@ def installed() -> dict[str, str]:
 
 
 def choose(names: Iterable[str]) -> dict[str, str]:
-    """Returns the modules of the named services; of all that are installed where no name is given.
-
-    Raises:
-        NotFound: A service is not installed, or none is.
-    """
+    """Returns the modules of the named services, by default of all; raises NotFound where one is not installed."""
     modules = installed()
     missing = [name for name in names if name not in modules]
     if missing or not modules:
@@ -72,12 +59,7 @@ def free_ports(names: Iterable[str]) -> dict[str, Ports]:
 def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict[str, Ports]:
     """Returns the ports of services: the port table's, or for a single service those that the environment sets.
 
-    Args:
-        names: Keys of `PORTS`.
-        environ: The environment; `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read, 0 meaning a free port.
-
-    Raises:
-        InvalidInput: A variable holds no port, or is set for several services.
+    `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read; 0 means a free port.
     """
     ports = {name: PORTS[name] for name in names}
     for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
@@ -102,11 +84,7 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
 
 
 def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:
-    """Checks that all ports are free.
-
-    Raises:
-        FailedPrecondition: A port is in use.
-    """
+    """Raises FailedPrecondition where a port is in use."""
     for service, pair in ports.items():
         for port in (pair.rest, pair.grpc):
             if not is_free(port, host=host):

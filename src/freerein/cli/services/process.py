@@ -71,13 +71,7 @@ class RestartPolicy:
 
 @dataclass(frozen=True)
 class ServiceCommand:
-    """How to start a service process.
-
-    Attributes:
-        module: Module for `python -m`.
-        environ: The whole environment.
-        log: File that stdout and stderr are appended to.
-    """
+    """How to start a service process: the module for `python -m`, the whole environment, and the log of its output."""
 
     module: str
     environ: Mapping[str, str]

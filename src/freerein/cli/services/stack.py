@@ -62,8 +62,10 @@ class Stack:
         self._changed = asyncio.Event()
         self._client = httpx.AsyncClient(timeout=_PROBE_TIMEOUT_S, trust_env=False, verify=tls_context(certificate))
         self._tasks: list[asyncio.Task[None]] = []
-        unset = {name: value for name, value in _addresses(self.addresses).items() if not environ.get(name)}
-        shared = {**environ, **unset, "FREEREIN_DATA_DIR": str(data_dir)}
+        shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir)}
+        for name, target in self.addresses.items():
+            variable = f"FREEREIN_{name.upper()}_ADDRESS"
+            shared[variable] = environ.get(variable) or target
         self._processes = [
             ServiceProcess(
                 ServiceCommand(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),
@@ -81,11 +83,7 @@ class Stack:
         return tuple(process.status for process in self._processes)
 
     async def watch(self) -> AsyncGenerator[tuple[ServiceStatus, ...], None]:
-        """Yields the statuses, now and after every change.
-
-        Raises:
-            OSError: A service's log cannot be written.
-        """
+        """Yields the statuses, now and after every change; raises OSError where a service's log cannot be written."""
         while True:
             changed = self._changed
             for task in self._tasks:
@@ -95,12 +93,7 @@ class Stack:
             await changed.wait()
 
     async def ready(self, *, timeout_s: float) -> None:
-        """Waits until every service is ready.
-
-        Raises:
-            FailedPrecondition: A service failed.
-            DeadlineExceeded: A service is not ready after `timeout_s` seconds.
-        """
+        """Waits until every service is ready; raises FailedPrecondition or DeadlineExceeded."""
         try:
             async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
                 async for statuses in changes:
@@ -114,11 +107,7 @@ class Stack:
             ) from None
 
     async def __aenter__(self) -> Self:
-        """Starts the services.
-
-        Raises:
-            FailedPrecondition: A port is in use.
-        """
+        """Starts the services; raises FailedPrecondition where a port is in use."""
         check_free(self._ports, host=self._host)
         self._tasks = [asyncio.create_task(process.run()) for process in self._processes]
         for task in self._tasks:
@@ -154,7 +143,3 @@ def _raise_if_failed(statuses: tuple[ServiceStatus, ...]) -> None:
 
 def _environ(shared: Mapping[str, str], ports: Ports) -> dict[str, str]:
     return {**shared, "FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
-
-
-def _addresses(addresses: Mapping[str, str]) -> dict[str, str]:
-    return {f"FREEREIN_{name.upper()}_ADDRESS": address for name, address in addresses.items()}

@@ -54,13 +54,7 @@ class LandmarkPursuit:
 
 @dataclass(frozen=True)
 class ReachedRates:
-    """Shares of landmarks reached, in [0, 1].
-
-    Attributes:
-        overall: All landmarks.
-        block_moves: Landmarks at which some block is not where it was at the start.
-        no_block_moves: Landmarks that moving the gripper alone can reach.
-    """
+    """Shares in [0, 1] of landmarks reached: of all, and by whether some block must move to reach them."""
 
     overall: float
     block_moves: float
@@ -68,23 +62,14 @@ class ReachedRates:
 
 
 def landmark_steps(length: int, *, count: int) -> npt.NDArray[np.int64]:
-    """Returns the timesteps of the landmarks of a trajectory, int64 (N,): every 6th, at most `count`.
-
-    Args:
-        length: Timesteps of the trajectory.
-        count: Most landmarks.
-    """
+    """Returns the timesteps of the landmarks of a trajectory, int64 (N,): every 6th, at most `count`."""
     return np.arange(SPACING_STEPS, length, SPACING_STEPS, dtype=np.int64)[:count]
 
 
 def is_at(states: States, landmark: States) -> Flags:
-    """Returns whether gripper and blocks are where a landmark has them, bool (...).
+    """Returns whether gripper and blocks are where a landmark has them, bool (...), for float64 states (..., S).
 
     The gripper may be off by 2.5 cm along each axis, and each block's centre by 2.5 cm in all.
-
-    Args:
-        states: float64 (..., S).
-        landmark: float64 (S,) or (..., S).
     """
     gripper = np.abs(blocks.gripper_positions(states) - blocks.gripper_positions(landmark)).max(axis=-1)  # (...)
     return np.asarray((gripper <= TOLERANCE_M) & ~needs_block_move(states, landmark))
@@ -103,9 +88,6 @@ def pursue(states: States, goal_index: npt.NDArray[np.integer[Any]], landmark_st
         states: float64 (T, S), the true state of each observation.
         goal_index: int (T,), landmarks done with according to the reply to each observation; it never falls.
         landmark_states: float64 (N, S).
-
-    Raises:
-        InvalidInput: There are not as many states as replies.
     """
     if len(states) != len(goal_index):
         raise InvalidInput(f"There must be one reply per state; got {len(goal_index)} and {len(states)}.")
@@ -116,14 +98,9 @@ def pursue(states: States, goal_index: npt.NDArray[np.integer[Any]], landmark_st
 
 
 def reached_at_random(states: States, landmark_states: States, *, max_steps: int) -> Flags:
-    """Returns which landmarks a robot that acts at random reached, bool (N,).
+    """Returns which of N landmarks a robot that acts at random reached, bool (N,), from its states float64 (T, S).
 
     It goes on to the next landmark as soon as it truly is at one, which no policy can know, or after `max_steps`.
-
-    Args:
-        states: float64 (T, S), from the first state on.
-        landmark_states: float64 (N, S).
-        max_steps: Control steps for each landmark.
     """
     reached, index, steps = np.zeros(len(landmark_states), bool), 0, 0
     for state in states:
@@ -137,11 +114,7 @@ def reached_at_random(states: States, landmark_states: States, *, max_steps: int
 
 
 def reached_rates(reached: Flags, block_moves: Flags) -> ReachedRates:
-    """Returns the shares of landmarks reached, (M,), over all and by whether a block must move, (M,).
-
-    Raises:
-        InvalidInput: One of the two kinds is missing.
-    """
+    """Returns the shares of landmarks reached, bool (M,); `block_moves`, bool (M,), must hold both kinds."""
     if not 0 < block_moves.sum() < len(block_moves):
         raise InvalidInput("Landmarks must include some that need a block moved and some that do not; got one kind.")
     return ReachedRates(float(reached.mean()), float(reached[block_moves].mean()), float(reached[~block_moves].mean()))

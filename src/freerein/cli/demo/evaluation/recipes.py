@@ -21,22 +21,9 @@ UNDISTURBED_M = SIDE_M / 2
 _RESTING_M = 0.008
 
 
-@dataclass(frozen=True, eq=False)
-class SkillAttempt:
-    """One skill of a recipe as it was executed.
-
-    Attributes:
-        skill: Name of the skill, `move-COLOUR`.
-        states: float64 (T, S), from the skill's first state to the first state of the next skill.
-    """
-
-    skill: str
-    states: States
-
-
 @dataclass(frozen=True)
 class SkillOutcome:
-    """Result of a skill attempt.
+    """Result of an attempt at a skill.
 
     Attributes:
         lifted: Whether the skill's block rose.
@@ -47,26 +34,26 @@ class SkillOutcome:
     completed: bool
 
 
-def attempts(recipe: Sequence[str], states: States, goal_index: npt.NDArray[np.integer[Any]]) -> list[SkillAttempt]:
-    """Returns an attempt for each skill of a recipe that the policy started.
+def attempts(
+    recipe: Sequence[str], states: States, goal_index: npt.NDArray[np.integer[Any]]
+) -> list[tuple[str, States]]:
+    """Returns each skill of a recipe that the policy started, with its states up to the first of the next skill.
 
-    Args:
-        recipe: Skills, in order.
-        states: float64 (T, S), the true state of each observation.
-        goal_index: int (T,), skills done according to the reply to each observation; it never falls.
+    `states` are float64 (T, S); `goal_index`, int (T,), counts the skills done according to the reply to each; it never
+    falls.
     """
     bounds = np.searchsorted(goal_index, np.arange(len(recipe) + 1))  # first timestep of each skill
     return [
-        SkillAttempt(skill, states[start : stop + 1])
+        (skill, states[start : stop + 1])
         for skill, start, stop in zip(recipe, bounds, bounds[1:], strict=False)
         if start < stop
     ]
 
 
-def outcome(attempt: SkillAttempt) -> SkillOutcome:
-    """Returns the result of a skill attempt."""
-    positions = block_positions(attempt.states)  # (T, blocks, 3)
-    target = COLOURS.index(attempt.skill.removeprefix("move-"))
+def outcome(skill: str, states: States) -> SkillOutcome:
+    """Returns the result of an attempt at a skill `move-COLOUR`, given its states float64 (T, S)."""
+    positions = block_positions(states)  # (T, blocks, 3)
+    target = COLOURS.index(skill.removeprefix("move-"))
     height = positions[:, target, 2]
     lifted = bool(height.max() - height[0] > LIFTED_M)
     moved = np.linalg.norm(positions[-1] - positions[0], axis=1)  # (blocks,)
@@ -76,12 +63,7 @@ def outcome(attempt: SkillAttempt) -> SkillOutcome:
 
 
 def is_resting(positions: States, block: int) -> bool:
-    """Returns whether a block lies on the table or on another block.
-
-    Args:
-        positions: float64 (blocks, 3), x, y and z of their centres in metres; the table's top is z = 0.
-        block: Index of the block.
-    """
+    """Returns whether a block lies on the table, z = 0, or on another; positions are float64 (blocks, 3) in metres."""
     offset = positions[block] - np.delete(positions, block, axis=0)  # (blocks - 1, 3)
     on_another = (np.abs(offset[:, 2] - SIDE_M) < _RESTING_M) & (np.abs(offset[:, :2]) < SIDE_M / 2).all(axis=1)
     return bool(abs(positions[block, 2] - SIDE_M / 2) < _RESTING_M or on_another.any())

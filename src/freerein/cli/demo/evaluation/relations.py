@@ -20,12 +20,7 @@ _VISIBLE_X_M = -0.6  # hidden blocks lie farther back
 
 @dataclass(frozen=True)
 class BlockPair:
-    """Two blocks, in order.
-
-    Attributes:
-        first: Colour of the subject, the block whose place is described.
-        second: Colour of the reference block.
-    """
+    """Colours of two blocks: the subject, whose place is described, and the reference."""
 
     first: str
     second: str

@@ -10,14 +10,9 @@ _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # fr
 
 
 def plot(values: Sequence[float], *, width: int, height: int) -> list[str]:
-    """Returns a plot as lines of text, top line first, scaled from the least value to the greatest.
+    """Returns finite values as a plot of `height` lines, top line first, scaled from the least value to the greatest.
 
     Values are interpolated where there are fewer than columns of dots, and averaged where there are more.
-
-    Args:
-        values: Finite values, at least one, evenly spaced.
-        width: Characters per line.
-        height: Number of lines.
     """
     levels = _levels(_at_columns(np.asarray(values, np.float64), 2 * width), 4 * height)
     before = np.concatenate([levels[:1], levels[:-1]])

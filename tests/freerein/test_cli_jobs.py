@@ -1,17 +1,22 @@
-"""Curves in the terminal: from numbers to text, without a service."""
+"""Jobs in the terminal: from numbers to text, and streams that are opened again, without a service."""
 
+import asyncio
 import io
+from collections.abc import AsyncGenerator
 from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
-from freerein.cli.job_display import draw
-from freerein.cli.job_progress import JobProgress, by_relevance
-from freerein.cli.terminal_plot import plot
+from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.progress import JobProgress, by_relevance
+from freerein.cli.jobs.streams import reconnecting
+from freerein.cli.jobs.terminal_plot import plot
+from freerein.errors import Unavailable
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
 
+TIMEOUT_S = 0.1
 _RUN = Run("0" * 32, "ppo", "running", {}, step=0, steps=10)
 
 
@@ -75,3 +80,27 @@ def test_the_picture_shows_how_it_stands_and_a_curve_for_each_metric() -> None:
     assert lines[1] == ["episode_return", "⠀⠀⠀⠀⠀⣀⡠⠔⠒⠉", "6"]
     assert lines[2] == ["⣀⠤⠔⠊⠉⠀⠀⠀⠀⠀", "4", "to", "6"]
     assert [line[0] for line in lines[3:] if line] == ["entropy", "⠉⠉⠉⠉⠉⠉⠉⠉⠉⠉"]
+
+
+class Flaky:
+    """A stream that breaks off after each of some silences, in seconds, and says one thing after the last."""
+
+    def __init__(self, *silences_s: float) -> None:
+        self._silences_s = list(silences_s)
+
+    async def open(self) -> AsyncGenerator[str, None]:
+        if self._silences_s:
+            await asyncio.sleep(self._silences_s.pop(0))
+            raise Unavailable("The service went away.")
+        yield "back"
+
+
+async def test_a_stream_that_was_quiet_for_longer_than_its_service_may_be_away_is_opened_again() -> None:
+    quiet = Flaky(2 * TIMEOUT_S, 2 * TIMEOUT_S)
+    assert [item async for item in reconnecting(quiet.open, timeout_s=TIMEOUT_S)] == ["back"]
+
+
+async def test_a_service_that_stays_away_is_given_up() -> None:
+    away = Flaky(*[0.0] * 100)
+    with pytest.raises(Unavailable, match="went away"):
+        await anext(reconnecting(away.open, timeout_s=TIMEOUT_S))

@@ -4,24 +4,28 @@ import asyncio
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager, suppress
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import typer
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
-from freerein.cli.job_progress import Job, JobProgress, by_relevance, metrics_text, steps_text
-from freerein.cli.output import print_json, show_table
+from freerein import wire
+from freerein.cli.connection import connect
+from freerein.cli.jobs.progress import Job, JobProgress, by_relevance, metrics_text, steps_text
+from freerein.cli.jobs.terminal_plot import plot
+from freerein.cli.output import print_json, show_all
+from freerein.clients.rpc import Client
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
+from freerein.types.learning import Fit
+from freerein.types.orchestrator import Run
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from freerein.clients.rpc import Client
-    from freerein.types.learning import Fit
-    from freerein.types.orchestrator import Run
-
-C = TypeVar("C", bound="Client")
-J = TypeVar("J", "Fit", "Run")
+C = TypeVar("C", bound=Client)
+J = TypeVar("J", Fit, Run)
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
@@ -33,36 +37,35 @@ _COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled
 
 
 def watch(
-    connect: "Callable[[], C]",
-    changes: "Callable[[C], AsyncGenerator[J, None]]",
-    history: "Callable[[C], Awaitable[Sequence[MetricRow]]]",
+    client: type[C],
+    service: str,
+    changes: Callable[[C], AsyncGenerator[J, None]],
+    history: Callable[[C], Awaitable[Sequence[MetricRow]]],
     *,
     name: str,
     command: str,
     as_json: bool,
     metrics: Sequence[str] | None = None,
-) -> "J":
+) -> J:
     """Shows a fit or run until it ends; returns its last state. Ctrl-C ends the program, not the fit or run.
 
     Args:
-        connect: Returns a client of its service.
+        client: Client of its service.
+        service: The service.
         changes: Yields its state after each change.
         history: Returns its metrics so far.
         name: What it is called.
         command: The command that watches it again.
         as_json: Whether each change is printed as a JSON document.
         metrics: Names of the metrics to draw; None for the most relevant ones.
-
-    Raises:
-        FailedPrecondition: It did not succeed.
     """
 
-    async def show_all() -> "J":
+    async def show_all() -> J:
         progress = JobProgress()
         with _display(name, progress, metrics, as_json=as_json) as show:
-            async with connect() as client, aclosing(changes(client)) as jobs:
+            async with connect(client, service) as connected, aclosing(changes(connected)) as jobs:
                 with suppress(Unavailable):  # `changes` waits for a service that restarts
-                    progress.add_rows(await history(client))
+                    progress.add_rows(await history(connected))
                 async for job in jobs:
                     progress.add(job, at_s=time.monotonic())
                     show(job)
@@ -73,10 +76,15 @@ def watch(
     except KeyboardInterrupt:
         typer.echo(f"The {name} continues; `{command}` watches it again.", err=True)
         raise typer.Exit(INTERRUPTED) from None
-    if last.state != "succeeded":
-        sentence = f"The {name} must succeed; its state is {last.state}. {last.error}".rstrip()
-        raise FailedPrecondition(sentence, hint="Its log.txt in the data directory says more.")
+    check_succeeded(name, last)
     return last
+
+
+def check_succeeded(name: str, job: Job) -> None:
+    """Raises FailedPrecondition when a job that has ended did not succeed."""
+    if job.state != "succeeded":
+        sentence = f"The {name} must succeed; its state is {job.state}. {job.error}".rstrip()
+        raise FailedPrecondition(sentence, hint="Its log.txt in the data directory says more.")
 
 
 @contextmanager
@@ -84,11 +92,6 @@ def _display(
     name: str, progress: JobProgress, metrics: Sequence[str] | None, *, as_json: bool
 ) -> Iterator[Callable[[Job], None]]:
     """Yields a function that shows a state."""
-    from rich.console import Console
-    from rich.live import Live
-
-    from freerein import wire
-
     console, drawn_s = Console(), 0.0
     if as_json:
         yield lambda job: print_json(wire.to_json(job))
@@ -102,28 +105,15 @@ def _display(
                 live.refresh()
                 drawn_s = time.monotonic()
 
-        def render() -> "RenderableType":
+        def render() -> RenderableType:
             return draw(name, progress, metrics, width=console.width)
 
         with Live(console=console, auto_refresh=False, get_renderable=render) as live:
             yield redraw
 
 
-def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> "RenderableType":
-    """Returns the state of a fit or run, with its curves below.
-
-    Args:
-        name: What it is called.
-        progress: Its progress.
-        metrics: Names of the metrics to draw; None for the most relevant ones.
-        width: Characters per line of the terminal.
-    """
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
-    from freerein.cli.terminal_plot import plot
-
+def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> RenderableType:
+    """Returns the state of a fit or run, with the curves of `metrics` or of the most relevant ones below."""
     if progress.job is None:
         return Text(f"{name}  …", style="bold")
     state = _state_line(name, progress.job, progress.seconds_left)
@@ -138,20 +128,12 @@ def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None,
 
 def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
     """Prints rows of metrics."""
-    if as_json:
-        for row in rows:
-            print_json({"step": row.step, **row.metrics})
-        return
     names = by_relevance({name for row in rows for name in row.metrics})
-    cells = [[str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows]
-    show_table(("step", *names), cells)
+    cells = ([str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows)
+    show_all(("step", *names), cells, ({"step": row.step, **row.metrics} for row in rows), as_json=as_json)
 
 
-def _state_line(name: str, job: Job, seconds_left: float | None) -> "RenderableType":
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table
-    from rich.text import Text
-
+def _state_line(name: str, job: Job, seconds_left: float | None) -> RenderableType:
     bar = ProgressBar(total=job.steps or None, completed=job.step, width=_BAR_WIDTH)
     left = "" if seconds_left is None else f"{int(seconds_left) // 60}:{int(seconds_left) % 60:02} left"
     line = Table.grid(padding=(0, 2))

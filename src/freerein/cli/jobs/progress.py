@@ -1,25 +1,19 @@
 """The progress of a fit or run: its learning curves, and the time left."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from freerein.types.jobs import MetricRow
+from freerein.types.learning import Fit
+from freerein.types.orchestrator import Run
 
-if TYPE_CHECKING:
-    from freerein.types.learning import Fit
-    from freerein.types.orchestrator import Run
-
-Job: TypeAlias = "Fit | Run"
+Job: TypeAlias = Fit | Run
 _HISTORY_S = 1.0
 _RELEVANT = ("return", "success", "accuracy", "reward", "loss")
 
 
 class JobProgress:
-    """The progress of a fit or run as far as it is known.
-
-    Attributes:
-        job: Its latest state; None before the first.
-    """
+    """The latest state of a fit or run, `job`, its curves, and the time left."""
 
     def __init__(self) -> None:
         self.job: Job | None = None
@@ -37,11 +31,9 @@ class JobProgress:
                     curve.append((row.step, value))
 
     def add(self, job: Job, *, at_s: float) -> None:
-        """Adds a state. States within a second of the first are history, which says nothing about the pace.
+        """Adds a state received at a monotonic time.
 
-        Args:
-            job: The state.
-            at_s: When it was received, by a monotonic clock.
+        States within a second of the first are history, which says nothing about the pace.
         """
         if self._watched_since_s is None:
             self._watched_since_s = at_s
@@ -64,12 +56,7 @@ class JobProgress:
         return tuple(self._curves.get(name, ()))
 
     def curves(self, names: Sequence[str] | None, *, most: int) -> dict[str, list[float]]:
-        """Returns the values of metrics with at least two points, in order of steps.
-
-        Args:
-            names: Names of the metrics; None for the most relevant ones.
-            most: Maximum number of the most relevant ones.
-        """
+        """Returns the values of metrics with at least two points; by default of the `most` most relevant ones."""
         drawn = [name for name, points in self._curves.items() if len(points) > 1]
         chosen = by_relevance(drawn)[:most] if names is None else [name for name in names if name in drawn]
         return {name: [value for _, value in self._curves[name]] for name in chosen}
@@ -77,7 +64,11 @@ class JobProgress:
 
 def by_relevance(names: Iterable[str]) -> list[str]:
     """Returns names of metrics ordered by relevance: returns before losses before the rest."""
-    return sorted(names, key=lambda name: (_relevance(name), name))
+
+    def relevance(name: str) -> int:
+        return next((place for place, word in enumerate(_RELEVANT) if word in name), len(_RELEVANT))
+
+    return sorted(names, key=lambda name: (relevance(name), name))
 
 
 def steps_text(job: Job) -> str:
@@ -88,7 +79,3 @@ def steps_text(job: Job) -> str:
 def metrics_text(job: Job) -> str:
     """Returns the latest metrics on one line."""
     return " ".join(f"{name}={job.metrics[name]:.4g}" for name in by_relevance(job.metrics))
-
-
-def _relevance(name: str) -> int:
-    return next((place for place, word in enumerate(_RELEVANT) if word in name), len(_RELEVANT))

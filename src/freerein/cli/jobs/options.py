@@ -1,4 +1,4 @@
-"""The configuration of a fit or run on the command line: `--config FILE.json` and `--set KEY=VALUE`."""
+"""Options that the commands of fits and runs share, and the configuration that they make."""
 
 import json
 from collections.abc import Sequence
@@ -12,14 +12,12 @@ from freerein.errors import InvalidInput
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a configuration key; repeatable.")
 ]
+FromStep = Annotated[int, typer.Option(min=0, help="First step to print.")]
+MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Returns the key and value of a setting; the value is JSON, else a string.
-
-    Raises:
-        InvalidInput: It has no key or no value.
-    """
+    """Returns the key and value of a setting; the value is JSON, else a string."""
     key, equals, value = text.partition("=")
     if not (key and equals):
         raise InvalidInput(
@@ -34,17 +32,9 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def configuration(settings: Sequence[str] | None, file: Path | None = None) -> dict[str, Any]:
-    """Returns the configuration in a file, overridden by settings.
-
-    Raises:
-        InvalidInput: The file does not hold a JSON object, or a setting is malformed.
-    """
-    return {**(_read(file) if file else {}), **dict(setting(text) for text in settings or ())}
-
-
-def _read(file: Path) -> dict[str, Any]:
+    """Returns the configuration in a file, overridden by settings."""
     try:
-        values = json.loads(file.read_bytes())
+        values = json.loads(file.read_bytes()) if file else {}
     except ValueError:
         values = None
     if not isinstance(values, dict):
@@ -53,4 +43,4 @@ def _read(file: Path) -> dict[str, Any]:
             field="config",
             hint='Such as {"task": "grid", "count": 20}.',
         )
-    return values
+    return {**values, **dict(setting(text) for text in settings or ())}
