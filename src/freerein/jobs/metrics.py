@@ -5,13 +5,12 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from freerein.atomic_files import write_atomic
-from freerein.types.jobs import MetricRow
+from freerein.types.jobs import JobMetrics, MetricRow
 
 
 class MetricsWriter:
@@ -41,22 +40,7 @@ class MetricsWriter:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@dataclass(frozen=True)
-class MetricsPage:
-    """Rows of metrics.
-
-    Attributes:
-        rows: In order of steps.
-        total_rows: Number of rows before decimation.
-        next_step: First step of the rows that follow.
-    """
-
-    rows: tuple[MetricRow, ...]
-    total_rows: int
-    next_step: int
-
-
-def read_metrics(path: Path, *, from_step: int, max_rows: int) -> MetricsPage:
+def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
     """Returns the rows from a step on, evenly decimated, always with the first and the last; without non-finite values.
 
     Args:
@@ -65,7 +49,7 @@ def read_metrics(path: Path, *, from_step: int, max_rows: int) -> MetricsPage:
         max_rows: Maximum number of rows, at least 1.
     """
     if not path.is_file():
-        return MetricsPage((), 0, from_step)
+        return JobMetrics((), 0, from_step)
     with path.open("rb") as file:  # twice through the file, so that memory is bounded
         total = sum(1 for _ in _documents(file, from_step))
         count = min(total, max_rows)
@@ -73,7 +57,7 @@ def read_metrics(path: Path, *, from_step: int, max_rows: int) -> MetricsPage:
         file.seek(0)
         found = islice(_documents(file, from_step), total)
         rows = tuple(metric_row(document) for index, document in enumerate(found) if index in kept)
-    return MetricsPage(rows, total, rows[-1].step + 1 if rows else from_step)
+    return JobMetrics(rows, total, rows[-1].step + 1 if rows else from_step)
 
 
 def metric_row(document: Mapping[str, Any]) -> MetricRow:

@@ -21,9 +21,9 @@ from typing import Any
 from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
-from freerein.jobs.metrics import MetricsPage, read_metrics
+from freerein.jobs.metrics import read_metrics
 from freerein.types.common import ModelRef, check_id, check_name
-from freerein.types.jobs import ENDED, JobState, MetricRow
+from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
 from freerein.types.orchestrator import Artifact
 
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
@@ -169,7 +169,7 @@ class JobStore:
         model = ModelRef(**json.loads(path.read_bytes())) if has_model else None
         return {"id": job_id, **config, **vars(event), "model": model}
 
-    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
+    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> JobMetrics:
         """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
 
         Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
