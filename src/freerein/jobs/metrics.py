@@ -16,9 +16,7 @@ from freerein.types.jobs import JobMetrics, MetricRow
 class MetricsWriter:
     """Writes rows `{"step": ..., <metric>: <number>, ...}` in order of steps, without gaps or repeats after a crash.
 
-    Args:
-        path: The file; created when missing.
-        last_step: Step from which the job resumes; later rows are dropped, for they will be written again.
+    A job resumes from `last_step`: later rows are dropped, for they will be written again.
     """
 
     def __init__(self, path: Path, *, last_step: int) -> None:
@@ -27,11 +25,7 @@ class MetricsWriter:
         write_atomic(path, b"".join(line for line in lines if _is_kept(line, last_step)))
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Appends a row, whole or not at all.
-
-        Raises:
-            OSError: The disk is full or broken.
-        """
+        """Appends a row, whole or not at all. Raises OSError when the disk is full or broken."""
         row = json.dumps({"step": step, **metrics}).encode() + b"\n"
         with self._path.open("ab", buffering=0) as file:
             end = file.seek(0, os.SEEK_END)
@@ -41,12 +35,9 @@ class MetricsWriter:
 
 
 def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
-    """Returns the rows from a step on, evenly decimated, always with the first and the last; without non-finite values.
+    """Returns at most `max_rows` rows from a step on, evenly decimated, always with the first and the last.
 
-    Args:
-        path: The file; it may not exist yet.
-        from_step: First step wanted.
-        max_rows: Maximum number of rows, at least 1.
+    Values that are not finite are left out; the file may not exist yet.
     """
     if not path.is_file():
         return JobMetrics((), 0, from_step)
@@ -62,8 +53,8 @@ def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
 
 def metric_row(document: Mapping[str, Any]) -> MetricRow:
     """Returns a row of the file without its non-finite values."""
-    finite = {name: float(value) for name, value in document.items() if name != "step" and _is_finite(value)}
-    return MetricRow(document["step"], finite)
+    numbers = {name: value for name, value in document.items() if name != "step" and isinstance(value, int | float)}
+    return MetricRow(document["step"], {name: float(each) for name, each in numbers.items() if math.isfinite(each)})
 
 
 def _documents(file: BinaryIO, from_step: int) -> Iterator[dict[str, Any]]:
@@ -72,10 +63,5 @@ def _documents(file: BinaryIO, from_step: int) -> Iterator[dict[str, Any]]:
             yield document
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
 def _is_kept(line: bytes, last_step: int) -> bool:
-    is_whole = line.endswith(b"\n")
-    return is_whole and bool(json.loads(line)["step"] <= last_step)
+    return line.endswith(b"\n") and bool(json.loads(line)["step"] <= last_step)

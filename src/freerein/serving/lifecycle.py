@@ -41,7 +41,6 @@ class Service:
     """A service as its process sees it.
 
     Attributes:
-        name: Its name.
         methods: Its methods, served over REST and gRPC.
         start: Warms it up, while the servers already listen.
         close: Releases what it holds.
@@ -59,11 +58,7 @@ Build = Callable[[S, Limits, Metrics, Health], Service]
 
 
 def run(name: str, settings_class: type[S], build: Build[S]) -> int:
-    """Runs a service until it is told to stop.
-
-    Returns:
-        The process's exit code.
-    """
+    """Runs a service until it is told to stop; returns the process's exit code."""
     logs.configure(name)
     try:
         settings = settings_class()  # type: ignore[call-arg]  # every value comes from the environment or has a default
