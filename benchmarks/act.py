@@ -29,7 +29,7 @@ import orjson
 
 from benchmarks.bare_transport import SEQ_BYTES, STREAM, grpc_stream, websocket
 from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Robot, Scene, control_stream, publish_scene
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_server, run_service
 from benchmarks.timing import Call, Effort, Latencies, measure_latencies
 from freerein import wire
@@ -39,7 +39,7 @@ from freerein_imitation import model
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
-_BARS = {("control-bytes", "policy"): Bar("at most", 1.5)}
+_LIMITS = {("control-bytes", "policy"): 1.5}
 _TOLERANCE = 1e-5
 
 Actions: TypeAlias = npt.NDArray[np.float32]
@@ -75,7 +75,11 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
         times = await measure_latencies({"control": robot.observe, **decoded, **bare}, effort)
     case = scene.ref.name
     overheads = (
-        Ratio(f"act.{each}_adds_vs_bare_{bare}.{case}", _overhead(times, each, f"bare-{bare}"), _BARS.get((each, bare)))
+        Ratio(
+            f"act.{each}_adds_vs_bare_{bare}.{case}",
+            _overhead(times, each, f"bare-{bare}"),
+            at_most=_LIMITS.get((each, bare)),
+        )
         for bare in ("policy", "threaded")
         for each in _INTERFACES
     )

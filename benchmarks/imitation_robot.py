@@ -36,14 +36,7 @@ Frame = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A published policy, and the images that a robot sends.
-
-    Attributes:
-        ref: The policy's reference.
-        folder: The policy's files.
-        frame: Observed image, uint8 (H, W, 3).
-        goal: Goal image, uint8 (H, W, 3).
-    """
+    """A published policy, and the images that a robot sends: the observed one and the goal, uint8 (H, W, 3)."""
 
     ref: ModelRef
     folder: Path
@@ -94,10 +87,7 @@ class Scene:
 def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
     """Publishes an untrained goal-conditioned policy to the imitation service's store; returns it with random images.
 
-    Args:
-        side_px: Height and width of the frames.
-        data_dir: The service's data directory.
-        width: Image features, and units of the LSTM.
+    `width` is the number of image features, and of units of the LSTM.
     """
     frames = np.random.default_rng(0).integers(256, size=(_CALIBRATION_FRAMES, side_px, side_px, 3), dtype=np.uint8)
     spec = GoalConditionedSpec(
@@ -113,12 +103,7 @@ def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene
 
 
 class Robot:
-    """Sends each observation when the one before it is answered, through `ImitationClient`.
-
-    Args:
-        client: The client.
-        scene: What it observes.
-    """
+    """Sends each observation when the one before it is answered, through `ImitationClient`."""
 
     def __init__(self, client: ImitationClient, scene: Scene) -> None:
         self._scene = scene
@@ -132,11 +117,7 @@ class Robot:
         await anext(self.replies)
 
     async def observe(self) -> ControlResponse:
-        """Sends the next observation; returns the reply, which holds a chunk.
-
-        Raises:
-            RuntimeError: The observation was refused.
-        """
+        """Sends the next observation; returns the reply, which holds a chunk."""
         self._seq += 1
         self._requests.put_nowait(self._scene.observed(self._seq))
         reply = await anext(self.replies)

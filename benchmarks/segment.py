@@ -38,14 +38,7 @@ Segment: TypeAlias = Callable[[], Awaitable[Labels]]
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """A trajectory to label.
-
-    Attributes:
-        name: Its name in the report.
-        task: Its task, and the name of its model.
-        frames: uint8 (T, H, W, C).
-        actions: float32 (T, A) or int64 (T, 1).
-    """
+    """A trajectory to label: uint8 (T, H, W, C) and float32 (T, A) or int64 (T, 1); `task` also names its model."""
 
     name: str
     task: str

@@ -29,11 +29,7 @@ T = TypeVar("T")
 async def run_service(service: str, *, data_dir: Path, module: str = "", **environ: str) -> AsyncGenerator[Stack, None]:
     """Runs a service on free ports, ready when the block begins.
 
-    Args:
-        service: The service's name.
-        data_dir: Its data directory.
-        module: Module for `python -m`; empty for the installed service.
-        environ: Additional environment variables.
+    `module` is what `python -m` runs, by default the installed service; `environ` adds environment variables.
     """
     ports = free_ports([service])
     modules = {service: module} if module else choose([service])
@@ -44,11 +40,7 @@ async def run_service(service: str, *, data_dir: Path, module: str = "", **envir
 
 @asynccontextmanager
 async def run_server(module: str, *arguments: str) -> AsyncGenerator[int, None]:
-    """Runs `python -m MODULE ARGUMENTS`, a server that calls `serve_until_stdin_closes`; yields its port.
-
-    Raises:
-        RuntimeError: The process ended before it listened.
-    """
+    """Runs `python -m MODULE ARGUMENTS`, a server that calls `serve_until_stdin_closes`; yields its port."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", module, *arguments, stdin=pipe, stdout=pipe)
     if process.stdin is None or process.stdout is None:

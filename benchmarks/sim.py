@@ -171,13 +171,7 @@ async def _stream(session: _Session) -> AsyncIterator[_Stream]:
 
 
 class _WorldEnv(gymnasium.Env[Frame, npt.NDArray[Any]]):
-    """One world as a Gymnasium environment, without the sim service.
-
-    Args:
-        task: The task.
-        cameras: The camera to observe, or none: an observation is uint8 (H, W, C), or (0,).
-        seed: Seed of its generator.
-    """
+    """One world as a Gymnasium environment, without the sim service; an observation is uint8 (H, W, C), or (0,)."""
 
     def __init__(self, task: TaskDefinition, cameras: tuple[str, ...], *, seed: np.random.SeedSequence) -> None:
         self._world = task.make()

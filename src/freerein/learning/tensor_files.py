@@ -22,7 +22,7 @@ def dump(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def parse(data: bytes) -> dict[str, Tensor]:
-    """Returns the tensors of a safetensors file, on the CPU; InvalidInput for a malformed file or too large a header."""
+    """Returns the tensors of a safetensors file, on the CPU; InvalidInput when it is malformed or over a limit."""
     _check_header(data)
     try:
         return safetensors.torch.load(data)
