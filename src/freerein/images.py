@@ -7,6 +7,7 @@ Error messages are written here; the decoder's messages are never passed on.
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +86,36 @@ def pixel_count(image: Image, *, field: str = "images") -> int:
         return image.height * image.width
     with _open(image, field) as opened:
         return opened.width * opened.height
+
+
+def check_frames(frames: npt.NDArray[Any], *, axis: str) -> npt.NDArray[np.uint8]:
+    """Returns the `frames` of a request if they are uint8 (axis, H, W, 1 or 3) and not empty; else InvalidInput."""
+    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
+        raise InvalidInput(
+            f"`frames` must be UINT8 of shape ({axis}, H, W, C), {axis} at least 1 and C 1 or 3; "
+            f"got {frames.dtype} {frames.shape}.",
+            field="frames",
+            hint="Put channels last, and scale floats to 0..255.",
+        )
+    return frames
+
+
+def check_one_form(*, has_frames: bool, has_images: bool) -> None:
+    """Raises InvalidInput unless exactly one of a request's `frames` and `images` is given."""
+    if has_frames == has_images:
+        raise InvalidInput(
+            f"Exactly one of `frames` and `images` must be given; got {'both' if has_images else 'neither'}.",
+            field="frames",
+            hint="Send `images` over REST, `frames` over gRPC.",
+        )
+
+
+def check_total_pixels(total: int, *, hint: str) -> None:
+    """Raises InvalidInput when the `images` of a request have too many pixels together."""
+    if total > MAX_REQUEST_PIXELS:
+        raise InvalidInput(
+            f"`images` must have at most {MAX_REQUEST_PIXELS} pixels in total; got {total}.", field="images", hint=hint
+        )
 
 
 def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera: str = "") -> Image:

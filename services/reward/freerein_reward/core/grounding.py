@@ -74,11 +74,7 @@ class GroundingCore:
     async def describe(self, request: DescribeRequest) -> DescribeResponse:
         """Returns captions of the spatial relations that images show (table 4.1).
 
-        Raises:
-            InvalidInput: A phrase, an image or `epsilon` is invalid, or the model is a reward model.
-            UnsupportedMedia: An image is not in the declared encoding.
-            OutputNotFinite: The model overflowed.
-            NotFound, FailedPrecondition: There is no such model, or no active one.
+        Raises InvalidInput when a phrase, an image or `epsilon` is invalid; otherwise as `ground`.
         """
         timer = CallTimer()
         _check_describe(request)
@@ -112,10 +108,7 @@ class GroundingCore:
 def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) -> list[tuple[str, ...]]:
     """Returns for each image a caption of each ordered pair of phrases that it shows (table 4.1).
 
-    Args:
-        found: Locations of the phrases.
-        phrases: P noun phrases.
-        epsilon: Object width as a fraction of the image width.
+    `epsilon` is the object width as a fraction of the image width.
     """
     relations = pairwise_relations(found.x, found.y, found.presence >= _MIN_PRESENCE, epsilon=epsilon)  # (N, P, P)
     pairs = tuple(permutations(range(len(phrases)), 2))

@@ -77,10 +77,7 @@ class RewardCore:
     async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
         """Returns the embedding of a goal text.
 
-        Raises:
-            InvalidInput: The text is empty, blank or too long, or the model is a grounding model.
-            OutputNotFinite: The model overflowed.
-            NotFound, FailedPrecondition: There is no such model, or no active one.
+        Raises InvalidInput when the text is empty, blank or too long; otherwise as `reward`.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
