@@ -53,10 +53,7 @@ async def _measure_batching(effort: Effort) -> Results:
             ]
         model = await measure_rates([_model("batch-1", scene, 1), _model("batch-8", scene, _MEASURED_BATCH)], effort)
         streams = await measure_rates(
-            [
-                Workload(name, repeat_together([each.observe for each in some]), len(some), "observations")
-                for name, some in robots.items()
-            ],
+            [Workload(name, repeat_together(some), len(some), "observations") for name, some in robots.items()],
             effort,
         )
     cost = _MEASURED_BATCH / model.speedup("batch-8", over="batch-1")

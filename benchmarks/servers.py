@@ -3,7 +3,7 @@
 import asyncio
 import os
 import sys
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,6 +23,7 @@ _START_TIMEOUT_S = 60.0
 _STOP_TIMEOUT_S = 10.0
 _CALL_TIMEOUT_S = 60.0
 T = TypeVar("T")
+Sent = TypeVar("Sent")
 
 
 @asynccontextmanager
@@ -76,6 +77,27 @@ def publish(network: nn.Module, data_dir: Path, service: str, *, name: str, card
     ref = store.publish(name, folder)
     store.activate(ref)
     return ref
+
+
+@asynccontextmanager
+async def exchange(
+    connect: Callable[[AsyncIterator[Sent]], AsyncGenerator[T, None]],
+) -> AsyncGenerator[Callable[[Sent], Awaitable[T]], None]:
+    """Opens a bidirectional stream; yields a function that sends a request and returns its reply."""
+    requests: asyncio.Queue[Sent] = asyncio.Queue()
+
+    async def sent() -> AsyncIterator[Sent]:
+        while True:
+            yield await requests.get()
+
+    replies = connect(sent())
+
+    async def ask(request: Sent) -> T:
+        requests.put_nowait(request)
+        return await anext(replies)
+
+    yield ask
+    await replies.aclose()
 
 
 def rest_client(url: str) -> httpx.AsyncClient:

@@ -31,11 +31,7 @@ _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
 
 
 def sniff(data: bytes, *, field: str = "images") -> Encoding:
-    """Returns the encoding of a file, from its first bytes.
-
-    Raises:
-        UnsupportedMedia: The file is not PNG, JPEG or WebP.
-    """
+    """Returns the encoding of a file, from its first bytes; UnsupportedMedia when it is not PNG, JPEG or WebP."""
     for offset, signature, encoding in _SIGNATURES:
         if data[offset : offset + len(signature)] == signature:
             return encoding
@@ -119,15 +115,9 @@ def check_total_pixels(total: int, *, hint: str) -> None:
 
 
 def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera: str = "") -> Image:
-    """Returns pixels as an encoded image.
+    """Returns pixels, uint8 (height, width, 1 or 3), as an encoded image.
 
-    Args:
-        pixels: uint8 (height, width, channels), channels 1 or 3.
-        encoding: The encoding; a raw one must match the number of channels.
-        camera: Name of the camera.
-
-    Raises:
-        InvalidInput: The array is not such an image, or does not match the encoding.
+    Raises InvalidInput for another array, or one whose channels do not match a raw encoding.
     """
     if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (1, 3):
         raise InvalidInput(

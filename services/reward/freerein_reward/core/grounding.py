@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
 from typing import cast
@@ -39,19 +40,13 @@ _MIN_PRESENCE = 0.5
 _IMAGES_AT_ONCE = 16
 
 
+@dataclass(frozen=True, eq=False)
 class GroundingCore:
     """Core of the RPCs `Ground` and `Describe`."""
 
-    def __init__(
-        self,
-        models: ModelCache[RewardModel | GroundingModel],
-        batcher: Batcher[InferenceItem, InferenceOutput],
-        *,
-        timeout_s: float,
-    ) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: ModelCache[RewardModel | GroundingModel]
+    batcher: Batcher[InferenceItem, InferenceOutput]
+    timeout_s: float
 
     async def ground(self, request: GroundRequest) -> GroundResponse:
         """Returns the location of each phrase in an image.
@@ -91,7 +86,7 @@ class GroundingCore:
         return DescribeResponse(tuple(descriptions), ref, timer.timing())
 
     async def _resolve(self, ref: ModelRef) -> tuple[ModelRef, GroundingModel]:
-        ref, model = await self._models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
+        ref, model = await self.models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
         if not isinstance(model, GroundingModel):
             raise wrong_kind(ref, got="reward", expected="grounding")
         return ref, model
@@ -101,7 +96,7 @@ class GroundingCore:
     ) -> PhraseLocations:
         """Locates phrases in a few images, in a batch of their own."""
         item = GroundItem(model, images, phrases)
-        done = self._batcher.submit(item, key=object(), timeout_s=self._timeout_s)
+        done = self.batcher.submit(item, key=object(), timeout_s=self.timeout_s)
         return cast(PhraseLocations, await timer.infer(done))
 
 

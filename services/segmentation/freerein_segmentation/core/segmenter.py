@@ -51,19 +51,17 @@ def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
     return [_check_output(item, item.model.probabilities(item.frames, item.actions)) for item in items]
 
 
+@dataclass(frozen=True, eq=False)
 class Segmenter:
     """The core of the segmentation service."""
 
-    def __init__(
-        self, models: ModelCache[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
-    ) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: ModelCache[SkillModel]
+    batcher: Batcher[_Item, Probabilities]
+    timeout_s: float
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
         """Returns the skills and the expected inputs of a model; raises as `ModelCache.resolve`."""
-        ref, model = await self._models.resolve(request.model)
+        ref, model = await self.models.resolve(request.model)
         return ListSkillsResponse(
             skills=model.skills,
             model=ref,
@@ -85,7 +83,7 @@ class Segmenter:
         timer = CallTimer()
         ref, model, frames = await timer.decode(self._inputs(request))
         item = _Item(model, frames, request.actions)
-        probabilities = await timer.infer(self._batcher.submit(item, key=ref, timeout_s=self._timeout_s))
+        probabilities = await timer.infer(self.batcher.submit(item, key=ref, timeout_s=self.timeout_s))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             probabilities,
@@ -97,7 +95,7 @@ class Segmenter:
 
     async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
         _check_options(request)
-        ref, model = await self._models.resolve(request.model)
+        ref, model = await self.models.resolve(request.model)
         frames = await _frames(request)
         _check_trajectory(model, frames, request.actions)
         return ref, model, frames
