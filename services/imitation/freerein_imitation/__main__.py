@@ -9,20 +9,19 @@ import torch
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
-from freerein.serving.learned import learned_service
+from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein_imitation import fit, model
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.model.policy import Policy
-from freerein_imitation.settings import ImitationSettings
 
 NAME = "imitation"
 
 
 def build(
-    settings: ImitationSettings,
+    settings: LearnedSettings,
     limits: Limits,
     metrics: Metrics,
     health: Health,
@@ -58,4 +57,4 @@ def _warm_up(policy: Policy) -> Policy:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, ImitationSettings, build))
+    raise SystemExit(run(NAME, LearnedSettings, build))

@@ -9,19 +9,18 @@ import torch
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
-from freerein.serving.learned import learned_service
+from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein_segmentation import fit, model
 from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
-from freerein_segmentation.settings import SegmentationSettings
 
 NAME = "segmentation"
 
 
 def build(
-    settings: SegmentationSettings,
+    settings: LearnedSettings,
     limits: Limits,
     metrics: Metrics,
     health: Health,
@@ -52,4 +51,4 @@ def _warm(loaded: SkillModel) -> SkillModel:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, SegmentationSettings, build))
+    raise SystemExit(run(NAME, LearnedSettings, build))
