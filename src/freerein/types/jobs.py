@@ -1,9 +1,10 @@
-"""What fits and runs have in common. Messages of both services derive from the requests and replies here."""
+"""What fits and runs have in common. Messages of both services derive from the requests and replies here.
+
+The module imports nothing heavy: the command line shows jobs without numpy.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
-
-from freerein.types.common import ModelRef
 
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 ENDED: tuple[JobState, ...] = ("succeeded", "failed", "cancelled")
@@ -32,7 +33,6 @@ class Job:
         step: Steps done: updates of a fit; of a run iterations, trajectories, episodes or updates, by its kind.
         steps: Steps planned.
         metrics: The latest metrics, such as `train_loss`.
-        model: The published model; None until a job that makes one has succeeded.
         error: Reason of the failure; empty unless it has failed.
     """
 
@@ -42,7 +42,6 @@ class Job:
     step: int = 0
     steps: int = 0
     metrics: dict[str, float] = field(default_factory=dict)
-    model: ModelRef | None = None
     error: str = ""
 
     @property

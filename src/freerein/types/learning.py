@@ -14,10 +14,12 @@ class Fit(Job):
     Attributes:
         dataset: Name of the dataset.
         model_name: Name of the resulting model.
+        model: The published model; None until the fit has succeeded.
     """
 
     dataset: str
     model_name: str
+    model: ModelRef | None = None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from freerein.types.common import ModelRef
 from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, ListJobsRequest, WatchJobRequest
 
 RunKind = Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"]
@@ -10,9 +11,10 @@ RunKind = Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"]
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Job):
-    """One run."""
+    """One run; `model` is published to a service, None until a run that makes one has succeeded."""
 
     kind: RunKind
+    model: ModelRef | None = None
 
 
 @dataclass(frozen=True)
