@@ -28,8 +28,8 @@ import numpy.typing as npt
 import orjson
 
 from benchmarks.bare_transport import SEQ_BYTES, STREAM, grpc_stream, websocket
-from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Robot, Scene, control_stream, publish_scene
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Observe, Scene, control_stream, publish_scene
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_server, run_service
 from benchmarks.timing import Call, Effort, Latencies, measure_latencies
 from freerein import wire
@@ -39,7 +39,7 @@ from freerein_imitation import model
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
-_BARS = {("control-bytes", "policy"): Bar("at most", 1.5)}
+_LIMITS = {("control-bytes", "policy"): 1.5}
 _TOLERANCE = 1e-5
 
 Actions: TypeAlias = npt.NDArray[np.float32]
@@ -61,7 +61,7 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
     async with AsyncExitStack() as opened:
         rest = await opened.enter_async_context(rest_client(url))
         client = await opened.enter_async_context(ImitationClient(Channel(address)))
-        robot = await opened.enter_async_context(control_stream(client, scene))
+        observe = await opened.enter_async_context(control_stream(client, scene))
         request = ActRequest(scene.observation(), scene.goal_image(), max_steps_per_goal=NEVER_STEPS, model=scene.ref)
 
         async def grpc() -> Actions:
@@ -70,12 +70,16 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
 
         json = rest_call(rest, "/v1/act", orjson.dumps(wire.to_json(request)), _parse_actions)
         decoded: dict[str, Act] = {"torch": _torch(scene), "grpc": grpc, "json": json}
-        await _check_same_actions(decoded, robot)
-        bare = await _open_bare(opened, scene, address, reply_bytes=wire.pack(await robot.observe()).ByteSize())
-        times = await measure_latencies({"control": robot.observe, **decoded, **bare}, effort)
+        await _check_same_actions(decoded, observe)
+        bare = await _open_bare(opened, scene, address, reply_bytes=wire.pack(await observe()).ByteSize())
+        times = await measure_latencies({"control": observe, **decoded, **bare}, effort)
     case = scene.ref.name
     overheads = (
-        Ratio(f"act.{each}_adds_vs_bare_{bare}.{case}", _overhead(times, each, f"bare-{bare}"), _BARS.get((each, bare)))
+        Ratio(
+            f"act.{each}_adds_vs_bare_{bare}.{case}",
+            _overhead(times, each, f"bare-{bare}"),
+            at_most=_LIMITS.get((each, bare)),
+        )
         for bare in ("policy", "threaded")
         for each in _INTERFACES
     )
@@ -115,9 +119,9 @@ def _overhead(times: Latencies, interface: str, bare: str) -> float:
     return median((our - call) / (their - call) for our, call, their in zip(ours, torch, theirs, strict=True))
 
 
-async def _check_same_actions(interfaces: dict[str, Act], robot: Robot) -> None:
+async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> None:
     """Raises if the first actions differ, which do not depend on memory."""
-    chunk = (await robot.observe()).chunk
+    chunk = (await observe()).chunk
     for name, act in interfaces.items():
         if chunk is None or not np.allclose(await act(), chunk.actions, atol=_TOLERANCE):
             raise RuntimeError(f"All interfaces must return the same actions; {name} and the stream differ.")

@@ -56,12 +56,7 @@ async def grpc_stream(
 ) -> AsyncGenerator[Call, None]:
     """Opens a bidirectional gRPC stream; yields a function that sends the next message and awaits its reply.
 
-    Args:
-        address: Address of the server, `host:port`.
-        method: The gRPC method.
-        messages: The messages.
-        first: Message sent before them; empty for none.
-        first_is_answered: Whether the server replies to it.
+    `first` is sent before the messages, unless empty; `first_is_answered` says whether the server replies to it.
     """
     async with grpc.aio.insecure_channel(address) as channel:
         stream: grpc.aio.StreamStreamCall[bytes, bytes] = channel.stream_stream(method)()

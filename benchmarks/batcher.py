@@ -4,18 +4,18 @@ The model is a perceptron whose weights exceed a core's caches: most of its time
 batch size of 1 is batching turned off.
 """
 
-import asyncio
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import nn
 
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import initialise
-from benchmarks.timing import Effort, Workload, measure_rates, repeat
+from benchmarks.timing import Effort, Workload, measure_rates, repeat_function, repeat_together
 from freerein.errors import ServiceError
 from freerein.serving.batcher import Batcher
 from freerein.serving.limits import Limits
@@ -43,9 +43,9 @@ async def measure(effort: Effort) -> Results:
     cost = _MEASURED_BATCH / bare.speedup("batch-8", over="batch-1")
     return Results(
         ratios=(
-            Ratio("batcher.model_batch8_vs_batch1_cost", cost, Bar("at most", 2.0)),
-            Ratio("batcher.lone_latency_on_vs_off", lone.speedup("off", over="batching"), Bar("at most", 1.10)),
-            Ratio("batcher.throughput16_on_vs_off", many.speedup("batching", over="off"), Bar("at least", 2.5)),
+            Ratio("batcher.model_batch8_vs_batch1_cost", cost, at_most=2.0),
+            Ratio("batcher.lone_latency_on_vs_off", lone.speedup("off", over="batching"), at_most=1.10),
+            Ratio("batcher.throughput16_on_vs_off", many.speedup("batching", over="off"), at_least=2.5),
         ),
         rates={"batcher.model": bare, "batcher.1-client": lone, "batcher.16-clients": many},
     )
@@ -66,25 +66,13 @@ class _Model:
 
 
 def _bare(name: str, model: _Model, size: int) -> Workload:
-    items = _items(size)
-
-    async def call() -> None:
-        model.answer(items)
-
-    return Workload(name, repeat(call), size, "items")
+    return Workload(name, repeat_function(partial(model.answer, _items(size))), size, "items")
 
 
 def _clients(name: str, batcher: Batcher[Vector, Vector], clients: int) -> Workload:
     """Returns clients that each submit the next item after the result of the last."""
-
-    async def client(item: Vector, count: int) -> None:
-        for _ in range(count):
-            await batcher.submit(item, timeout_s=_TIMEOUT_S)
-
-    async def run(count: int) -> None:
-        await asyncio.gather(*(client(item, count) for item in _items(clients)))
-
-    return Workload(name, run, clients, "items")
+    calls = [partial(batcher.submit, item, timeout_s=_TIMEOUT_S) for item in _items(clients)]
+    return Workload(name, repeat_together(calls), clients, "items")
 
 
 def _items(count: int) -> list[Vector]:

@@ -7,8 +7,8 @@ the bare server answers all: the answered shares are reported beside. At 50 Hz o
 message, and the bare server falls behind; at 10 Hz it keeps up.
 """
 
-import asyncio
 from contextlib import AsyncExitStack
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -18,11 +18,11 @@ import numpy as np
 
 from benchmarks import load_generator
 from benchmarks.bare_transport import SEQ_BYTES, STREAM
-from benchmarks.imitation_robot import CONTROL, Robot, Scene, control_stream, publish_scene
+from benchmarks.imitation_robot import CONTROL, Scene, control_stream, publish_scene
 from benchmarks.load_generator import Load, LoadResult
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_server, run_service
-from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat
+from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat_function, repeat_together
 from freerein.clients import Channel, ImitationClient
 from freerein_imitation import model
 
@@ -52,12 +52,15 @@ async def _measure_batching(effort: Effort) -> Results:
                 await opened.enter_async_context(control_stream(client, scene)) for _ in range(_WAITING_ROBOTS)
             ]
         model = await measure_rates([_model("batch-1", scene, 1), _model("batch-8", scene, _MEASURED_BATCH)], effort)
-        streams = await measure_rates([_waiting(name, some) for name, some in robots.items()], effort)
+        streams = await measure_rates(
+            [Workload(name, repeat_together(some), len(some), "observations") for name, some in robots.items()],
+            effort,
+        )
     cost = _MEASURED_BATCH / model.speedup("batch-8", over="batch-1")
     return Results(
         ratios=(
-            Ratio("control.model_batch8_vs_batch1_cost", cost, Bar("at most", 2.0)),
-            Ratio("control.throughput16_on_vs_off", streams.speedup("batching", over="off"), Bar("at least", 2.5)),
+            Ratio("control.model_batch8_vs_batch1_cost", cost, at_most=2.0),
+            Ratio("control.throughput16_on_vs_off", streams.speedup("batching", over="off"), at_least=2.5),
         ),
         rates={"control.model": model, "control.16-streams": streams},
     )
@@ -69,20 +72,8 @@ def _model(name: str, scene: Scene, size: int) -> Workload:
     goals = np.repeat(policy.encode_goals(scene.goal[None]), size, axis=0)
     previous = np.zeros((size, policy.spec.action.size), np.float32)
     recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
-
-    async def call() -> None:
-        policy.step(frames, goals, previous, recurrent)
-
-    return Workload(name, repeat(call), size, "observations")
-
-
-def _waiting(name: str, robots: list[Robot]) -> Workload:
-    """Returns robots that each send the next observation after the reply to the last."""
-
-    async def run(count: int) -> None:
-        await asyncio.gather(*(repeat(robot.observe)(count) for robot in robots))
-
-    return Workload(name, run, len(robots), "observations")
+    call = partial(policy.step, frames, goals, previous, recurrent)
+    return Workload(name, repeat_function(call), size, "observations")
 
 
 async def _measure_load(effort: Effort) -> Results:
@@ -113,11 +104,10 @@ async def _measure_rate(loads: dict[str, Load], rounds: int) -> Results:
             done[name].append(await load_generator.run(loads[name]))
     times = Latencies({name: tuple(np.array(turn.latencies_s) for turn in turns) for name, turns in done.items()})
     shares = {name: median(turn.answered_share for turn in turns) for name, turns in done.items()}
-    case = f"{_ROBOTS}x{rate_hz:g}hz"
-    bar = Bar("at most", 1.5) if rate_hz == _BAR_HZ else None
+    case, limit = f"{_ROBOTS}x{rate_hz:g}hz", 1.5 if rate_hz == _BAR_HZ else None
     return Results(
         ratios=(
-            Ratio(f"control.p99_vs_bare.{case}", times.ratio("control", over="bare", share=0.99), bar),
+            Ratio(f"control.p99_vs_bare.{case}", times.ratio("control", over="bare", share=0.99), at_most=limit),
             Ratio(f"control.p50_vs_bare.{case}", times.ratio("control", over="bare", share=0.5)),
             *(Ratio(f"control.answered_share.{case}.{name}", share) for name, share in shares.items()),
         ),

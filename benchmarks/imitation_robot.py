@@ -1,7 +1,6 @@
 """A robot at the imitation service with an untrained policy that never counts a goal as reached."""
 
-import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import count
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from benchmarks.servers import initialise, publish
+from benchmarks.servers import exchange, initialise, publish
 from freerein import images, wire
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.clients import ImitationClient
@@ -32,18 +31,12 @@ _WIDTH = 128
 _NUMBERS_AT_ONCE = 1000
 
 Frame = npt.NDArray[np.uint8]
+Observe = Callable[[], Awaitable[ControlResponse]]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A published policy, and the images that a robot sends.
-
-    Attributes:
-        ref: The policy's reference.
-        folder: The policy's files.
-        frame: Observed image, uint8 (H, W, 3).
-        goal: Goal image, uint8 (H, W, 3).
-    """
+    """A published policy, and the images that a robot sends: the observed one and the goal, uint8 (H, W, 3)."""
 
     ref: ModelRef
     folder: Path
@@ -94,10 +87,7 @@ class Scene:
 def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
     """Publishes an untrained goal-conditioned policy to the imitation service's store; returns it with random images.
 
-    Args:
-        side_px: Height and width of the frames.
-        data_dir: The service's data directory.
-        width: Image features, and units of the LSTM.
+    `width` is the number of image features, and of units of the LSTM.
     """
     frames = np.random.default_rng(0).integers(256, size=(_CALIBRATION_FRAMES, side_px, side_px, 3), dtype=np.uint8)
     spec = GoalConditionedSpec(
@@ -112,50 +102,20 @@ def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene
     return Scene(ref, data_dir / "models" / "imitation" / ref.name / ref.version, frames[0], frames[1])
 
 
-class Robot:
-    """Sends each observation when the one before it is answered, through `ImitationClient`.
-
-    Args:
-        client: The client.
-        scene: What it observes.
-    """
-
-    def __init__(self, client: ImitationClient, scene: Scene) -> None:
-        self._scene = scene
-        self._seq = 0
-        self._requests: asyncio.Queue[ControlRequest] = asyncio.Queue()
-        self.replies = client.control(self._sent())
-
-    async def send_hello(self) -> None:
-        """Opens the stream."""
-        self._requests.put_nowait(self._scene.hello())
-        await anext(self.replies)
-
-    async def observe(self) -> ControlResponse:
-        """Sends the next observation; returns the reply, which holds a chunk.
-
-        Raises:
-            RuntimeError: The observation was refused.
-        """
-        self._seq += 1
-        self._requests.put_nowait(self._scene.observed(self._seq))
-        reply = await anext(self.replies)
-        if reply.chunk is None:
-            raise RuntimeError(f"An observation must be answered by a chunk; got {reply}.")
-        return reply
-
-    async def _sent(self) -> AsyncIterator[ControlRequest]:
-        while True:
-            yield await self._requests.get()
-
-
 @asynccontextmanager
-async def control_stream(client: ImitationClient, scene: Scene) -> AsyncGenerator[Robot, None]:
-    """Opens a control stream for the length of the block."""
-    robot = Robot(client, scene)
-    await robot.send_hello()
-    yield robot
-    await robot.replies.aclose()
+async def control_stream(client: ImitationClient, scene: Scene) -> AsyncGenerator[Observe, None]:
+    """Opens a control stream; yields a function that sends the next observation and returns the reply, a chunk."""
+    seqs = count(1)
+    async with exchange(client.control) as ask:
+        await ask(scene.hello())
+
+        async def observe() -> ControlResponse:
+            reply = await ask(scene.observed(next(seqs)))
+            if reply.chunk is None:
+                raise RuntimeError(f"An observation must be answered by a chunk; got {reply}.")
+            return reply
+
+        yield observe
 
 
 def _seq_bytes(seq: int) -> bytes:

@@ -28,16 +28,10 @@ _LAST_REPLY_TIMEOUT_S = 1.0
 
 @dataclass(frozen=True)
 class Load:
-    """A load.
+    """A load: `streams` robots that each send `hello`, then `messages` at a rate, on a bidirectional gRPC method.
 
     Attributes:
-        address: Address of the server, `host:port`.
-        method: The bidirectional gRPC method.
-        hello: First message of every stream.
-        messages: Further messages of every stream.
         seq_bytes: Bytes of the number that begins a reply; 0 for a ControlResponse, whose server also answers Hello.
-        streams: Number of streams.
-        rate_hz: Messages per second of each stream.
     """
 
     address: str
@@ -63,11 +57,7 @@ class LoadResult:
 
 
 async def run(load: Load) -> LoadResult:
-    """Runs a load in a separate process.
-
-    Raises:
-        RuntimeError: The process failed.
-    """
+    """Runs a load in a separate process."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, stdin=pipe, stdout=pipe)
     output, _ = await process.communicate(msgpack.packb(asdict(load)))

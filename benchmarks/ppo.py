@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein.clients import Channel, RewardClient, SimClient, SyncClient
@@ -81,7 +81,7 @@ async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effor
         raise RuntimeError("Over the network and in process the final weights must be equal; they differ.")
     return Results(
         ratios=(
-            Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), Bar("at least", 0.8)),
+            Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), at_least=0.8),
             Ratio("ppo.two_sims_vs_one", times.speedup("two-sims", over="one-sim")),
         ),
         rates={"ppo": times},

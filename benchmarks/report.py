@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -19,54 +18,32 @@ _SHARES = {"p50": 0.5, "p99": 0.99}
 
 
 @dataclass(frozen=True)
-class Bar:
-    """The required value of a ratio.
-
-    Attributes:
-        side: Side of the limit.
-        limit: The limit.
-    """
-
-    side: Literal["at least", "at most"]
-    limit: float
-
-    def is_met(self, value: float) -> bool:
-        """Returns whether a value meets the bar."""
-        return value >= self.limit if self.side == "at least" else value <= self.limit
-
-    def __str__(self) -> str:
-        return f"{'>=' if self.side == 'at least' else '<='} {self.limit:.2f}"
-
-
-@dataclass(frozen=True)
 class Ratio:
-    """A ratio of two measurements.
-
-    Attributes:
-        name: Its name.
-        value: Its value.
-        bar: Its required value; None for no requirement.
-    """
+    """A ratio of two measurements, and its bar: the required value, if any."""
 
     name: str
     value: float
-    bar: Bar | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+
+    @property
+    def bar(self) -> str | None:
+        """The required value."""
+        if self.at_least is not None:
+            return f">= {self.at_least:.2f}"
+        return None if self.at_most is None else f"<= {self.at_most:.2f}"
 
     @property
     def is_met(self) -> bool | None:
         """Whether the bar is met; None without a bar."""
-        return None if self.bar is None else self.bar.is_met(self.value)
+        if self.at_least is not None:
+            return self.value >= self.at_least
+        return None if self.at_most is None else self.value <= self.at_most
 
 
 @dataclass(frozen=True)
 class Results:
-    """Results of benchmarks.
-
-    Attributes:
-        ratios: The ratios.
-        rates: By benchmark, the measured rates.
-        latencies: By benchmark, the measured latencies.
-    """
+    """Ratios, and by benchmark the measured rates and latencies."""
 
     ratios: tuple[Ratio, ...] = ()
     rates: dict[str, Rates] = field(default_factory=dict)
@@ -94,25 +71,15 @@ def _tables(results: Results) -> tuple[Table, ...]:
             calls.add_row(f"{benchmark}.{name}", *(f"{1e3 * value:.3f}" for value in values))
     ratios = Table("ratio", "value", "bar", "met", title="Ratios")
     for ratio in results.ratios:
-        ratios.add_row(ratio.name, f"{ratio.value:.2f}", str(ratio.bar or ""), _tick(ratio.is_met))
+        ratios.add_row(ratio.name, f"{ratio.value:.2f}", ratio.bar or "", _tick(ratio.is_met))
     return rates, calls, ratios
 
 
 def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
-    """Writes the results with the machine and the package versions as JSON.
-
-    Args:
-        results: The results.
-        path: The file.
-        load: The machine's load averages before the run, over 1, 5 and 15 minutes.
-    """
+    """Writes results, machine, its load averages before the run, and package versions as JSON."""
     document = {
         "ratios": {
-            ratio.name: {
-                "value": round(ratio.value, 4),
-                "bar": None if ratio.bar is None else str(ratio.bar),
-                "met": ratio.is_met,
-            }
+            ratio.name: {"value": round(ratio.value, 4), "bar": ratio.bar, "met": ratio.is_met}
             for ratio in results.ratios
         },
         "raw": {

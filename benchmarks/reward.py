@@ -6,6 +6,7 @@ calls from a prepared body to the parsed reply. All frames are raw.
 
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
+from functools import partial
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from benchmarks.report import Bar, Ratio, Results
+from benchmarks.report import Ratio, Results
 from benchmarks.servers import initialise, publish, rest_call, rest_client, run_service
-from benchmarks.timing import Call, Effort, Workload, measure_latencies, measure_rates, repeat
+from benchmarks.timing import Call, Effort, Workload, measure_latencies, measure_rates, repeat, repeat_function
 from freerein import wire
 from freerein.clients import Channel, RewardClient
 from freerein.types.common import ModelRef
@@ -70,7 +71,7 @@ async def _measure_goals(ref: ModelRef, model: RewardModel, client: RewardClient
     costs = {where: times.ratio(f"{where}-cached", over=f"{where}-uncached", share=0.5) for where in ("model", "grpc")}
     return Results(
         ratios=(
-            Ratio("reward.goal_cached_vs_uncached.grpc", costs["grpc"], Bar("at most", 0.5)),
+            Ratio("reward.goal_cached_vs_uncached.grpc", costs["grpc"], at_most=0.5),
             Ratio("reward.goal_cached_vs_uncached.model", costs["model"]),
         ),
         latencies={"reward.embed-goal": times},
@@ -88,7 +89,7 @@ async def _measure_images(
         rewards[f"grpc-{size}"] = _grpc(client, request)
         rewards[f"json-{size}"] = rest_call(rest, "/v1/reward", orjson.dumps(wire.to_json(request)), _similarities)
         workloads += [
-            Workload(f"model-{size}", repeat(_embed(model, frames[:size])), size, "images"),
+            Workload(f"model-{size}", repeat_function(partial(model.embed_images, request.frames)), size, "images"),
             *(Workload(f"{way}-{size}", repeat(rewards[f"{way}-{size}"]), size, "images") for way in ("grpc", "json")),
         ]
     await _check_same_similarities(rewards)
@@ -96,7 +97,7 @@ async def _measure_images(
     gains = {where: times.speedup(f"{where}-32", over=f"{where}-1") for where in ("model", "grpc", "json")}
     return Results(
         ratios=(
-            Ratio("reward.images32_vs_1.grpc", gains["grpc"], Bar("at least", 4.0)),
+            Ratio("reward.images32_vs_1.grpc", gains["grpc"], at_least=4.0),
             Ratio("reward.images32_vs_1.model", gains["model"]),
             Ratio("reward.images32_vs_1.json", gains["json"]),
         ),
@@ -110,13 +111,6 @@ async def _check_same_similarities(rewards: dict[str, Reward]) -> None:
         similarities = await reward()
         if not np.allclose(similarities, expected[: len(similarities)], atol=_TOLERANCE):
             raise RuntimeError(f"All calls must return the same similarities; {name} did not.")
-
-
-def _embed(model: RewardModel, frames: npt.NDArray[np.uint8]) -> Call:
-    async def call() -> None:
-        model.embed_images({_CAMERA: frames})
-
-    return call
 
 
 def _grpc(client: RewardClient, request: RewardRequest) -> Reward:

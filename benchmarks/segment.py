@@ -5,10 +5,10 @@ parsed reply, a gRPC call from arrays to arrays. JSON is sent with PNG images, a
 raw frames, as over gRPC.
 """
 
-import base64
+import json
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -16,13 +16,12 @@ from typing import Any, TypeAlias
 import httpx
 import numpy as np
 import numpy.typing as npt
-import orjson
 import torch
 
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import initialise, publish, rest_call, rest_client, run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat
-from freerein import images, tensors
+from freerein import images, wire
 from freerein.clients import Channel, SegmentationClient
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import SegmentRequest
@@ -38,14 +37,7 @@ Segment: TypeAlias = Callable[[], Awaitable[Labels]]
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """A trajectory to label.
-
-    Attributes:
-        name: Its name in the report.
-        task: Its task, and the name of its model.
-        frames: uint8 (T, H, W, C).
-        actions: float32 (T, A) or int64 (T, 1).
-    """
+    """A trajectory to label: uint8 (T, H, W, C) and float32 (T, A) or int64 (T, 1); `task` also names its model."""
 
     name: str
     task: str
@@ -71,6 +63,7 @@ async def _measure_case(case: _Case, model: SegmentationModel, address: str, url
         rest = await opened.enter_async_context(rest_client(url))
         client = await opened.enter_async_context(SegmentationClient(Channel(address)))
         request = SegmentRequest(ModelRef(case.task), case.frames, actions=case.actions)
+        png_request = replace(request, frames=None, images=tuple(map(images.encode, case.frames)))
 
         async def bare() -> Labels:
             labels: Labels = model.probabilities(case.frames, case.actions).argmax(axis=1)
@@ -81,9 +74,9 @@ async def _measure_case(case: _Case, model: SegmentationModel, address: str, url
 
         interfaces: dict[str, Segment] = {
             "grpc": grpc,
-            "json-frames": _rest(rest, _json(case, {"frames": _tensor(case.frames)})),
-            "json-images": _rest(rest, _json(case, {"images": _png_images(case)})),
-            "multipart": _rest(rest, _multipart(case)),
+            "json-frames": _rest(rest, httpx.Request("POST", _PATH, json=wire.to_json(request))),
+            "json-images": _rest(rest, httpx.Request("POST", _PATH, json=wire.to_json(png_request))),
+            "multipart": _rest(rest, _multipart(png_request)),
         }
         expected = await bare()
         workloads = [_workload(name, segment, expected) for name, segment in {"torch": bare, **interfaces}.items()]
@@ -139,25 +132,7 @@ def _rest(client: httpx.AsyncClient, request: httpx.Request) -> Segment:
     return rest_call(client, _PATH, request.read(), lambda reply: np.array(reply["labels"]), media_type=media_type)
 
 
-def _json(case: _Case, frames: dict[str, Any]) -> httpx.Request:
-    body = {"model": {"name": case.task}, "actions": _tensor(case.actions), **frames}
-    return httpx.Request("POST", _PATH, json=body)
-
-
-def _multipart(case: _Case) -> httpx.Request:
-    fields = {"model.name": case.task, "actions": orjson.dumps(_tensor(case.actions)).decode()}
-    files = [("images", (f"{t}.png", png, "image/png")) for t, png in enumerate(_pngs(case))]
+def _multipart(request: SegmentRequest) -> httpx.Request:
+    fields = {"model.name": request.model.name, "actions": json.dumps(wire.to_json(request)["actions"])}
+    files = [("images", (f"{t}.png", image.data, "image/png")) for t, image in enumerate(request.images)]
     return httpx.Request("POST", _PATH, data=fields, files=files)
-
-
-def _png_images(case: _Case) -> list[dict[str, str]]:
-    return [{"encoding": "png", "data": base64.b64encode(png).decode()} for png in _pngs(case)]
-
-
-def _pngs(case: _Case) -> list[bytes]:
-    return [images.encode(frame).data for frame in case.frames]
-
-
-def _tensor(array: npt.NDArray[Any]) -> dict[str, Any]:
-    datatype, shape, raw = tensors.encode(array)
-    return {"datatype": datatype, "shape": shape, "raw": base64.b64encode(raw).decode()}

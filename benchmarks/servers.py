@@ -3,7 +3,7 @@
 import asyncio
 import os
 import sys
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,17 +23,14 @@ _START_TIMEOUT_S = 60.0
 _STOP_TIMEOUT_S = 10.0
 _CALL_TIMEOUT_S = 60.0
 T = TypeVar("T")
+Sent = TypeVar("Sent")
 
 
 @asynccontextmanager
 async def run_service(service: str, *, data_dir: Path, module: str = "", **environ: str) -> AsyncGenerator[Stack, None]:
     """Runs a service on free ports, ready when the block begins.
 
-    Args:
-        service: The service's name.
-        data_dir: Its data directory.
-        module: Module for `python -m`; empty for the installed service.
-        environ: Additional environment variables.
+    `module` is what `python -m` runs, by default the installed service; `environ` adds environment variables.
     """
     ports = free_ports([service])
     modules = {service: module} if module else choose([service])
@@ -44,11 +41,7 @@ async def run_service(service: str, *, data_dir: Path, module: str = "", **envir
 
 @asynccontextmanager
 async def run_server(module: str, *arguments: str) -> AsyncGenerator[int, None]:
-    """Runs `python -m MODULE ARGUMENTS`, a server that calls `serve_until_stdin_closes`; yields its port.
-
-    Raises:
-        RuntimeError: The process ended before it listened.
-    """
+    """Runs `python -m MODULE ARGUMENTS`, a server that calls `serve_until_stdin_closes`; yields its port."""
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", module, *arguments, stdin=pipe, stdout=pipe)
     if process.stdin is None or process.stdout is None:
@@ -84,6 +77,27 @@ def publish(network: nn.Module, data_dir: Path, service: str, *, name: str, card
     ref = store.publish(name, folder)
     store.activate(ref)
     return ref
+
+
+@asynccontextmanager
+async def exchange(
+    connect: Callable[[AsyncIterator[Sent]], AsyncGenerator[T, None]],
+) -> AsyncGenerator[Callable[[Sent], Awaitable[T]], None]:
+    """Opens a bidirectional stream; yields a function that sends a request and returns its reply."""
+    requests: asyncio.Queue[Sent] = asyncio.Queue()
+
+    async def sent() -> AsyncIterator[Sent]:
+        while True:
+            yield await requests.get()
+
+    replies = connect(sent())
+
+    async def ask(request: Sent) -> T:
+        requests.put_nowait(request)
+        return await anext(replies)
+
+    yield ask
+    await replies.aclose()
 
 
 def rest_client(url: str) -> httpx.AsyncClient:

@@ -21,7 +21,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from benchmarks.report import Ratio, Results
-from benchmarks.servers import run_service
+from benchmarks.servers import exchange, run_service
 from benchmarks.timing import Effort, Rates, Workload, measure_rates, repeat
 from freerein.clients import Channel, SimClient
 from freerein.types.common import ActionSpec
@@ -80,7 +80,7 @@ async def _measure(task: TaskDefinition, cameras: tuple[str, ...], address: str,
             ("unary-16", (await session(_ENVS)).step, _ENVS),
             ("16-unary", step_singles, _ENVS),
             ("unary-1", singles[0].step, 1),
-            ("connect-1", stream.step, 1),
+            ("connect-1", stream, 1),
         )
         return await measure_rates([_workload(*way, task.spec.action) for way in ways], effort)
 
@@ -143,41 +143,22 @@ async def _session(client: SimClient, task: str, num_envs: int, cameras: tuple[s
     await client.close_session(CloseSessionRequest(created.session))
 
 
-class _Stream:
-    """A session stepped on a `Connect` stream."""
-
-    def __init__(self, session: _Session) -> None:
-        self._session = session
-        self._requests: asyncio.Queue[ConnectRequest] = asyncio.Queue()
-        self.replies = session.client.connect(self._sent())
-
-    async def step(self, actions: Actions) -> object:
-        await self._requests.put(ConnectRequest(step=self._session.request(actions)))
-        reply = await anext(self.replies)
-        if reply.step is None:
-            raise RuntimeError(f"A step must be answered by a step; got {reply}.")
-        return reply.step
-
-    async def _sent(self) -> AsyncIterator[ConnectRequest]:
-        while True:
-            yield await self._requests.get()
-
-
 @asynccontextmanager
-async def _stream(session: _Session) -> AsyncIterator[_Stream]:
-    stream = _Stream(session)
-    yield stream
-    await stream.replies.aclose()
+async def _stream(session: _Session) -> AsyncIterator[Step]:
+    """Opens a `Connect` stream; yields a function that steps the session on it."""
+    async with exchange(session.client.connect) as ask:
+
+        async def step(actions: Actions) -> object:
+            reply = await ask(ConnectRequest(step=session.request(actions)))
+            if reply.step is None:
+                raise RuntimeError(f"A step must be answered by a step; got {reply}.")
+            return reply.step
+
+        yield step
 
 
 class _WorldEnv(gymnasium.Env[Frame, npt.NDArray[Any]]):
-    """One world as a Gymnasium environment, without the sim service.
-
-    Args:
-        task: The task.
-        cameras: The camera to observe, or none: an observation is uint8 (H, W, C), or (0,).
-        seed: Seed of its generator.
-    """
+    """One world as a Gymnasium environment, without the sim service; an observation is uint8 (H, W, C), or (0,)."""
 
     def __init__(self, task: TaskDefinition, cameras: tuple[str, ...], *, seed: np.random.SeedSequence) -> None:
         self._world = task.make()

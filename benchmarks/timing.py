@@ -1,5 +1,6 @@
 """Side-by-side timing: workloads take turns, in another order each round; figures are medians over rounds."""
 
+import asyncio
 import math
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -43,14 +44,7 @@ THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0, iterations=3)
 
 @dataclass(frozen=True)
 class Workload:
-    """Something to be timed.
-
-    Attributes:
-        name: Its name.
-        run: Runs it a number of times.
-        items: Items that one run processes.
-        unit: What the items are, in the plural.
-    """
+    """Something to be timed: `run` runs it a number of times, each of which processes some items; `unit` is plural."""
 
     name: str
     run: Callable[[int], Awaitable[None]]
@@ -68,14 +62,28 @@ def repeat(call: Call) -> Callable[[int], Awaitable[None]]:
     return run
 
 
+def repeat_function(function: Callable[[], object]) -> Callable[[int], Awaitable[None]]:
+    """Returns a function that calls another a number of times."""
+
+    async def run(count: int) -> None:
+        for _ in range(count):
+            function()
+
+    return run
+
+
+def repeat_together(calls: Sequence[Call]) -> Callable[[int], Awaitable[None]]:
+    """Returns a function that repeats each call, all calls at the same time."""
+
+    async def run(count: int) -> None:
+        await asyncio.gather(*(repeat(call)(count) for call in calls))
+
+    return run
+
+
 @dataclass(frozen=True)
 class Rates:
-    """Throughput of workloads.
-
-    Attributes:
-        unit: Unit of the items.
-        rates: By workload, items per second in each round.
-    """
+    """Items per second of each workload in each round."""
 
     unit: str
     rates: dict[str, tuple[float, ...]]
@@ -91,11 +99,7 @@ class Rates:
 
 @dataclass(frozen=True, eq=False)
 class Latencies:
-    """Latencies of calls.
-
-    Attributes:
-        seconds: By name and round, the latency of each call, float64 (calls,).
-    """
+    """By name and round, the latency of each call in seconds, float64 (calls,)."""
 
     seconds: dict[str, tuple[Seconds, ...]]
 

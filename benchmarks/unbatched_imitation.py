@@ -3,17 +3,17 @@
 from dataclasses import replace
 
 from freerein.serving.health import Health
+from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein_imitation.__main__ import NAME, build
-from freerein_imitation.settings import ImitationSettings
 
 
-def build_unbatched(settings: ImitationSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+def build_unbatched(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     return build(settings, replace(limits, batch=1), metrics, health)
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, ImitationSettings, build_unbatched))
+    raise SystemExit(run(NAME, LearnedSettings, build_unbatched))

@@ -1,25 +1,4 @@
-"""The errors of freerein's public interfaces.
-
-    ServiceError
-    ├── MalformedRequest      400  INVALID_ARGUMENT     the bytes cannot be parsed as a request
-    ├── InvalidInput          422  INVALID_ARGUMENT     a value of the request is invalid
-    │   └── OutputNotFinite   422  INVALID_ARGUMENT     the model's output overflowed
-    ├── UnsupportedMedia      415  INVALID_ARGUMENT     unsupported content type, encoding or image format
-    ├── Unauthenticated       401  UNAUTHENTICATED
-    ├── NotFound              404  NOT_FOUND
-    │   └── SessionNotFound   404  NOT_FOUND            the session was never made, was closed, or its lease has ended
-    ├── AlreadyExists         409  ALREADY_EXISTS
-    ├── FailedPrecondition    409  FAILED_PRECONDITION  the object is not in the state that the call needs
-    │   └── StepOutOfOrder    409  FAILED_PRECONDITION  the `step_id` does not follow the session's last step
-    ├── WorkerLost            409  ABORTED              the worker process of the session ended
-    ├── TooLarge              413  RESOURCE_EXHAUSTED   one request exceeds a limit: retrying cannot help
-    ├── Overloaded            429  RESOURCE_EXHAUSTED   too many requests at once: retry after `retry_after_s`
-    ├── Cancelled             499  CANCELLED            the client disconnected
-    ├── Internal              500  INTERNAL             a bug in freerein
-    ├── Unimplemented         501  UNIMPLEMENTED
-    ├── Unavailable           503  UNAVAILABLE          not ready, or draining
-    │   └── ModelFault        503  UNAVAILABLE          the model raised, or returned a wrong shape
-    └── DeadlineExceeded      504  DEADLINE_EXCEEDED
+"""The errors of freerein's public interfaces; `docs/protocol.md` lists them with their HTTP and gRPC statuses.
 
 `freerein.serving` maps these classes to HTTP and gRPC, `freerein.clients` maps them back. `detail` is one sentence that
 says what was expected and what was received, `hint` says how to fix it. Neither holds a path, a traceback, a repr or a

@@ -7,6 +7,7 @@ Error messages are written here; the decoder's messages are never passed on.
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +31,7 @@ _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
 
 
 def sniff(data: bytes, *, field: str = "images") -> Encoding:
-    """Returns the encoding of a file, from its first bytes.
-
-    Raises:
-        UnsupportedMedia: The file is not PNG, JPEG or WebP.
-    """
+    """Returns the encoding of a file, from its first bytes; UnsupportedMedia when it is not PNG, JPEG or WebP."""
     for offset, signature, encoding in _SIGNATURES:
         if data[offset : offset + len(signature)] == signature:
             return encoding
@@ -87,16 +84,40 @@ def pixel_count(image: Image, *, field: str = "images") -> int:
         return opened.width * opened.height
 
 
+def check_frames(frames: npt.NDArray[Any], *, axis: str) -> npt.NDArray[np.uint8]:
+    """Returns the `frames` of a request if they are uint8 (axis, H, W, 1 or 3) and not empty; else InvalidInput."""
+    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
+        raise InvalidInput(
+            f"`frames` must be UINT8 of shape ({axis}, H, W, C), {axis} at least 1 and C 1 or 3; "
+            f"got {frames.dtype} {frames.shape}.",
+            field="frames",
+            hint="Put channels last, and scale floats to 0..255.",
+        )
+    return frames
+
+
+def check_one_form(*, has_frames: bool, has_images: bool) -> None:
+    """Raises InvalidInput unless exactly one of a request's `frames` and `images` is given."""
+    if has_frames == has_images:
+        raise InvalidInput(
+            f"Exactly one of `frames` and `images` must be given; got {'both' if has_images else 'neither'}.",
+            field="frames",
+            hint="Send `images` over REST, `frames` over gRPC.",
+        )
+
+
+def check_total_pixels(total: int, *, hint: str) -> None:
+    """Raises InvalidInput when the `images` of a request have too many pixels together."""
+    if total > MAX_REQUEST_PIXELS:
+        raise InvalidInput(
+            f"`images` must have at most {MAX_REQUEST_PIXELS} pixels in total; got {total}.", field="images", hint=hint
+        )
+
+
 def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera: str = "") -> Image:
-    """Returns pixels as an encoded image.
+    """Returns pixels, uint8 (height, width, 1 or 3), as an encoded image.
 
-    Args:
-        pixels: uint8 (height, width, channels), channels 1 or 3.
-        encoding: The encoding; a raw one must match the number of channels.
-        camera: Name of the camera.
-
-    Raises:
-        InvalidInput: The array is not such an image, or does not match the encoding.
+    Raises InvalidInput for another array, or one whose channels do not match a raw encoding.
     """
     if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (1, 3):
         raise InvalidInput(

@@ -1,4 +1,7 @@
-"""Evaluation metrics of labels and scores against ground truth. Never used to select models."""
+"""Evaluation metrics of labels and scores against ground truth. Never used to select models.
+
+Every metric raises InvalidInput for empty arrays, and for arrays of other shapes than its docstring names.
+"""
 
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -18,21 +21,13 @@ def run_starts(labels: Labels) -> npt.NDArray[np.int64]:
 
 
 def frame_accuracy(predicted: Labels, truth: Labels) -> float:
-    """Returns the fraction of correctly labelled timesteps, for labels (T,) each.
-
-    Raises:
-        InvalidInput: The arrays differ in length, or are empty.
-    """
+    """Returns the fraction of correctly labelled timesteps, for labels (T,) each."""
     _check_pair(predicted, truth)
     return float(np.mean(predicted == truth))
 
 
 def random_cls_accuracy(truth: Labels) -> float:
-    """Returns the frame accuracy of uniform guessing among the skills that occur: 1 / their number (Random-Cls).
-
-    Raises:
-        InvalidInput: The array is empty.
-    """
+    """Returns the frame accuracy of uniform guessing among the skills that occur: 1 / their number (Random-Cls)."""
     _check_pair(truth, truth)
     return 1.0 / len(np.unique(truth))
 
@@ -41,9 +36,6 @@ def edit_score(predicted: Labels, truth: Labels) -> float:
     """Returns the edit score of the segment sequences, in [0, 1].
 
     One minus their Levenshtein distance divided by the length of the longer sequence.
-
-    Raises:
-        InvalidInput: The arrays differ in length, or are empty.
     """
     _check_pair(predicted, truth)
     ours, theirs = predicted[run_starts(predicted)], truth[run_starts(truth)]
@@ -54,10 +46,7 @@ def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
     """Returns the segmental F1 score, in [0, 1]; F1@50 is `overlap=0.5`.
 
     A predicted segment is a true positive when its intersection over union with the true segment of its label that it
-    overlaps most is at least `overlap`, and that segment is not matched yet.
-
-    Raises:
-        InvalidInput: The arrays differ in length, or are empty, or `overlap` is not in (0, 1].
+    overlaps most is at least `overlap`, in (0, 1], and that segment is not matched yet.
     """
     _check_pair(predicted, truth)
     if not 0.0 < overlap <= 1.0:
@@ -78,15 +67,7 @@ def f1_at(predicted: Labels, truth: Labels, *, overlap: float) -> float:
 
 
 def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -> float:
-    """Returns the area under the ROC curve; ties count half.
-
-    Args:
-        scores: float (N,).
-        truth: bool (N,), with at least one of each class.
-
-    Raises:
-        InvalidInput: The arrays differ in length, or `truth` has one class only.
-    """
+    """Returns the area under the ROC curve of scores, float (N,), for bool (N,) of both classes; ties count half."""
     if scores.ndim != 1 or scores.shape != truth.shape or not 0 < truth.sum() < len(truth):
         raise InvalidInput(
             f"Scores and truth must both be (N,), with true and false ones; got {scores.shape} and {truth.shape}, "
@@ -102,21 +83,13 @@ def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -
 
 
 def majority_accuracy(truth: Labels) -> float:
-    """Returns the accuracy of always answering the most frequent of the true labels (T,), in [0, 1].
-
-    Raises:
-        InvalidInput: There are no labels.
-    """
+    """Returns the accuracy of always answering the most frequent of the true labels (T,), in [0, 1]."""
     _check_pair(truth, truth)
     return float(np.unique(truth, return_counts=True)[1].max() / len(truth))
 
 
 def balanced_accuracy(predicted: Labels, truth: Labels) -> float:
-    """Returns the mean recall over the classes that occur in `truth`; a constant answer scores one over their number.
-
-    Raises:
-        InvalidInput: The two have different lengths, or none.
-    """
+    """Returns the mean recall over the classes in `truth`; a constant answer scores one over their number."""
     _check_pair(predicted, truth)
     return float(np.mean([np.mean(predicted[truth == label] == label) for label in np.unique(truth)]))
 
@@ -126,13 +99,8 @@ def expected_calibration_error(
 ) -> float:
     """Returns the expected calibration error (ECE): the mean gap between confidence and frequency, 0 is calibrated.
 
-    Args:
-        confidence: float (N,), predicted probabilities in [0, 1].
-        truth: bool (N,), whether each prediction came true.
-        bins: Number of bins of equal width.
-
-    Raises:
-        InvalidInput: The two have different lengths, or none.
+    `confidence` holds predicted probabilities, float (N,) in [0, 1]; `truth`, bool (N,), whether each came true. The
+    bins have equal width.
     """
     if confidence.ndim != 1 or confidence.shape != truth.shape or not len(truth):
         raise InvalidInput(
@@ -146,11 +114,7 @@ def expected_calibration_error(
 
 
 def mean_interval(values: npt.ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000) -> tuple[float, float]:
-    """Returns the 95 % interval of the mean of independent values (N,), by percentile bootstrap.
-
-    Raises:
-        InvalidInput: There are no values.
-    """
+    """Returns the 95 % interval of the mean of independent values (N,), by percentile bootstrap."""
     sample = np.asarray(values, np.float64)
     if sample.ndim != 1 or not len(sample):
         raise InvalidInput(f"Values must be (N,), N at least 1; got {sample.shape}.", field="values")

@@ -8,12 +8,7 @@ from freerein.errors import InvalidInput
 
 @dataclass(frozen=True)
 class Ports:
-    """The default ports of one service.
-
-    Attributes:
-        rest: Port of the REST API.
-        grpc: Port of the gRPC server.
-    """
+    """The default ports of one service."""
 
     rest: int
     grpc: int
@@ -36,14 +31,8 @@ def address(service: str, environ: Mapping[str, str]) -> str:
 def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
     """Returns the gRPC addresses, `host:port`, of all replicas of a service.
 
-    They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the port table.
-
-    Args:
-        service: A key of `PORTS`.
-        environ: The environment, such as `os.environ`.
-
-    Raises:
-        InvalidInput: The service does not exist, or the variable does not hold `host:port`.
+    They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the port table. Raises
+    InvalidInput when the service does not exist, or the variable does not hold `host:port`.
     """
     if service not in PORTS:
         raise InvalidInput(

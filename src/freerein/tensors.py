@@ -30,11 +30,7 @@ MAX_ELEMENTS = 2**31 - 1
 
 
 def datatype(array: npt.NDArray[Any]) -> str:
-    """Returns the datatype name of an array's dtype.
-
-    Raises:
-        InvalidInput: The dtype is not supported.
-    """
+    """Returns the datatype name of an array's dtype; raises InvalidInput when it is not supported."""
     try:
         return _NAMES[array.dtype.newbyteorder("<")]
     except KeyError:
@@ -45,23 +41,13 @@ def datatype(array: npt.NDArray[Any]) -> str:
 
 
 def encode(array: npt.NDArray[Any]) -> tuple[str, tuple[int, ...], bytes]:
-    """Returns the (datatype, shape, raw) of an array of any shape.
-
-    Raises:
-        InvalidInput: Its dtype is not supported.
-    """
+    """Returns the (datatype, shape, raw) of an array of any shape; raises as `datatype`."""
     name = datatype(array)
     return name, array.shape, array.astype(DTYPES[name], copy=False).tobytes()
 
 
 def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> npt.NDArray[Any]:
-    """Returns the array of (datatype, shape, raw), a read-only view of `raw`.
-
-    Args:
-        name: A key of `DTYPES`.
-        shape: Length of each axis.
-        raw: The elements.
-        field: Dotted name of the request field, for errors.
+    """Returns the array of (datatype, shape, raw), a read-only view of `raw`; `field` is its dotted name, for errors.
 
     Raises:
         InvalidInput: The datatype is unknown, the shape has a negative length, too many axes or elements, `raw` has the

@@ -124,15 +124,13 @@ _Write = Callable[[Any], Any]
 
 
 class _Field(NamedTuple):
-    """A field of a dataclass, and of the message of the same name.
+    """A field of a dataclass, and of the message of the same name; `read` and `write` are None for the identity.
 
     Attributes:
-        name: Its name in both.
-        descriptor: The message's field.
         has_presence: Whether the message distinguishes unset from zero.
         required: Whether the dataclass has no default for it.
-        read: Converts the message's value and a dotted name, for errors, into the dataclass's; None for the identity.
-        write: Converts the dataclass's value into the message's; None for the identity.
+        read: Converts the message's value and a dotted name, for errors, into the dataclass's.
+        write: Converts the dataclass's value into the message's.
     """
 
     name: str

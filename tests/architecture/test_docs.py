@@ -59,8 +59,6 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
     assert choices - shown == {
         "ICMConfig",  # which runs choose themselves
         "GroundingConfig",  # which is chosen where models are made that come with freerein
-        "ImitationSettings",  # which add nothing but ports
-        "SegmentationSettings",
     }
 
 

@@ -50,11 +50,11 @@ class Waving:
 
 def build(data_dir: Path, health: Health, publish_model: Callable[[Path], object]) -> Service:
     """Returns the service, with one model."""
+    from freerein.serving.learned import LearnedSettings
     from freerein_imitation.__main__ import build as build_service
-    from freerein_imitation.settings import ImitationSettings
 
     publish_model(data_dir / "models" / "imitation")
-    settings = ImitationSettings(data_dir=data_dir)
+    settings = LearnedSettings(data_dir=data_dir)
     return build_service(settings, Limits(), Metrics(), health, load=lambda _folder, _device: Waving())
 
 

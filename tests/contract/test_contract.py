@@ -164,11 +164,11 @@ class Halves:
 
 
 def build_segmentation(data_dir: Path, health: Health) -> Service:
+    from freerein.serving.learned import LearnedSettings
     from freerein_segmentation.__main__ import build
-    from freerein_segmentation.settings import SegmentationSettings
 
     publish_model(data_dir / "models" / "segmentation")
-    settings = SegmentationSettings(data_dir=data_dir)
+    settings = LearnedSettings(data_dir=data_dir)
     return build(settings, Limits(), Metrics(), health, load=lambda _folder, _device: Halves())
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.serving.health import Health
+from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
@@ -21,7 +22,6 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef
 from freerein_imitation.__main__ import NAME, build
 from freerein_imitation.model.policy import PolicyOutput, PolicySpec
-from freerein_imitation.settings import ImitationSettings
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
 SEEDS = (7, 8)  # of the versions that are published; the first is active
@@ -90,11 +90,11 @@ def publish_policies(data_dir: Path) -> list[ModelRef]:
     return refs
 
 
-def build_faulty(settings: ImitationSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     publish_policies(settings.data_dir)
     return build(settings, limits, metrics, health, load=load)
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, ImitationSettings, build_faulty))
+    raise SystemExit(run(NAME, LearnedSettings, build_faulty))

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.serving.health import Health
+from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
 from freerein_segmentation.__main__ import NAME, build
-from freerein_segmentation.settings import SegmentationSettings
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
 
@@ -57,7 +57,7 @@ def publish_model(data_dir: Path) -> None:
         store.activate(store.publish("", folder))
 
 
-def build_faulty(settings: SegmentationSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     publish_model(settings.data_dir)
     return build(settings, limits, metrics, health, load=lambda _folder, _device: FaultyModel())
@@ -77,4 +77,4 @@ def write_down_what_is_touched(path: str) -> None:
 if __name__ == "__main__":
     if audit := os.environ.get("FAULTY_AUDIT"):
         write_down_what_is_touched(audit)
-    raise SystemExit(run(NAME, SegmentationSettings, build_faulty))
+    raise SystemExit(run(NAME, LearnedSettings, build_faulty))

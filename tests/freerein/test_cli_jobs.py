@@ -17,7 +17,7 @@ from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
 
 TIMEOUT_S = 0.1
-_RUN = Run("0" * 32, "ppo", "running", {}, step=0, steps=10)
+_RUN = Run("0" * 32, "running", {}, step=0, steps=10, kind="ppo")
 
 
 def _progress(*steps: int, every_s: float = 2.0) -> JobProgress:

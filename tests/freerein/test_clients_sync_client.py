@@ -23,7 +23,7 @@ from freerein.types.learning import (
     WatchFitResponse,
 )
 
-FIT = Fit("0" * 32, "running", "demos", "default", {})
+FIT = Fit("0" * 32, "running", {}, dataset="demos", model_name="default")
 
 
 class Fits(learning_pb2_grpc.FitServiceServicer):

@@ -10,8 +10,9 @@ import pytest
 
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader
-from freerein.jobs.metrics import MetricsPage, MetricsWriter
+from freerein.jobs.metrics import MetricsWriter
 from freerein.jobs.store import JobEvent, JobStore
+from freerein.types.jobs import JobMetrics
 
 START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
 REQUEST = {**START, "config": {"seed": 3}, "idempotency_key": "key"}
@@ -177,7 +178,7 @@ def test_metrics_are_whole_or_decimated_evenly_with_the_first_and_the_last(store
 
 def test_metrics_of_a_job_that_has_none_are_empty_and_too_many_are_refused(store):
     run_id = store.create(REQUEST, {})
-    assert store.metrics(run_id, from_step=3, max_rows=0) == MetricsPage((), 0, 3)
+    assert store.metrics(run_id, from_step=3, max_rows=0) == JobMetrics((), 0, 3)
     with pytest.raises(InvalidInput):
         store.metrics(run_id, from_step=0, max_rows=10_001)
     with pytest.raises(NotFound):

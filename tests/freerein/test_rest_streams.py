@@ -22,7 +22,7 @@ from freerein.types.orchestrator import GetArtifactResponse
 STREAMS = 2
 EVENTS, FILE = "/v1/watch-fit", "/v1/get-artifact"
 UNKNOWN = "1" * 32
-FIT = Fit("0" * 32, "running", "demos", "default", {})
+FIT = Fit("0" * 32, "running", {}, dataset="demos", model_name="default")
 
 
 class Core:

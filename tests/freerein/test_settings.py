@@ -4,16 +4,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from freerein.serving.settings import ServiceSettings
 
 SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
-
-
-class Settings(ServiceSettings):
-    http_port: int = Field(default=8101, ge=0, le=65535)
-    grpc_port: int = Field(default=9101, ge=0, le=65535)
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +19,7 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_the_defaults_are_loopback_without_a_token() -> None:
-    settings = Settings()
+    settings = ServiceSettings()
     assert (settings.host, settings.token_text, settings.data_dir) == ("127.0.0.1", "", Path("var"))
     assert (settings.receipt_s, settings.write_s, settings.queue) == (10.0, 30.0, 256)
 
@@ -33,13 +28,13 @@ def test_the_environment_overrides_and_an_empty_variable_does_not(monkeypatch: p
     monkeypatch.setenv("FREEREIN_QUEUE", "4")
     monkeypatch.setenv("FREEREIN_TOKEN", "")
     monkeypatch.setenv("FREEREIN_UNKNOWN", "1")
-    settings = Settings()
+    settings = ServiceSettings()
     assert (settings.queue, settings.token) == (4, None)
 
 
 def test_the_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FREEREIN_TOKEN", "secret")
-    settings = Settings()
+    settings = ServiceSettings()
     assert settings.token_text == "secret"
     assert "secret" not in f"{settings} {settings!r} {settings.model_dump_json()}"
 
@@ -60,7 +55,7 @@ def test_the_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_wrong_value_is_refused_by_its_name(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:
     monkeypatch.setenv(f"FREEREIN_{variable}", value)
     with pytest.raises(ValidationError) as error:
-        Settings()
+        ServiceSettings()
     assert error.value.errors()[0]["loc"] == (variable.lower(),)
 
 
@@ -71,9 +66,9 @@ def test_a_bind_beyond_loopback_needs_a_token_or_a_word_said_aloud(
 ) -> None:
     monkeypatch.setenv("FREEREIN_HOST", host)
     with pytest.raises(ValidationError, match="FREEREIN_INSECURE=1"):
-        Settings()
+        ServiceSettings()
     monkeypatch.setenv(f"FREEREIN_{variable}", value)
-    assert Settings().host == host
+    assert ServiceSettings().host == host
 
 
 def test_a_certificate_and_its_key_come_together_and_can_be_read(
@@ -88,20 +83,20 @@ def test_a_certificate_and_its_key_come_together_and_can_be_read(
         )
     monkeypatch.setenv("FREEREIN_TLS_CERT", "ours.crt")
     with pytest.raises(ValidationError, match="set together"):
-        Settings()
+        ServiceSettings()
     for key in ("other.key", "ours.crt", "missing"):
         monkeypatch.setenv("FREEREIN_TLS_KEY", key)
         with pytest.raises(ValidationError, match="belong together"):
-            Settings()
+            ServiceSettings()
     monkeypatch.setenv("FREEREIN_TLS_KEY", "ours.key")
     monkeypatch.setenv("FREEREIN_HOST", "0.0.0.0")
-    assert Settings().tls_key == Path("ours.key")
+    assert ServiceSettings().tls_key == Path("ours.key")
 
 
 def test_a_data_directory_that_is_a_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("FREEREIN_DATA_DIR", "file")
     with pytest.raises(ValidationError, match="must be a folder"):
-        Settings()
+        ServiceSettings()
     monkeypatch.setenv("FREEREIN_DATA_DIR", "new")
-    assert Settings().data_dir == Path("new")
+    assert ServiceSettings().data_dir == Path("new")

@@ -11,11 +11,11 @@ from typing_extensions import TypeAliasType
 
 from freerein import wire
 from freerein.errors import InvalidInput
-from freerein.types import common, imitation, learning, reward, segmentation, sim
+from freerein.types import common, imitation, learning, orchestrator, reward, segmentation, sim
 
 DATACLASSES = [
     cls
-    for module in (common, imitation, learning, reward, segmentation, sim)
+    for module in (common, imitation, learning, orchestrator, reward, segmentation, sim)
     for _, cls in inspect.getmembers(module, is_dataclass)
     if cls.__module__ == module.__name__
 ]

@@ -195,7 +195,7 @@ def test_a_malformed_card_is_refused(case: str, change: dict[str, object], tmp_p
     made = CASES[case]
     card = {"kind": made.make_policy.kind, **control(made.spec).to_card()}
     model_files.save_model(made.network(), tmp_path, card=card)
-    path = tmp_path / model_files.CARD
+    path = tmp_path / model_files.MODEL.card
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(InvalidInput):
         model.load(tmp_path, "cpu")

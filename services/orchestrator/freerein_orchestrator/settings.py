@@ -15,8 +15,6 @@ class OrchestratorSettings(ServiceSettings):
         device: Where policies are trained: `auto`, `cpu` or `cuda:N`.
     """
 
-    http_port: int = Field(default=8100, ge=0, le=65535)
-    grpc_port: int = Field(default=9100, ge=0, le=65535)
     database_url: SecretStr | None = None
     executor_id: str = Field(default="worker", pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")
     device: str = Field(default="auto", pattern=r"^(auto|cpu|cuda:\d+)$")

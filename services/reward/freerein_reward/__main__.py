@@ -1,8 +1,8 @@
 """The reward service as a process: `python -m freerein_reward`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 import torch
@@ -10,13 +10,11 @@ import torch
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
 from freerein.serving.batcher import Batcher
-from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward import fit, model
@@ -46,32 +44,26 @@ def build(
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
-    store = open_store(NAME, settings)
-    models = ModelCache(
-        store,
-        lambda folder: _warm(load(folder, settings.device)),
-        fit_command=f"freerein fit reward DATASET; a grounding model: {_PRETRAIN}",
-    )
-    grounding = _grounding_folder(store)
+    grounding = _grounding_folder(open_store(NAME, settings))
     goals = GoalCache(settings.goal_cache_bytes)
     batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
     )
-    fits = FitService(
-        settings.data_dir / "fits" / NAME,
-        module="freerein_reward.fit",
-        arguments=(str(settings.data_dir), settings.device, str(grounding)),
-        store=store,
-        models=models,
-        resolve=lambda dataset, config: _resolve(settings, grounding, dataset, config),
+    return learned_service(
+        NAME,
+        reward_pb2.DESCRIPTOR.services_by_name["RewardService"],
+        lambda models: (
+            RewardCore(models, batcher, goals, timeout_s=limits.unary_s),
+            GroundingCore(models, batcher, timeout_s=limits.unary_s),
+        ),
+        settings=settings,
         health=health,
+        batcher=batcher,
+        load=lambda folder: _warm(load(folder, settings.device)),
+        resolve=fit.resolve if grounding else _refuse_without_grounding,
+        fit_arguments=(str(grounding),),
+        fit_hint=f"; a grounding model: {_PRETRAIN}",
     )
-    cores = (
-        RewardCore(models, batcher, goals, timeout_s=limits.unary_s),
-        GroundingCore(models, batcher, timeout_s=limits.unary_s),
-    )
-    contract = reward_pb2.DESCRIPTOR.services_by_name["RewardService"]
-    return learned_service(NAME, contract, *cores, models=models, batchers=(batcher,), fits=fits)
 
 
 def _grounding_folder(store: ModelStore) -> Path | None:
@@ -80,16 +72,12 @@ def _grounding_folder(store: ModelStore) -> Path | None:
     return store.folder(ModelRef(model.GROUNDING, version)) if version else None
 
 
-def _resolve(
-    settings: RewardSettings, grounding: Path | None, dataset: str, config: Mapping[str, Any]
-) -> dict[str, Any]:
-    if grounding is None:
-        raise FailedPrecondition(
-            "A fit needs a grounding model to caption images; there is none.",
-            field="dataset",
-            hint=f"Train one: {_PRETRAIN}; then restart the service.",
-        )
-    return fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads)
+def _refuse_without_grounding(*_arguments: object, **_options: object) -> NoReturn:
+    raise FailedPrecondition(
+        "A fit needs a grounding model to caption images; there is none.",
+        field="dataset",
+        hint=f"Train one: {_PRETRAIN}; then restart the service.",
+    )
 
 
 def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:

@@ -27,9 +27,7 @@ _MAX_PHRASES = 32  # captions and time grow with the square
 def resolve(data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
     """Returns the complete configuration of a fit; `values` override the defaults.
 
-    Raises:
-        NotFound: There is no such dataset.
-        InvalidInput: The configuration is invalid, or the dataset cannot be learned from.
+    Raises NotFound without such a dataset, InvalidInput for a configuration or a dataset that cannot be learned from.
     """
     config = RewardConfig.from_mapping({"threads": threads, **values})
     opened = open_dataset(data_dir, dataset)

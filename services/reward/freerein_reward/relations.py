@@ -63,15 +63,10 @@ def rival_captions(goal_text: str) -> tuple[str, ...]:
 def classify_relation(
     first: npt.NDArray[np.floating], second: npt.NDArray[np.floating], *, epsilon: float
 ) -> npt.NDArray[np.int8]:
-    """Returns the relation of one object to another.
+    """Returns the relation of one object to another, int8 (...), values of `SpatialRelation`.
 
-    Args:
-        first: float (..., 2), x to the right and y down.
-        second: float (..., 2), likewise.
-        epsilon: Object width in the same unit: eps of table 4.1, in which `CLOSE` and `ABOVE` are measured.
-
-    Returns:
-        int8 (...), values of `SpatialRelation`.
+    Positions are float (..., 2), x to the right and y down. `epsilon` is the object width in the same unit: eps of
+    table 4.1, in which `CLOSE` and `ABOVE` are measured.
     """
     x, height = first[..., 0] - second[..., 0], second[..., 1] - first[..., 1]
     aligned = np.abs(x) < epsilon

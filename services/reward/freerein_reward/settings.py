@@ -12,6 +12,4 @@ class RewardSettings(LearnedSettings):
         goal_cache_bytes: Memory limit of the LRU cache of goal embeddings, in bytes.
     """
 
-    http_port: int = Field(default=8103, ge=0, le=65535)
-    grpc_port: int = Field(default=9103, ge=0, le=65535)
     goal_cache_bytes: int = Field(default=16 * 2**20, ge=0, le=2**34)

@@ -8,22 +8,19 @@ import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.serving.batcher import Batcher
-from freerein.serving.fits import FitService
 from freerein.serving.health import Health
-from freerein.serving.learned import learned_service, open_store
+from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_cache import ModelCache
 from freerein_segmentation import fit, model
 from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
-from freerein_segmentation.settings import SegmentationSettings
 
 NAME = "segmentation"
 
 
 def build(
-    settings: SegmentationSettings,
+    settings: LearnedSettings,
     limits: Limits,
     metrics: Metrics,
     health: Health,
@@ -32,25 +29,17 @@ def build(
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
-    store = open_store(NAME, settings)
-    models: ModelCache[SkillModel] = ModelCache(
-        store,
-        lambda folder: _warm(load(folder, settings.device)),
-        fit_command="freerein fit segmentation DATASET",
-    )
     batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
-    fits = FitService(
-        settings.data_dir / "fits" / NAME,
-        module="freerein_segmentation.fit",
-        arguments=(str(settings.data_dir), settings.device),
-        store=store,
-        models=models,
-        resolve=lambda dataset, config: fit.resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
+    return learned_service(
+        NAME,
+        segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
+        lambda models: (Segmenter(models, batcher, timeout_s=limits.unary_s),),
+        settings=settings,
         health=health,
+        batcher=batcher,
+        load=lambda folder: _warm(load(folder, settings.device)),
+        resolve=fit.resolve,
     )
-    core = Segmenter(models, batcher, timeout_s=limits.unary_s)
-    contract = segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"]
-    return learned_service(NAME, contract, core, models=models, batchers=(batcher,), fits=fits)
 
 
 def _warm(loaded: SkillModel) -> SkillModel:
@@ -62,4 +51,4 @@ def _warm(loaded: SkillModel) -> SkillModel:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, SegmentationSettings, build))
+    raise SystemExit(run(NAME, LearnedSettings, build))

@@ -15,7 +15,5 @@ class SimSettings(ServiceSettings):
         sim_sessions: Greatest number of open sessions.
     """
 
-    http_port: int = Field(default=8104, ge=0, le=65535)
-    grpc_port: int = Field(default=9104, ge=0, le=65535)
     sim_workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     sim_sessions: int = Field(default=64, ge=1, le=65536)

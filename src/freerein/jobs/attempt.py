@@ -43,7 +43,6 @@ class AttemptResult:
     Attributes:
         outcome: `succeeded` and `failed` end the job; after `crashed` it is attempted again.
         progressed: Whether the attempt did steps that no attempt before it had done.
-        error: Why it failed or crashed.
     """
 
     outcome: Literal["succeeded", "failed", "crashed"]
@@ -71,14 +70,7 @@ def retry(attempt: Callable[[], AttemptResult]) -> AttemptResult:
 
 
 class AttemptRunner:
-    """Makes attempts at jobs.
-
-    Args:
-        store: The jobs.
-        module: Module of the child process.
-        arguments: Arguments of the child process after the job's folder.
-        hidden: Environment variables that the child process must not see.
-    """
+    """Makes attempts at jobs: a child process of `module` that does not see the `hidden` environment variables."""
 
     def __init__(
         self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden: Sequence[str] = ()
@@ -89,14 +81,9 @@ class AttemptRunner:
         self._hidden = hidden
 
     def run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
-        """Starts a job's child process and returns how it ended.
+        """Starts a job's child process and returns how it ended; `should_stop` is called several times a second.
 
-        Args:
-            job_id: The job.
-            should_stop: Called several times a second.
-
-        Raises:
-            AttemptStopped: `should_stop` asked for it; the child has ended or was killed.
+        Raises AttemptStopped when `should_stop` asked for it; the child has then ended or was killed.
         """
         if not self._store.exists(job_id):
             return AttemptResult(

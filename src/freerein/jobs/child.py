@@ -19,7 +19,7 @@ PERMANENT_FAILURE = 2
 
 
 def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
-    """Does the work of a job, or resumes it, and ends with the process that started it.
+    """Does the work of a job, or resumes it; ends with the process that started it.
 
     Args:
         folder: Folder of the job, which holds `config.json`.

@@ -14,12 +14,8 @@ _READ_BYTES = 1 << 20
 def append(path: Path, make: Callable[[dict[str, Any] | None], Iterable[Mapping[str, Any]]]) -> None:
     """Appends documents durably, while no other process does; cuts off a torn last line first.
 
-    Args:
-        path: The file; created when missing.
-        make: Returns the documents, given the last one of the file.
-
-    Raises:
-        OSError: The disk is full or broken.
+    `make` returns the documents, given the last one of the file, which is created when missing. Raises OSError when the
+    disk is full or broken.
     """
     with path.open("ab+", buffering=0) as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -38,11 +34,7 @@ def last_document(path: Path) -> dict[str, Any] | None:
 
 
 class LineReader:
-    """Reads each line once while others append; starts again when the file is replaced.
-
-    Args:
-        path: The file; it may not exist yet.
-    """
+    """Reads each line once while others append; starts again when the file is replaced, and waits for a missing one."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -5,21 +5,18 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from freerein.atomic_files import write_atomic
-from freerein.types.jobs import MetricRow
+from freerein.types.jobs import JobMetrics, MetricRow
 
 
 class MetricsWriter:
     """Writes rows `{"step": ..., <metric>: <number>, ...}` in order of steps, without gaps or repeats after a crash.
 
-    Args:
-        path: The file; created when missing.
-        last_step: Step from which the job resumes; later rows are dropped, for they will be written again.
+    A job resumes from `last_step`: later rows are dropped, for they will be written again.
     """
 
     def __init__(self, path: Path, *, last_step: int) -> None:
@@ -28,11 +25,7 @@ class MetricsWriter:
         write_atomic(path, b"".join(line for line in lines if _is_kept(line, last_step)))
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Appends a row, whole or not at all.
-
-        Raises:
-            OSError: The disk is full or broken.
-        """
+        """Appends a row, whole or not at all. Raises OSError when the disk is full or broken."""
         row = json.dumps({"step": step, **metrics}).encode() + b"\n"
         with self._path.open("ab", buffering=0) as file:
             end = file.seek(0, os.SEEK_END)
@@ -41,31 +34,13 @@ class MetricsWriter:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@dataclass(frozen=True)
-class MetricsPage:
-    """Rows of metrics.
+def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
+    """Returns at most `max_rows` rows from a step on, evenly decimated, always with the first and the last.
 
-    Attributes:
-        rows: In order of steps.
-        total_rows: Number of rows before decimation.
-        next_step: First step of the rows that follow.
-    """
-
-    rows: tuple[MetricRow, ...]
-    total_rows: int
-    next_step: int
-
-
-def read_metrics(path: Path, *, from_step: int, max_rows: int) -> MetricsPage:
-    """Returns the rows from a step on, evenly decimated, always with the first and the last; without non-finite values.
-
-    Args:
-        path: The file; it may not exist yet.
-        from_step: First step wanted.
-        max_rows: Maximum number of rows, at least 1.
+    Values that are not finite are left out; the file may not exist yet.
     """
     if not path.is_file():
-        return MetricsPage((), 0, from_step)
+        return JobMetrics((), 0, from_step)
     with path.open("rb") as file:  # twice through the file, so that memory is bounded
         total = sum(1 for _ in _documents(file, from_step))
         count = min(total, max_rows)
@@ -73,13 +48,13 @@ def read_metrics(path: Path, *, from_step: int, max_rows: int) -> MetricsPage:
         file.seek(0)
         found = islice(_documents(file, from_step), total)
         rows = tuple(metric_row(document) for index, document in enumerate(found) if index in kept)
-    return MetricsPage(rows, total, rows[-1].step + 1 if rows else from_step)
+    return JobMetrics(rows, total, rows[-1].step + 1 if rows else from_step)
 
 
 def metric_row(document: Mapping[str, Any]) -> MetricRow:
     """Returns a row of the file without its non-finite values."""
-    finite = {name: float(value) for name, value in document.items() if name != "step" and _is_finite(value)}
-    return MetricRow(document["step"], finite)
+    numbers = {name: value for name, value in document.items() if name != "step" and isinstance(value, int | float)}
+    return MetricRow(document["step"], {name: float(each) for name, each in numbers.items() if math.isfinite(each)})
 
 
 def _documents(file: BinaryIO, from_step: int) -> Iterator[dict[str, Any]]:
@@ -88,10 +63,5 @@ def _documents(file: BinaryIO, from_step: int) -> Iterator[dict[str, Any]]:
             yield document
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
 def _is_kept(line: bytes, last_step: int) -> bool:
-    is_whole = line.endswith(b"\n")
-    return is_whole and bool(json.loads(line)["step"] <= last_step)
+    return line.endswith(b"\n") and bool(json.loads(line)["step"] <= last_step)

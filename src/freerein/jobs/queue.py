@@ -21,11 +21,8 @@ _CANCEL_S = 10.0
 class LocalQueue:
     """A queue of jobs. Its methods block, and belong on threads without an event loop.
 
-    Args:
-        store: The jobs.
-        runner: Makes the attempts.
-        publish: Called with the id of a job whose child has succeeded, unless it was cancelled; a `ServiceError` that
-            it raises is the error of the job.
+    `publish` is called with the id of a job whose child has succeeded, unless it was cancelled; a `ServiceError` that
+    it raises is the error of the job.
     """
 
     def __init__(self, store: JobStore, runner: AttemptRunner, *, publish: Callable[[str], None]) -> None:

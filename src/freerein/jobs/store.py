@@ -9,10 +9,12 @@
             log.txt        output of the child processes
 """
 
+import asyncio
 import fcntl
 import json
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,9 +23,9 @@ from typing import Any
 from freerein.atomic_files import write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
-from freerein.jobs.metrics import MetricsPage, read_metrics
+from freerein.jobs.metrics import read_metrics
 from freerein.types.common import ModelRef, check_id, check_name
-from freerein.types.jobs import ENDED, JobState, MetricRow
+from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
 from freerein.types.orchestrator import Artifact
 
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
@@ -33,14 +35,7 @@ _ROWS, _MAX_ROWS = 1000, 10_000
 
 @dataclass(frozen=True)
 class JobEvent:
-    """A job after a change.
-
-    Attributes:
-        state: State of the job.
-        step: Last step done.
-        metrics: Metrics of that step.
-        error: Reason of a failure, else empty.
-    """
+    """A job after a change; `error` is empty unless the job has failed."""
 
     state: JobState = "queued"
     step: int = 0
@@ -54,12 +49,7 @@ class JobEvent:
 
 
 class JobStore:
-    """The jobs of one folder.
-
-    Args:
-        root: The folder; created when missing.
-        noun: What a job is called in errors: `fit` or `run`.
-    """
+    """The jobs of one folder; `noun` is what a job is called in errors: `fit` or `run`."""
 
     def __init__(self, root: Path, *, noun: str) -> None:
         self._root = root
@@ -158,6 +148,34 @@ class JobStore:
         reader = LineReader(self.folder(job_id) / "events.jsonl")
         return lambda: [_event(document) for document in reader.read()]
 
+    async def watch(
+        self,
+        job_id: str,
+        *,
+        from_sequence: int,
+        pause: Callable[[bool], Awaitable[bool]],
+        threads: Executor | None = None,
+    ) -> AsyncIterator[tuple[int, dict[str, Any]]]:
+        """Yields sequence numbers and the fields of a job after each event; ends after the event that ends the job.
+
+        A watcher is only a position in a file: however slow it is, the job does not wait for it. `pause` is awaited
+        while there is no new event, with whether there was one since the last pause; it returns False to end the
+        stream. Files are read on `threads`, by default the default executor of the event loop.
+        """
+        events, loop = self.events(job_id), asyncio.get_running_loop()
+        sequence, ended, is_new = 0, False, False
+        while True:
+            while new := await loop.run_in_executor(threads, events):
+                is_new = True
+                for event in new:
+                    ended = event.ended
+                    if sequence >= from_sequence:
+                        yield sequence, await loop.run_in_executor(threads, self.fields, job_id, event)
+                    sequence += 1
+            if ended or not await pause(is_new):
+                return
+            is_new = False
+
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
         """Returns the fields of `Fit` and `Run` after an event, by default the last one.
 
@@ -169,7 +187,7 @@ class JobStore:
         model = ModelRef(**json.loads(path.read_bytes())) if has_model else None
         return {"id": job_id, **config, **vars(event), "model": model}
 
-    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> MetricsPage:
+    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> JobMetrics:
         """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
 
         Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.

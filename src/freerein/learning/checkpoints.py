@@ -34,13 +34,7 @@ _NAME = re.compile(r"step-(\d{9})")
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The full state of a training run between two updates.
-
-    Attributes:
-        step: Updates done.
-        tensors: Weights, optimiser state and generators, by name.
-        document: Everything else.
-    """
+    """The full state of a training run after `step` updates: its tensors by name, and everything else as a document."""
 
     step: int
     tensors: Mapping[str, Tensor]
@@ -50,8 +44,7 @@ class Checkpoint:
 def save(folder: Path, checkpoint: Checkpoint) -> None:
     """Writes a checkpoint, then deletes all but the newest `KEPT`.
 
-    Raises:
-        OSError: The disk is full or broken; earlier checkpoints are untouched.
+    Raises OSError when the disk is full or broken; earlier checkpoints are untouched.
     """
     folder.mkdir(parents=True, exist_ok=True)
     fsync_folder(folder.parent)
@@ -73,9 +66,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
 def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoint | None:
     """Returns the newest intact checkpoint, None without one.
 
-    Args:
-        folder: Written by `save`.
-        on_corrupt: Called with the step of each corrupt checkpoint, and the reason.
+    `on_corrupt` is called with the step of each corrupt checkpoint, and the reason.
     """
     for step, path in _newest_first(folder):
         try:

@@ -12,15 +12,7 @@ _SPATIAL = 32
 
 
 class _PatchStem(nn.Module):
-    """Subtracts the mean image and embeds square patches by a strided convolution.
-
-    Args:
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
-        patches: Approximate number of patches along the longer side.
-        outputs: Output channels of the convolution.
-    """
+    """Subtracts the mean image and embeds square patches, about `patches` along the longer side, by a convolution."""
 
     mean_image: Tensor
     pixel_std: Tensor
@@ -53,13 +45,8 @@ class PatchEncoder(_PatchStem):
     """A small CNN for small data that mostly ignores position: patch embedding, two 3 x 3 convolutions, max pooling.
 
     About 11 x 11 patches (6 to 10 times faster than a stack of 5 x 5 convolutions); the first 3 x 3 convolution also
-    sees patch coordinates (CoordConv). Global max pooling shares what is learned between positions.
-
-    Args:
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
-        features: Number of output features.
+    sees patch coordinates (CoordConv). Global max pooling shares what is learned between positions. Frames have height
+    and width in pixels, and 1 or 3 channels.
     """
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
@@ -87,11 +74,7 @@ class PatchEncoder(_PatchStem):
 class SpatialEncoder(_PatchStem):
     """A small CNN that keeps spatial layout: about 16 x 16 patches, two strided 3 x 3 convolutions, a dense layer.
 
-    Args:
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
-        features: Number of output features.
+    Frames are as in `PatchEncoder`.
     """
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:

@@ -24,10 +24,17 @@ from freerein.errors import FailedPrecondition
 from freerein.jobs.child import stop_on_sigterm
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
-from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON
 from freerein.learning.fit_config import FitConfig
-from freerein.learning.train_state import BestWeights, FitLoopState, N, TrainState, from_checkpoint, to_checkpoint
+from freerein.learning.train_state import (
+    BatchSampler,
+    BestWeights,
+    FitLoopState,
+    N,
+    TrainState,
+    from_checkpoint,
+    to_checkpoint,
+)
 
 _MAX_SAVE_FAILURES = 3
 
@@ -59,13 +66,7 @@ class Learner(Protocol[N]):
 
 @dataclass(frozen=True)
 class FitEvent:
-    """An event of the training loop, for a log.
-
-    Attributes:
-        kind: Kind of event.
-        step: Optimiser steps done.
-        detail: One sentence, or empty.
-    """
+    """An event of the training loop, for a log; `detail` is one sentence, or empty."""
 
     kind: Literal["resumed", "evaluated", "checkpoint_saved", "checkpoint_failed", "checkpoint_corrupt", "stopped"]
     step: int
@@ -74,13 +75,7 @@ class FitEvent:
 
 @dataclass(frozen=True, eq=False)
 class FitResult(Generic[N]):
-    """The result of a fit.
-
-    Attributes:
-        network: The network with the lowest validation loss, in evaluation mode.
-        best_step: Optimiser steps after which it was reached.
-        validation_loss: Its validation loss.
-    """
+    """The network with the lowest validation loss, in evaluation mode, and the steps after which it was reached."""
 
     network: N
     best_step: int

@@ -35,9 +35,5 @@ class FitConfig:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Self:
-        """Returns the configuration of the given values; other keys take their defaults.
-
-        Raises:
-            InvalidInput: A key is unknown, or a value has the wrong type or is out of bounds.
-        """
+        """Returns the configuration of the given values; see `freerein.learning.config.parse`."""
         return parse(cls, values)

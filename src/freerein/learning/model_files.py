@@ -6,9 +6,9 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import nn
@@ -19,21 +19,14 @@ from freerein.learning import tensor_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import C, parse
 
-WEIGHTS, CARD = "model.safetensors", "card.json"
 _MAX_CARD_BYTES = 1 << 20
 
 
-@dataclass(frozen=True)
-class ModelFileNames:
-    """File names of a model folder.
+class ModelFileNames(NamedTuple):
+    """File names of a model folder."""
 
-    Attributes:
-        weights: The weights.
-        card: The model card.
-    """
-
-    weights: str = WEIGHTS
-    card: str = CARD
+    weights: str = "model.safetensors"
+    card: str = "card.json"
 
 
 MODEL = ModelFileNames()
@@ -54,14 +47,7 @@ N = TypeVar("N", bound=nn.Module)
 
 
 def save_model(network: HasSpec, folder: Path, *, card: Mapping[str, JSON], names: ModelFileNames = MODEL) -> None:
-    """Writes a trained network as a folder that `load_model` reads.
-
-    Args:
-        network: The network.
-        folder: Created when missing; existing files are overwritten.
-        card: Entries of the model card beside `spec`.
-        names: File names.
-    """
+    """Writes a trained network as a folder that `load_model` reads; `card` holds the entries beside `spec`."""
     write_atomic(folder / names.weights, tensor_files.dump(dict(network.state_dict())))
     document = {**card, "spec": asdict(network.spec)}
     write_atomic(folder / names.card, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
@@ -100,11 +86,7 @@ def load_model(
 
 
 def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
-    """Returns the model card of a folder.
-
-    Raises:
-        InvalidInput: It is missing, or not a JSON object.
-    """
+    """Returns the model card of a folder. Raises InvalidInput when it is missing, or not a JSON object."""
     path = folder / names.card
     try:
         if path.stat().st_size > _MAX_CARD_BYTES:

@@ -14,14 +14,9 @@ def train_validation_split(
     unit: str = "trajectories",
     hint: str = "Record more: freerein sim demonstrate TASK --out NAME.",
 ) -> tuple[list[int], list[int]]:
-    """Returns the training items and the validation items, each sorted and not empty.
+    """Returns the training and the validation part of `items`, int (n,), each sorted and not empty.
 
-    Args:
-        items: int (n,).
-        fraction: Validation fraction, in [0, 1].
-        seed: Seed of the random split.
-        unit: What `items` are, for the error.
-        hint: How to get more of them, for the error.
+    `fraction` is that of the validation part, in [0, 1]; `unit` and `hint` are for the error.
 
     Raises:
         InvalidInput: There are fewer than 2 items.

@@ -22,11 +22,7 @@ def dump(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def parse(data: bytes) -> dict[str, Tensor]:
-    """Returns the tensors of a safetensors file, on the CPU.
-
-    Raises:
-        InvalidInput: The bytes are not safetensors, or the header is over a limit.
-    """
+    """Returns the tensors of a safetensors file, on the CPU; InvalidInput when it is malformed or over a limit."""
     _check_header(data)
     try:
         return safetensors.torch.load(data)

@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar, cast
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from freerein.errors import FailedPrecondition
-from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
 
 N = TypeVar("N", bound=nn.Module)
@@ -16,11 +17,9 @@ N = TypeVar("N", bound=nn.Module)
 
 @dataclass(frozen=True, eq=False)
 class TrainState(Generic[N]):
-    """What an optimiser step changes.
+    """What an optimiser step changes; network and optimiser are updated in place.
 
     Attributes:
-        network: Updated in place.
-        optimiser: Updated in place.
         generator: Source of all randomness of an optimiser step, on the CPU.
         step: Optimiser steps done.
     """
@@ -37,15 +36,37 @@ class TrainState(Generic[N]):
         return cls(network, torch.optim.Adam(trainable, lr, fused=True), generator)
 
 
-@dataclass(frozen=True, eq=False)
-class BestWeights:
-    """The weights with the lowest validation loss so far.
+@dataclass(eq=False)
+class BatchSampler:
+    """Draws minibatches without replacement, epoch after epoch; the last, incomplete batch of an epoch is dropped.
 
     Attributes:
-        step: Optimiser steps after which it was reached.
-        loss: The validation loss; infinite before the first evaluation.
-        weights: A copy of the network's state dict.
+        rng: Generator of each epoch's permutation.
+        order: int64 (n,), the permutation of the current epoch.
+        position: Number of items of `order` already drawn.
     """
+
+    rng: np.random.Generator
+    order: npt.NDArray[np.int64]
+    position: int
+
+    @classmethod
+    def start(cls, count: int, *, rng: np.random.Generator) -> "BatchSampler":
+        """Returns the sampler of `count` items before its first batch."""
+        return cls(rng, rng.permutation(count), 0)
+
+    def next_batch(self, batch_size: int) -> npt.NDArray[np.int64]:
+        """Returns the indices of the next batch, int64 (min(batch_size, n),)."""
+        size = min(batch_size, len(self.order))
+        if self.position + size > len(self.order):
+            self.order, self.position = self.rng.permutation(len(self.order)), 0
+        self.position += size
+        return self.order[self.position - size : self.position]
+
+
+@dataclass(frozen=True, eq=False)
+class BestWeights:
+    """A copy of the weights with the lowest validation loss so far, which is infinite before the first evaluation."""
 
     step: int = 0
     loss: float = float("inf")
@@ -57,9 +78,7 @@ class FitLoopState(Generic[N]):
     """The full state of a fit between two optimiser steps.
 
     Attributes:
-        state: Network, optimiser, generator, step.
         sampler: Sampler of the training items.
-        best: Best weights so far.
         metric_sums: Sum of each metric since the last row of metrics.
         metric_count: Number of optimiser steps in `metric_sums`.
     """
@@ -95,8 +114,7 @@ def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Ch
 def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Mapping[str, JSON]) -> FitLoopState[N]:
     """Returns the state of a checkpoint, loaded into the objects of a fresh state.
 
-    Raises:
-        FailedPrecondition: The checkpoint has another identity.
+    Raises FailedPrecondition when the checkpoint has another identity.
     """
     document = checkpoint.document
     _check_identity(cast(Mapping[str, JSON], document["identity"]), identity)

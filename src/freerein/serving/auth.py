@@ -8,14 +8,9 @@ _SCHEME = "bearer "
 
 
 def check(authorization: str, token: str) -> None:
-    """Checks the bearer token of a call in constant time.
+    """Checks the `Authorization` header of a call in constant time; an empty `token` allows every call.
 
-    Args:
-        authorization: Value of the `Authorization` header, empty when absent.
-        token: Expected token; empty when the service needs none.
-
-    Raises:
-        Unauthenticated: The token is missing or wrong.
+    Raises Unauthenticated when the token is missing or wrong.
     """
     given = authorization[len(_SCHEME) :] if authorization[: len(_SCHEME)].lower() == _SCHEME else ""
     if token and not hmac.compare_digest(given.encode(), token.encode()):

@@ -25,14 +25,7 @@ _CLOSE_TIMEOUT_S = 1.0
 
 @dataclass(frozen=True)
 class BatchResult(Generic[O]):
-    """The model's output for one item, and how it was computed.
-
-    Attributes:
-        output: The output.
-        queue_ns: Nanoseconds in the queue.
-        infer_ns: Nanoseconds of the model call.
-        batch_size: Items in the model call.
-    """
+    """The model's output for one item, its nanoseconds in the queue and in the model, and the items in that call."""
 
     output: O
     queue_ns: int

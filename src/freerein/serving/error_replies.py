@@ -13,7 +13,7 @@ from freerein.errors import Internal, ServiceError
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 GRPC_DOMAIN = "freerein"
 _MAX_TEXT_BYTES = 800  # per field: documents stay below 4 KiB, gRPC metadata below the 8 KiB that clients accept
-_TITLES = {
+TITLES = {
     400: "Malformed request",
     401: "Unauthenticated",
     404: "Not found",
@@ -41,7 +41,7 @@ def problem_document(error: ServiceError, request_id: str) -> bytes:
     return orjson.dumps(
         {
             "type": "about:blank",
-            "title": _TITLES[error.http_status],
+            "title": TITLES[error.http_status],
             "status": error.http_status,
             "code": error.code,
             "detail": _sanitised(error.detail),

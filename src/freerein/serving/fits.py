@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
 from freerein.jobs.store import JobStore
-from freerein.jobs.watch import watch
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import DEFAULT_NAME, ModelStore
@@ -28,7 +27,7 @@ class FitService:
 
     Args:
         folder: Folder of the fits.
-        module: Module of the child process, such as `freerein_segmentation.fit`; it writes the model to `model/`.
+        module: Module of the child process; it writes the model to `model/`.
         arguments: Arguments of the child process after the fit's folder.
         store: Where models are published.
         models: Loads a model before it is activated.
@@ -109,8 +108,8 @@ class FitService:
             return await self._health.await_or_drain(asyncio.sleep(_POLL_S, True)) is not None
 
         await self._in_thread(lambda: self._jobs.config(request.id))
-        events = watch(self._jobs, request.id, from_sequence=request.from_sequence, pause=pause, threads=self._threads)
-        async for sequence, fields in events:
+        start, threads = request.from_sequence, self._threads
+        async for sequence, fields in self._jobs.watch(request.id, from_sequence=start, pause=pause, threads=threads):
             yield learning.WatchFitResponse(sequence, learning.Fit(**fields))
 
     async def get_fit_metrics(self, request: learning.GetFitMetricsRequest) -> learning.GetFitMetricsResponse:

@@ -33,17 +33,9 @@ T = TypeVar("T")
 
 
 class GrpcServer:
-    """The gRPC server of one service.
+    """The gRPC server of one service; `server` is the `grpc.aio` server, to bind, start and stop.
 
-    Args:
-        methods: The service's methods.
-        health: Readiness.
-        metrics: Counts the calls.
-        limits: Size, time and stream limits.
-        token: Bearer token that calls must carry; empty for none.
-
-    Attributes:
-        server: The `grpc.aio` server, to bind, start and stop.
+    An empty `token` allows every call.
     """
 
     def __init__(
@@ -173,15 +165,13 @@ class _TokenInterceptor(grpc.aio.ServerInterceptor):
                 metadata = dict(details.invocation_metadata or ())
                 auth.check(str(metadata.get("authorization", "")), self._token)
         except ServiceError as error:
-            return _refusing_handler(error)
+            refusal = error
+
+            async def refuse(_messages: Any, context: _Context) -> None:
+                await abort_grpc(context, refusal, _request_id(context))
+
+            return grpc.stream_stream_rpc_method_handler(refuse)
         return await continuation(details)
-
-
-def _refusing_handler(error: ServiceError) -> "grpc.RpcMethodHandler[Any, Any]":
-    async def refuse(_messages: Any, context: _Context) -> None:
-        await abort_grpc(context, error, _request_id(context))
-
-    return grpc.stream_stream_rpc_method_handler(refuse)
 
 
 def _decode(message: bytes, cls: type[T]) -> T:

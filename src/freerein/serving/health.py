@@ -12,8 +12,7 @@ T = TypeVar("T")
 class Health:
     """Readiness of one service, and the event that begins its graceful shutdown.
 
-    Args:
-        not_ready: Returns why the service is not ready, empty when it is.
+    `not_ready` returns why the service is not ready, empty when it is.
     """
 
     def __init__(self, not_ready: Callable[[], str] = lambda: "") -> None:

@@ -1,6 +1,6 @@
-"""What services with learned models have in common: settings, model store, fits."""
+"""What services with learned models have in common: settings, models, one batcher, fits."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,13 +10,14 @@ from pydantic import Field
 from freerein.api.learning.v1 import learning_pb2
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import FitService
+from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.serving.settings import ServiceSettings
 
-M = TypeVar("M")
+Model = TypeVar("Model")
 
 
 class LearnedSettings(ServiceSettings):
@@ -41,21 +42,32 @@ def open_store(name: str, settings: LearnedSettings) -> ModelStore:
 def learned_service(
     name: str,
     contract: ServiceDescriptor,
-    *cores: object,
-    models: ModelCache[M],
-    batchers: Sequence[Batcher[Any, Any]],
-    fits: FitService,
+    make_cores: Callable[[ModelCache[Model]], Sequence[object]],
+    *,
+    settings: LearnedSettings,
+    health: Health,
+    batcher: Batcher[Any, Any],
+    load: Callable[[Path], Model],
+    resolve: Callable[..., dict[str, Any]],
+    fit_arguments: Sequence[str] = (),
+    fit_hint: str = "",
 ) -> Service:
-    """Returns a learned service.
+    """Returns a learned service: the methods of its cores, `FitService` and `ModelService`.
 
-    Args:
-        name: Name of the service.
-        contract: The service that the cores implement; `FitService` and `ModelService` are added.
-        cores: Implementations of its methods.
-        models: The loaded models.
-        batchers: The batchers, closed with the service.
-        fits: The fits.
+    A fit runs `freerein_<name>.fit`. `resolve` is called with the data directory, the dataset, the configuration and
+    `threads`; see `FitService`.
     """
+    store = open_store(name, settings)
+    models = ModelCache(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}")
+    fits = FitService(
+        settings.data_dir / "fits" / name,
+        module=f"freerein_{name}.fit",
+        arguments=(str(settings.data_dir), settings.device, *fit_arguments),
+        store=store,
+        models=models,
+        resolve=lambda dataset, config: resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
+        health=health,
+    )
 
     async def start() -> None:
         await models.start()
@@ -63,18 +75,17 @@ def learned_service(
 
     async def close() -> None:
         await fits.close()
-        for batcher in batchers:
-            batcher.close()
+        batcher.close()
 
     learning = learning_pb2.DESCRIPTOR.services_by_name
     return Service(
         name=name,
         methods=(
-            *methods_of(contract, *cores),
+            *methods_of(contract, *make_cores(models)),
             *methods_of(learning["FitService"], fits),
             *methods_of(learning["ModelService"], models),
         ),
         start=start,
         close=close,
-        not_ready=lambda: models.not_ready() or next(filter(None, (each.not_ready() for each in batchers)), ""),
+        not_ready=lambda: models.not_ready() or batcher.not_ready(),
     )

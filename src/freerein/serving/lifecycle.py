@@ -20,6 +20,7 @@ import uvloop
 from pydantic import ValidationError
 
 from freerein.errors import ServiceError
+from freerein.ports import PORTS, Ports
 from freerein.serving import logs
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
@@ -41,7 +42,6 @@ class Service:
     """A service as its process sees it.
 
     Attributes:
-        name: Its name.
         methods: Its methods, served over REST and gRPC.
         start: Warms it up, while the servers already listen.
         close: Releases what it holds.
@@ -59,14 +59,10 @@ Build = Callable[[S, Limits, Metrics, Health], Service]
 
 
 def run(name: str, settings_class: type[S], build: Build[S]) -> int:
-    """Runs a service until it is told to stop.
-
-    Returns:
-        The process's exit code.
-    """
+    """Runs a service until it is told to stop; returns the process's exit code."""
     logs.configure(name)
     try:
-        settings = settings_class()  # type: ignore[call-arg]  # every value comes from the environment or has a default
+        settings = settings_class()
     except ValidationError as error:
         return _configuration_error(_reason(error))
     try:
@@ -86,12 +82,13 @@ async def _serve(settings: S, build: Build[S]) -> int:
     built.append(service)
     app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits, token=token)
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)
+    ports = _chosen_ports(service.name, settings)
     try:
-        listener, grpc_port = _bind_both(grpc_server, settings)
+        listener, grpc_port = _bind_both(grpc_server, settings, ports)
     except (OSError, RuntimeError):
         return _configuration_error(
-            f"{settings.host} must be an address of this machine, and its ports {settings.http_port} and "
-            f"{settings.grpc_port} free; one could not be bound. "
+            f"{settings.host} must be an address of this machine, and its ports {ports.rest} and {ports.grpc} free; "
+            "one could not be bound. "
             "Set FREEREIN_HOST, FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT to others, or stop what holds the ports."
         )
     cert, key = (str(path) if path else None for path in (settings.tls_cert, settings.tls_key))
@@ -126,13 +123,18 @@ async def _warm_up(service: Service, http_server: HttpServer, health: Health) ->
         raise
 
 
-def _bind_both(grpc_server: GrpcServer, settings: ServiceSettings) -> tuple[socket.socket, int]:
+def _chosen_ports(name: str, settings: ServiceSettings) -> Ports:
+    rest, grpc_port = settings.http_port, settings.grpc_port
+    return Ports(PORTS[name].rest if rest is None else rest, PORTS[name].grpc if grpc_port is None else grpc_port)
+
+
+def _bind_both(grpc_server: GrpcServer, settings: ServiceSettings, ports: Ports) -> tuple[socket.socket, int]:
     """Returns the listening socket of the REST API, and the port that the gRPC server is bound to."""
-    _bind(settings.host, settings.grpc_port).close()  # gRPC itself would also print on stderr that the port is in use
-    listener = _bind(settings.host, settings.http_port)
+    _bind(settings.host, ports.grpc).close()  # gRPC itself would also print on stderr that the port is in use
+    listener = _bind(settings.host, ports.rest)
     try:
         listener.listen(_BACKLOG)
-        return listener, _bind_grpc(grpc_server, settings)
+        return listener, _bind_grpc(grpc_server, settings, ports.grpc)
     except BaseException:
         listener.close()
         raise
@@ -149,9 +151,9 @@ def _bind(host: str, port: int) -> socket.socket:
     return bound
 
 
-def _bind_grpc(grpc_server: GrpcServer, settings: ServiceSettings) -> int:
+def _bind_grpc(grpc_server: GrpcServer, settings: ServiceSettings, port: int) -> int:
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address = f"{host}:{settings.grpc_port}"
+    address = f"{host}:{port}"
     if settings.tls_cert is None or settings.tls_key is None:
         return grpc_server.server.add_insecure_port(address)
     pair = (settings.tls_key.read_bytes(), settings.tls_cert.read_bytes())

@@ -37,11 +37,7 @@ class Limits:
 
 
 class StreamSlots:
-    """Bounds how many streams one server has open.
-
-    Args:
-        limit: Streams open at once.
-    """
+    """Bounds how many streams one server has open at once."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -49,11 +45,7 @@ class StreamSlots:
 
     @contextmanager
     def hold(self) -> Iterator[None]:
-        """Holds one slot for the length of the block.
-
-        Raises:
-            Overloaded: All slots are held.
-        """
+        """Holds one slot for the length of the block. Raises Overloaded when all slots are held."""
         if self._open >= self._limit:
             raise Overloaded(
                 f"At most {self._limit} streams may be open at once; the limit is reached.",

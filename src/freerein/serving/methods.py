@@ -69,23 +69,14 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class InvalidMessage:
-    """A stream message that could not be decoded into its dataclass.
-
-    Attributes:
-        error: The reason.
-        seq: The `seq` of the numbered part that the message holds; None when it holds none.
-    """
+    """A stream message that could not be decoded, and the `seq` of the numbered part that it holds, if any."""
 
     error: ServiceError
     seq: int | None = None
 
 
 def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:
-    """Returns the methods of a service, each bound to the first core that implements it.
-
-    Raises:
-        LookupError: No core implements an RPC.
-    """
+    """Returns the methods of a service, each bound to the first core that implements it; LookupError without one."""
     return tuple(
         Method(
             descriptor=descriptor,

@@ -40,11 +40,7 @@ class ModelCache(Generic[M]):
         self._started = False
 
     async def start(self) -> None:
-        """Loads the active version of every model.
-
-        Raises:
-            FailedPrecondition: Files of a model are missing or changed.
-        """
+        """Loads the active version of every model. Raises FailedPrecondition when files are missing or changed."""
         for name in self._store.names():
             if version := self._store.active_version(name):
                 await self._get(ModelRef(name, version))
@@ -57,9 +53,7 @@ class ModelCache(Generic[M]):
     async def resolve(self, ref: ModelRef) -> tuple[ModelRef, M]:
         """Returns the model that a request names, and its full reference.
 
-        Raises:
-            FailedPrecondition: No version of that name is active.
-            NotFound: The model does not exist.
+        Raises FailedPrecondition when no version of that name is active, NotFound when the model does not exist.
         """
         name = check_name(ref.name or DEFAULT_NAME, field="model.name")
         version = ref.version or self._store.active_version(name)
@@ -77,12 +71,7 @@ class ModelCache(Generic[M]):
         return ListModelsResponse(await asyncio.to_thread(self._store.models))
 
     async def activate_model(self, request: ActivateModelRequest) -> ActivateModelResponse:
-        """Loads a version, then makes it the active one, between two batches.
-
-        Raises:
-            NotFound: The model does not exist.
-            FailedPrecondition: Its files changed, or the active version is not the expected one.
-        """
+        """Loads a version, then makes it the active one, between two batches; raises as `ModelStore.activate`."""
         name = check_name(request.name or DEFAULT_NAME, field="name")
         ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)

@@ -24,12 +24,7 @@ CLONE_MODELS = Path(__file__).parents[3] / "models"
 
 
 class ModelStore:
-    """The models of one service.
-
-    Args:
-        root: Folder that new models are published to.
-        shipped: Folder of the models shipped with freerein, read-only; searched after `root`.
-    """
+    """The models of one service: those published to `root`, then the read-only `shipped` ones."""
 
     def __init__(self, root: Path, shipped: Path | None = None) -> None:
         self._root = root
@@ -102,13 +97,21 @@ class ModelStore:
     def folder(self, ref: ModelRef) -> Path:
         """Returns the folder of a version after checking every file against the manifest.
 
-        Raises:
-            NotFound: The model does not exist.
-            FailedPrecondition: A file is missing or changed.
+        Raises NotFound when the model does not exist, FailedPrecondition when a file is missing or changed.
         """
-        path = self._find(ref)
-        _check(path, ref)
-        return path
+        folder = self._find(ref)
+        manifest = (folder / MANIFEST).read_bytes()
+        intact = hashlib.sha256(manifest).hexdigest().startswith(ref.version) and all(
+            (folder / name).is_file() and _sha256(folder / name) == digest
+            for name, digest in json.loads(manifest)["files"].items()
+        )
+        if not intact:
+            raise FailedPrecondition(
+                f"The files of model {ref.name} {ref.version} must match its manifest; one is missing or changed.",
+                field="model",
+                hint="Activate another version, or fit the model again.",
+            )
+        return folder
 
     def _find(self, ref: ModelRef) -> Path:
         check_name(ref.name, field="model.name")
@@ -138,20 +141,6 @@ def _version(path: Path) -> str:
             field="model",
             hint="Delete its active.json and activate a version again.",
         ) from None
-
-
-def _check(folder: Path, ref: ModelRef) -> None:
-    manifest = (folder / MANIFEST).read_bytes()
-    intact = hashlib.sha256(manifest).hexdigest().startswith(ref.version) and all(
-        (folder / name).is_file() and _sha256(folder / name) == digest
-        for name, digest in json.loads(manifest)["files"].items()
-    )
-    if not intact:
-        raise FailedPrecondition(
-            f"The files of model {ref.name} {ref.version} must match its manifest; one is missing or changed.",
-            field="model",
-            hint="Activate another version, or fit the model again.",
-        )
 
 
 def _folders(path: Path) -> Iterator[Path]:

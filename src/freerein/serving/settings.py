@@ -15,8 +15,9 @@ class ServiceSettings(BaseSettings):
 
     Attributes:
         host: Address to bind.
-        http_port: Port of the REST API; 0 for a free one.
-        grpc_port: Port of the gRPC server; 0 for a free one.
+        http_port: Port of the REST API; 0 for a free one, unset for the service's own: orchestrator 8100, segmentation
+            8101, imitation 8102, reward 8103, sim 8104.
+        grpc_port: Port of the gRPC server; 0 for a free one, unset for the service's own: 9100 to 9104 in that order.
         token: Bearer token that every call except health checks must carry; unset for none.
         tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
         tls_key: PEM file with the private key.
@@ -30,8 +31,8 @@ class ServiceSettings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
 
     host: str = "127.0.0.1"
-    http_port: int = Field(ge=0, le=65535)
-    grpc_port: int = Field(ge=0, le=65535)
+    http_port: int | None = Field(default=None, ge=0, le=65535)
+    grpc_port: int | None = Field(default=None, ge=0, le=65535)
     token: SecretStr | None = None
     tls_cert: Path | None = None
     tls_key: Path | None = None

@@ -19,11 +19,7 @@ _ID = re.compile(r"[0-9a-f]{32}")
 
 
 def check_name(name: str, *, field: str) -> str:
-    """Returns `name` if it is valid for a dataset, model, task, camera or key.
-
-    Raises:
-        InvalidInput: `name` does not match `^[a-z0-9][a-z0-9._-]{0,63}$`.
-    """
+    """Returns a valid name of a dataset, model, task, camera or key; raises InvalidInput for any other."""
     if _NAME.fullmatch(name) is None:
         raise InvalidInput(
             f"`{field}` must be 1 to 64 of a-z, 0-9, dot, underscore and dash, beginning with a letter or digit; "
@@ -35,11 +31,7 @@ def check_name(name: str, *, field: str) -> str:
 
 
 def check_id(value: str, *, field: str) -> str:
-    """Returns `value` if it is an id: 32 lower-case hexadecimal digits.
-
-    Raises:
-        InvalidInput: `value` is not an id.
-    """
+    """Returns a valid id, 32 lower-case hexadecimal digits; raises InvalidInput for any other."""
     if _ID.fullmatch(value) is None:
         raise InvalidInput(
             f"`{field}` must be an id of 32 hexadecimal digits; got {len(value)} other characters.",
@@ -54,7 +46,6 @@ class Image:
     """One encoded image; `freerein.images` decodes it.
 
     Attributes:
-        encoding: Encoding of `data`.
         height: Height in pixels; required for the raw encodings, 0 for "as in the file" for the others.
         width: Width in pixels; as `height`.
         data: The encoded bytes; for raw encodings height * width * channels bytes, row by row.
@@ -90,7 +81,6 @@ class Camera:
     """A camera of a world or a robot.
 
     Attributes:
-        name: Its name.
         height: Frame height in pixels; of a world, the default of rendering.
         width: Frame width in pixels; as `height`.
         channels: 1 or 3.
@@ -123,11 +113,7 @@ class ActionSpec:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One observation of a robot.
-
-    Attributes:
-        images: One per camera; for a model with a single camera, `camera` may be empty.
-    """
+    """One observation of a robot: an image per camera; for a model with a single camera, `camera` may be empty."""
 
     images: tuple[Image, ...] = ()
 
@@ -166,8 +152,6 @@ class Timing:
 
     Attributes:
         queue_ns: Time in the queue of the model.
-        decode_ns: Time to decode the request into arrays.
-        infer_ns: Time in the model.
         encode_ns: Time to encode the reply, as far as known when it is sent.
         total_ns: From the start of the first to the end of the last of these.
         batch_size: Items in the model call.
@@ -183,15 +167,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Error:
-    """A `ServiceError` as a stream message.
-
-    Attributes:
-        code: The error's code, such as `invalid_input`.
-        detail: One sentence: what was expected, what was received.
-        field: The invalid field, or empty.
-        hint: How to fix it.
-        retry_after_s: Seconds to wait before a retry; 0 when a retry cannot help.
-    """
+    """A `freerein.errors.ServiceError` as a stream message; `retry_after_s` is 0 when a retry cannot help."""
 
     code: str = ""
     detail: str = ""
@@ -202,10 +178,6 @@ class Error:
 
 @dataclass(frozen=True)
 class Draining:
-    """Sent on every open stream when the graceful shutdown begins.
-
-    Attributes:
-        deadline_s: Seconds until the server closes the stream.
-    """
+    """Sent on every open stream when the graceful shutdown begins, `deadline_s` seconds before the server closes it."""
 
     deadline_s: float = 0.0

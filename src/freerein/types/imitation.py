@@ -12,11 +12,7 @@ GoalForm = Literal["images", "recipe", "text"]
 
 @dataclass(frozen=True)
 class GetSpecRequest:
-    """Request for a model's spec.
-
-    Attributes:
-        model: The model; by default the active version of the default one.
-    """
+    """Requests a model's spec."""
 
     model: ModelRef = ModelRef()
 
@@ -26,9 +22,7 @@ class GetSpecResponse:
     """A model's spec.
 
     Attributes:
-        model: The model.
         cameras: Cameras of an observation, with image sizes.
-        action: Meaning of an action.
         horizon: Actions per reply, one for each of the next control steps.
         control_dt_s: Time between two actions, in seconds.
         goal_form: Form of its goals.
@@ -54,13 +48,11 @@ class ActRequest:
     """An observation, the actions executed before it, and the goal.
 
     Attributes:
-        observation: The observation.
         goal: The whole goal, in every call.
         executed_actions: Actions executed since the previous observation, whatever was proposed, float32 (N, A) or
             int64 (N, 1); None or N = 0 for none.
         state: `state` of the previous reply; empty at the start.
         max_steps_per_goal: Control steps after which a goal is abandoned for the next one; 0 for the model's own limit.
-        model: The model; by default the active version of the default one.
     """
 
     observation: Observation
@@ -83,8 +75,6 @@ class ActResponse:
             decreases.
         goal_abandoned: Whether a goal was abandoned, now or before.
         state: The policy state, for the next call. Opaque; at most 64 KiB.
-        model: The model that answered.
-        timing: Durations of this reply.
         goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
     """
 
@@ -103,9 +93,6 @@ class Hello:
     """Model and goal of a stream, and the robot's cameras and actions, which must match the model's spec.
 
     Attributes:
-        goal: The goal.
-        cameras: Cameras of the robot's observations.
-        action: Meaning of an action for the robot.
         control_dt_s: Time between two actions of the robot, in seconds.
         model: The model; the stream keeps its version.
         state: Last `state` of an earlier stream or `Act`, to continue from; empty at the start.
@@ -130,7 +117,6 @@ class Observed:
 
     Attributes:
         seq: Sequence number; must increase, gaps are fine.
-        observation: The observation.
         executed_actions: As in `ActRequest`.
         observation_time_ns: Time of the observation on the robot's clock.
     """
@@ -143,12 +129,7 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class ControlRequest:
-    """A message to a control stream: either a Hello, which is the first and only one, or an observation.
-
-    Attributes:
-        hello: Opens the stream.
-        observed: An observation.
-    """
+    """A message to a control stream: either a Hello, which is the first and only one, or an observation."""
 
     hello: Hello | None = None
     observed: Observed | None = None
@@ -156,19 +137,12 @@ class ControlRequest:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """The next actions; they replace what is left of the previous chunk.
+    """The next actions, as in `ActResponse`; they replace what is left of the previous chunk.
 
     Attributes:
-        actions: As in `ActResponse`.
-        goal_confidence: As in `ActResponse`.
-        goal_index: As in `ActResponse`.
-        goal_abandoned: As in `ActResponse`.
-        state: As in `ActResponse`.
         observation_time_ns: Echoed.
         valid_until_ns: Time on the robot's clock after which the chunk must not be executed; the robot holds.
         dropped: Observations of this stream so far that a newer one replaced.
-        timing: Durations of this reply.
-        goal_reached: As in `ActResponse`.
     """
 
     actions: npt.NDArray[Any]
@@ -190,7 +164,6 @@ class ControlResponse:
     Attributes:
         seq: The `seq` that a chunk or an error answers.
         spec: Answer to the Hello.
-        chunk: The next actions.
         error: Why an observation was rejected.
         draining: The service is stopping: open another stream, elsewhere, with the last state.
     """

@@ -4,41 +4,22 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from freerein.types.common import ModelRef
-from freerein.types.jobs import ENDED, JobState, MetricRow
+from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, ListJobsRequest, WatchJobRequest
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, kw_only=True)
+class Fit(Job):
     """One fit of one model.
 
     Attributes:
-        id: 32 hexadecimal digits.
-        state: Its state.
         dataset: Name of the dataset.
         model_name: Name of the resulting model.
-        config: Resolved configuration, with defaults filled in.
-        step: Updates done.
-        steps: Updates planned.
-        metrics: The latest metrics, such as `train_loss`.
-        model: The resulting model; None until the fit has succeeded.
-        error: Reason of the failure; empty unless it has failed.
+        model: The published model; None until the fit has succeeded.
     """
 
-    id: str
-    state: JobState
     dataset: str
     model_name: str
-    config: dict[str, Any]
-    step: int = 0
-    steps: int = 0
-    metrics: dict[str, float] = field(default_factory=dict)
     model: ModelRef | None = None
-    error: str = ""
-
-    @property
-    def ended(self) -> bool:
-        """Whether it has ended."""
-        return self.state in ENDED
 
 
 @dataclass(frozen=True)
@@ -65,11 +46,8 @@ class StartFitResponse:
     fit: Fit
 
 
-@dataclass(frozen=True)
-class GetFitRequest:
+class GetFitRequest(JobRequest):
     """Requests one fit by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)
@@ -79,43 +57,20 @@ class GetFitResponse:
     fit: Fit
 
 
-@dataclass(frozen=True)
-class ListFitsRequest:
-    """Requests one page of the fits.
-
-    Attributes:
-        page_size: Maximum number of fits, at most 1000; 0 for 100.
-        page_token: `next_page_token` of the previous page; empty for the first page.
-    """
-
-    page_size: int = 0
-    page_token: str = ""
+class ListFitsRequest(ListJobsRequest):
+    """Requests one page of the fits."""
 
 
 @dataclass(frozen=True)
 class ListFitsResponse:
-    """One page of the fits.
-
-    Attributes:
-        fits: Newest first.
-        next_page_token: `page_token` of the next page; empty on the last page.
-    """
+    """One page of the fits, newest first; `next_page_token` is empty on the last page."""
 
     fits: tuple[Fit, ...]
     next_page_token: str = ""
 
 
-@dataclass(frozen=True)
-class WatchFitRequest:
-    """Requests the events of one fit.
-
-    Attributes:
-        id: Id of the fit.
-        from_sequence: First event wanted; to resume, the last sequence number seen plus one.
-    """
-
-    id: str
-    from_sequence: int = 0
+class WatchFitRequest(WatchJobRequest):
+    """Requests the events of one fit."""
 
 
 @dataclass(frozen=True)
@@ -126,41 +81,16 @@ class WatchFitResponse:
     fit: Fit
 
 
-@dataclass(frozen=True)
-class GetFitMetricsRequest:
-    """Requests the metrics of one fit.
-
-    Attributes:
-        id: Id of the fit.
-        from_step: First step wanted; 0 for all.
-        max_rows: Maximum number of rows, at most 10000; 0 for 1000. More rows are decimated evenly.
-    """
-
-    id: str
-    from_step: int = 0
-    max_rows: int = 0
+class GetFitMetricsRequest(JobMetricsRequest):
+    """Requests the metrics of one fit."""
 
 
-@dataclass(frozen=True)
-class GetFitMetricsResponse:
-    """Metrics of one fit.
-
-    Attributes:
-        rows: In order of steps, evenly spaced over those recorded, always with the first and the last.
-        total_rows: Number of rows recorded from `from_step` on, before decimation.
-        next_step: `from_step` that returns only later rows.
-    """
-
-    rows: tuple[MetricRow, ...]
-    total_rows: int
-    next_step: int
+class GetFitMetricsResponse(JobMetrics):
+    """Metrics of one fit."""
 
 
-@dataclass(frozen=True)
-class CancelFitRequest:
+class CancelFitRequest(JobRequest):
     """Requests to cancel one fit by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)

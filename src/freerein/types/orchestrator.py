@@ -4,41 +4,17 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from freerein.types.common import ModelRef
-from freerein.types.jobs import ENDED, JobState, MetricRow
+from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, ListJobsRequest, WatchJobRequest
 
 RunKind = Literal["collect", "fit", "ppo", "distill", "evaluate", "pipeline"]
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run.
+@dataclass(frozen=True, kw_only=True)
+class Run(Job):
+    """One run; `model` is published to a service, None until a run that makes one has succeeded."""
 
-    Attributes:
-        id: 32 hexadecimal digits.
-        kind: Its kind.
-        state: Its state.
-        config: Resolved configuration, with defaults filled in.
-        step: Steps done: iterations, trajectories, episodes or updates, depending on the kind.
-        steps: Steps planned.
-        metrics: The latest metrics, such as `episode_return`.
-        model: Model published to a service; None until a run that makes one has succeeded.
-        error: Reason of the failure; empty unless it has failed.
-    """
-
-    id: str
     kind: RunKind
-    state: JobState
-    config: dict[str, Any]
-    step: int = 0
-    steps: int = 0
-    metrics: dict[str, float] = field(default_factory=dict)
     model: ModelRef | None = None
-    error: str = ""
-
-    @property
-    def ended(self) -> bool:
-        """Whether it has ended; a failed or cancelled run may be resumed."""
-        return self.state in ENDED
 
 
 @dataclass(frozen=True)
@@ -63,11 +39,8 @@ class StartRunResponse:
     run: Run
 
 
-@dataclass(frozen=True)
-class GetRunRequest:
+class GetRunRequest(JobRequest):
     """Requests one run by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)
@@ -77,43 +50,20 @@ class GetRunResponse:
     run: Run
 
 
-@dataclass(frozen=True)
-class ListRunsRequest:
-    """Requests one page of the runs.
-
-    Attributes:
-        page_size: Maximum number of runs, at most 1000; 0 for 100.
-        page_token: `next_page_token` of the previous page; empty for the first page.
-    """
-
-    page_size: int = 0
-    page_token: str = ""
+class ListRunsRequest(ListJobsRequest):
+    """Requests one page of the runs."""
 
 
 @dataclass(frozen=True)
 class ListRunsResponse:
-    """One page of the runs.
-
-    Attributes:
-        runs: Newest first.
-        next_page_token: `page_token` of the next page; empty on the last page.
-    """
+    """One page of the runs, newest first; `next_page_token` is empty on the last page."""
 
     runs: tuple[Run, ...]
     next_page_token: str = ""
 
 
-@dataclass(frozen=True)
-class WatchRunRequest:
-    """Requests the events of one run.
-
-    Attributes:
-        id: Id of the run.
-        from_sequence: First event wanted; to resume, the last sequence number seen plus one.
-    """
-
-    id: str
-    from_sequence: int = 0
+class WatchRunRequest(WatchJobRequest):
+    """Requests the events of one run."""
 
 
 @dataclass(frozen=True)
@@ -124,41 +74,16 @@ class WatchRunResponse:
     run: Run
 
 
-@dataclass(frozen=True)
-class GetMetricsRequest:
-    """Requests the metrics of one run.
-
-    Attributes:
-        id: Id of the run.
-        from_step: First step wanted; 0 for all.
-        max_rows: Maximum number of rows, at most 10000; 0 for 1000. More rows are decimated evenly.
-    """
-
-    id: str
-    from_step: int = 0
-    max_rows: int = 0
+class GetMetricsRequest(JobMetricsRequest):
+    """Requests the metrics of one run."""
 
 
-@dataclass(frozen=True)
-class GetMetricsResponse:
-    """Metrics of one run.
-
-    Attributes:
-        rows: In order of steps, evenly spaced over those recorded, always with the first and the last.
-        total_rows: Number of rows recorded from `from_step` on, before decimation.
-        next_step: `from_step` that returns only later rows.
-    """
-
-    rows: tuple[MetricRow, ...]
-    total_rows: int
-    next_step: int
+class GetMetricsResponse(JobMetrics):
+    """Metrics of one run."""
 
 
-@dataclass(frozen=True)
-class CancelRunRequest:
+class CancelRunRequest(JobRequest):
     """Requests to cancel one run by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)
@@ -168,11 +93,8 @@ class CancelRunResponse:
     run: Run
 
 
-@dataclass(frozen=True)
-class ResumeRunRequest:
+class ResumeRunRequest(JobRequest):
     """Requests to resume one run by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)
@@ -184,22 +106,14 @@ class ResumeRunResponse:
 
 @dataclass(frozen=True)
 class Artifact:
-    """A file that a run has written.
-
-    Attributes:
-        name: File name.
-        size: Size in bytes.
-    """
+    """A file that a run has written; `size` in bytes."""
 
     name: str
     size: int
 
 
-@dataclass(frozen=True)
-class ListArtifactsRequest:
+class ListArtifactsRequest(JobRequest):
     """Requests the artifacts of one run by its id."""
-
-    id: str
 
 
 @dataclass(frozen=True)
@@ -210,15 +124,9 @@ class ListArtifactsResponse:
 
 
 @dataclass(frozen=True)
-class GetArtifactRequest:
-    """Requests one artifact.
+class GetArtifactRequest(JobRequest):
+    """Requests one artifact of one run by its name."""
 
-    Attributes:
-        id: Id of the run.
-        name: Name of the artifact.
-    """
-
-    id: str
     name: str
 
 

@@ -16,13 +16,11 @@ class RewardRequest:
     """Frames, as `frames` or as `images`, and a goal text.
 
     Attributes:
-        goal_text: Description of the goal.
         frames: uint8 (N, H, W, C) by camera, C = 1 or 3, of any size; other cameras than the model's are ignored.
             Exactly one of `frames` and `images` is given.
         images: Encoded images; those of one camera in temporal order, the same number for every camera.
         rivals: Texts that the goal text must beat; empty for the goal text with every other relation.
         mode: `binary`, 1 where the goal text beats all rivals, else 0; or `raw`, the similarity.
-        model: The model; empty for the default one.
     """
 
     goal_text: str
@@ -44,8 +42,6 @@ class RewardResponse:
         texts: The goal text, then its rivals.
         truncated: Whether any text was too long for the model and was truncated.
         unknown_words: Number of words of the goal text outside the model's vocabulary.
-        model: The model that answered.
-        timing: Time spent in each stage.
     """
 
     rewards: npt.NDArray[np.float32]
@@ -60,13 +56,7 @@ class RewardResponse:
 
 @dataclass(frozen=True, eq=False)
 class GroundRequest:
-    """An image and the phrases to locate in it.
-
-    Attributes:
-        image: The image, of any size.
-        phrases: Distinct noun phrases, which compete with each other.
-        model: The grounding model; empty for the default one.
-    """
+    """An image of any size, and the phrases to locate in it: distinct noun phrases, which compete with each other."""
 
     image: Image
     phrases: tuple[str, ...]
@@ -78,7 +68,6 @@ class Grounding:
     """Location of a phrase in an image.
 
     Attributes:
-        phrase: The phrase.
         heatmap: Grad-CAM, float32 (H, W) in [0, 1], of the image's size.
         x: Horizontal position in pixels from the left edge.
         y: Vertical position in pixels from the upper edge.
@@ -94,13 +83,7 @@ class Grounding:
 
 @dataclass(frozen=True, eq=False)
 class GroundResponse:
-    """Groundings in the order of the request's phrases.
-
-    Attributes:
-        groundings: One per phrase.
-        model: The model that answered.
-        timing: Time spent in each stage.
-    """
+    """Groundings in the order of the request's phrases."""
 
     groundings: tuple[Grounding, ...]
     model: ModelRef
@@ -109,13 +92,10 @@ class GroundResponse:
 
 @dataclass(frozen=True, eq=False)
 class DescribeRequest:
-    """Images and the phrases to caption them with.
+    """Images of any sizes, and the distinct noun phrases to caption them with.
 
     Attributes:
-        images: Images of any sizes.
-        phrases: Distinct noun phrases.
         epsilon: Object width as a fraction of the image width; None for 0.1.
-        model: The grounding model; empty for the default one.
     """
 
     images: tuple[Image, ...]
@@ -133,13 +113,7 @@ class Description:
 
 @dataclass(frozen=True)
 class DescribeResponse:
-    """Descriptions in the order of the request's images.
-
-    Attributes:
-        descriptions: One per image.
-        model: The model that answered.
-        timing: Time spent in each stage.
-    """
+    """Descriptions in the order of the request's images."""
 
     descriptions: tuple[Description, ...]
     model: ModelRef
@@ -148,12 +122,7 @@ class DescribeResponse:
 
 @dataclass(frozen=True)
 class EmbedGoalRequest:
-    """A text to embed.
-
-    Attributes:
-        goal_text: The text.
-        model: The reward model; empty for the default one.
-    """
+    """A goal text to embed with a reward model."""
 
     goal_text: str
     model: ModelRef = ModelRef()
@@ -167,8 +136,6 @@ class EmbedGoalResponse:
         embedding: float32 (D,), of unit length.
         truncated: Whether the text was too long for the model and was truncated.
         unknown_words: Number of words outside the model's vocabulary.
-        model: The model that answered.
-        timing: Time spent in each stage.
     """
 
     embedding: npt.NDArray[np.float32]

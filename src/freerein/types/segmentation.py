@@ -14,7 +14,6 @@ class SegmentRequest:
     """One trajectory: its frames, as `frames` or as `images`, and the executed actions.
 
     Attributes:
-        model: The model; empty for the default one.
         frames: uint8 (T, H, W, C), C = 1 or 3. Exactly one of `frames` and `images` is given.
         images: Encoded images, one per timestep, all of one size.
         actions: float32 (T, A) or int64 (T, 1), as in training; None for a model without actions.
@@ -37,7 +36,6 @@ class Segment:
     Attributes:
         start: First timestep.
         end: One past the last timestep.
-        skill: The skill's name.
         confidence: Mean confidence of its timesteps, in [0, 1].
     """
 
@@ -55,9 +53,6 @@ class SegmentResponse:
         labels: int64 (T,), indices into `skills`.
         confidence: float32 (T,), probability of each label.
         segments: In order; together they cover [0, T) without gap or overlap.
-        skills: The model's skills.
-        model: The model that answered.
-        timing: Time spent in each stage.
     """
 
     labels: npt.NDArray[np.int64]
@@ -70,25 +65,17 @@ class SegmentResponse:
 
 @dataclass(frozen=True)
 class ListSkillsRequest:
-    """Names a model.
-
-    Attributes:
-        model: The model; empty for the default one.
-    """
+    """Requests the skills of a model."""
 
     model: ModelRef = ModelRef()
 
 
 @dataclass(frozen=True)
 class ListSkillsResponse:
-    """Skills and expected inputs of a model.
+    """Skills and expected inputs of a model; its frames have this height and width in pixels, and 1 or 3 channels.
 
     Attributes:
         skills: The skills; labels are indices into this list.
-        model: The model that was described.
-        height: Frame height in pixels; requests must match.
-        width: Frame width in pixels.
-        channels: Frame channels, 1 or 3.
         action_size: Numbers per action; 0 for a model without actions.
         action_choices: Number of discrete actions; 0 for continuous ones.
     """

@@ -18,11 +18,7 @@ class Task:
     """A world with an optional goal and its oracle.
 
     Attributes:
-        name: Task name.
-        world: World name.
         goal_text: Goal in words; empty for a task without a goal.
-        cameras: The cameras.
-        action: Action spec.
         control_dt_s: Time between two actions, in seconds.
         skills: Skills that the expert can execute.
         max_episode_steps: Steps after which an episode is truncated.
@@ -57,7 +53,6 @@ class CreateSessionRequest:
     """Creates a session.
 
     Attributes:
-        task: Task name.
         num_envs: Number of environments, stepped together; 0 means 1.
         seed: Environment i draws from SeedSequence(seed).spawn(num_envs)[i]; None: the server draws a seed.
         lease_s: Time without a call after which the session ends, in seconds; 0 means 60.
@@ -79,15 +74,7 @@ class CreateSessionRequest:
 
 @dataclass(frozen=True)
 class CreateSessionResponse:
-    """The session.
-
-    Attributes:
-        session: 32 hexadecimal digits.
-        seed: The seed in use.
-        num_envs: Number of environments.
-        task: The session's task.
-        lease_s: Time without a call after which the session ends, in seconds.
-    """
+    """The session: its id of 32 hexadecimal digits, and the values in use."""
 
     session: str
     seed: int
@@ -116,7 +103,6 @@ class ResetRequest:
     """Begins new episodes.
 
     Attributes:
-        session: The session.
         envs: Indices of environments; empty for all.
         seed: Re-seeds the generators before the reset; None keeps them.
         cameras: Cameras to render; empty for no frames.
@@ -130,12 +116,7 @@ class ResetRequest:
 
 @dataclass(frozen=True, eq=False)
 class ResetResponse:
-    """The first observations.
-
-    Attributes:
-        frames: By camera: uint8 (N, H, W, C), all environments.
-        truth: Only in a privileged session.
-    """
+    """The first observations of all environments; `truth` only in a privileged session."""
 
     frames: Frames
     truth: Truth | None = None
@@ -146,7 +127,6 @@ class StepRequest:
     """One action for each environment.
 
     Attributes:
-        session: The session.
         step_id: 1 for the session's first step, then one more each time; the last one repeated returns the recorded
             reply.
         actions: float32 or int64 (N, size), matching the task's `ActionSpec`.
@@ -164,7 +144,6 @@ class StepResponse:
     """Result of a step. An environment whose episode ended is reset in the same step.
 
     Attributes:
-        step_id: `step_id` of the request.
         frames: By camera: uint8 (N, H, W, C); of the new episode where one ended.
         reward: float32 (N,), always 0: the oracle reward is in `truth`.
         terminated: bool (N,), whether the episode terminated.
@@ -207,7 +186,6 @@ class RenderRequest:
     """Renders without stepping.
 
     Attributes:
-        session: The session.
         cameras: Cameras; empty for all of the task.
         height: Frame height in pixels; 0 means the session's.
         width: Frame width in pixels; 0 means the session's.
@@ -242,12 +220,7 @@ class SnapshotResponse:
 
 @dataclass(frozen=True)
 class RestoreRequest:
-    """Restores a snapshot.
-
-    Attributes:
-        session: The session; of the snapshot's task and number of environments.
-        snapshot: As returned by Snapshot.
-    """
+    """Restores a snapshot into a session of the same task and number of environments."""
 
     session: str
     snapshot: bytes
@@ -265,8 +238,6 @@ class DemonstrateRequest:
     """Records trajectories of a scripted policy.
 
     Attributes:
-        task: Task name.
-        behaviour: Scripted policy.
         skills: Skills to choose from; empty for all of the task.
         min_skills: Fewest different skills in one trajectory; 0 means 1.
         max_skills: Most different skills in one trajectory; 0 means as many as `skills`.
@@ -299,7 +270,6 @@ class DemonstrateResponse:
 
     Attributes:
         index: Index of the trajectory, counted from the request's `first`.
-        trajectory: Frames, actions and the set of skills.
         labels: int64 (T,), index of the skill at each timestep, into the task's skills; empty unless privileged.
     """
 

@@ -13,10 +13,9 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
-from freerein.learning.batch_sampler import BatchSampler
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.train_state import FitLoopState, TrainState
+from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec

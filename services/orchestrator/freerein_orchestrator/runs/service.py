@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 
 from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceError, Unavailable
 from freerein.jobs.store import JobStore
-from freerein.jobs.watch import watch
 from freerein.serving.health import Health
 from freerein.types import orchestrator
 from freerein.types.common import check_name
@@ -147,7 +146,7 @@ class RunService:
                 heard_s, checking = clock(), self._in_thread(lambda: self._try_to_repair(request.id))
             return await self._health.await_or_drain(asyncio.sleep(_POLL_S, True)) is not None
 
-        async for sequence, fields in watch(self._store, request.id, from_sequence=request.from_sequence, pause=pause):
+        async for sequence, fields in self._store.watch(request.id, from_sequence=request.from_sequence, pause=pause):
             yield orchestrator.WatchRunResponse(sequence, orchestrator.Run(**fields))
 
     async def get_metrics(self, request: orchestrator.GetMetricsRequest) -> orchestrator.GetMetricsResponse:

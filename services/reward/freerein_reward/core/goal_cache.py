@@ -30,11 +30,7 @@ class GoalEmbedding:
 
 
 class GoalCache:
-    """Most recently used embeddings of any model. Any thread may read; the model's thread writes.
-
-    Args:
-        limit_bytes: Memory limit in bytes, texts included.
-    """
+    """Most recently used embeddings of any model, bounded in bytes. Any thread may read; the model's thread writes."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
@@ -54,13 +50,7 @@ class GoalCache:
             return self._entries.get((ref, text))
 
     def embed(self, ref: ModelRef, model: RewardModel, texts: Iterable[str]) -> dict[str, GoalEmbedding]:
-        """Returns the embedding of each text; missing ones are computed in batches.
-
-        Args:
-            ref: The model's name and version, part of the key.
-            model: The model.
-            texts: The texts; duplicates are computed once.
-        """
+        """Returns the embedding of each text; missing ones are computed in batches, duplicates once."""
         cached = {text: self.find(ref, text) for text in texts}
         found = {text: embedding for text, embedding in cached.items() if embedding is not None}
         missing = [text for text in cached if text not in found]

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
 from typing import cast
@@ -39,19 +40,13 @@ _MIN_PRESENCE = 0.5
 _IMAGES_AT_ONCE = 16
 
 
+@dataclass(frozen=True, eq=False)
 class GroundingCore:
     """Core of the RPCs `Ground` and `Describe`."""
 
-    def __init__(
-        self,
-        models: ModelCache[RewardModel | GroundingModel],
-        batcher: Batcher[InferenceItem, InferenceOutput],
-        *,
-        timeout_s: float,
-    ) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: ModelCache[RewardModel | GroundingModel]
+    batcher: Batcher[InferenceItem, InferenceOutput]
+    timeout_s: float
 
     async def ground(self, request: GroundRequest) -> GroundResponse:
         """Returns the location of each phrase in an image.
@@ -74,11 +69,7 @@ class GroundingCore:
     async def describe(self, request: DescribeRequest) -> DescribeResponse:
         """Returns captions of the spatial relations that images show (table 4.1).
 
-        Raises:
-            InvalidInput: A phrase, an image or `epsilon` is invalid, or the model is a reward model.
-            UnsupportedMedia: An image is not in the declared encoding.
-            OutputNotFinite: The model overflowed.
-            NotFound, FailedPrecondition: There is no such model, or no active one.
+        Raises InvalidInput when a phrase, an image or `epsilon` is invalid; otherwise as `ground`.
         """
         timer = CallTimer()
         _check_describe(request)
@@ -95,7 +86,7 @@ class GroundingCore:
         return DescribeResponse(tuple(descriptions), ref, timer.timing())
 
     async def _resolve(self, ref: ModelRef) -> tuple[ModelRef, GroundingModel]:
-        ref, model = await self._models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
+        ref, model = await self.models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
         if not isinstance(model, GroundingModel):
             raise wrong_kind(ref, got="reward", expected="grounding")
         return ref, model
@@ -105,17 +96,14 @@ class GroundingCore:
     ) -> PhraseLocations:
         """Locates phrases in a few images, in a batch of their own."""
         item = GroundItem(model, images, phrases)
-        done = self._batcher.submit(item, key=object(), timeout_s=self._timeout_s)
+        done = self.batcher.submit(item, key=object(), timeout_s=self.timeout_s)
         return cast(PhraseLocations, await timer.infer(done))
 
 
 def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) -> list[tuple[str, ...]]:
     """Returns for each image a caption of each ordered pair of phrases that it shows (table 4.1).
 
-    Args:
-        found: Locations of the phrases.
-        phrases: P noun phrases.
-        epsilon: Object width as a fraction of the image width.
+    `epsilon` is the object width as a fraction of the image width.
     """
     relations = pairwise_relations(found.x, found.y, found.presence >= _MIN_PRESENCE, epsilon=epsilon)  # (N, P, P)
     pairs = tuple(permutations(range(len(phrases)), 2))

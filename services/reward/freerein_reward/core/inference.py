@@ -17,12 +17,7 @@ from freerein_reward.model import PhraseLocations
 
 @dataclass(frozen=True, eq=False)
 class ScoreItem:
-    """Frames to compare with texts, or texts alone.
-
-    Attributes:
-        texts: One or more texts.
-        views: uint8 (N, H, W, 3) by camera; None for texts alone.
-    """
+    """Frames by camera, uint8 (N, H, W, 3), to compare with one or more texts; without `views` texts alone."""
 
     ref: ModelRef
     model: RewardModel
@@ -32,12 +27,7 @@ class ScoreItem:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """InferenceOutput of a `ScoreItem`.
-
-    Attributes:
-        goals: Embeddings of K texts.
-        similarities: float32 (N, K) in [-1, 1], cosine similarity of each frame and text.
-    """
+    """Embeddings of K texts, and their cosine similarities to frames, float32 (N, K) in [-1, 1]."""
 
     goals: tuple[GoalEmbedding, ...]
     similarities: npt.NDArray[np.float32]
@@ -45,11 +35,7 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class GroundItem:
-    """Images in which to locate phrases.
-
-    Attributes:
-        images: uint8 (N, H, W, 3).
-    """
+    """Images, uint8 (N, H, W, 3), in which to locate phrases."""
 
     model: GroundingModel
     images: npt.NDArray[np.uint8]

@@ -1,7 +1,6 @@
 """Validation and decoding of requests: texts, images, frames by camera."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -76,9 +75,8 @@ def _check_text(text: str, field: str, hint: str) -> None:
 def decode_image(image: Image, preprocess: Preprocess, *, phrases: int) -> tuple[Pixels, tuple[int, int]]:
     """Returns the model's input, uint8 (1, H, W, 3), and the image's own height and width.
 
-    Raises:
-        InvalidInput: The image is corrupt or too large, or its heatmaps for so many phrases would be.
-        UnsupportedMedia: The data is not in the declared encoding.
+    Raises InvalidInput for an image that is corrupt or too large, or whose heatmaps for so many phrases would be, and
+    UnsupportedMedia for another encoding than declared.
     """
     pixels = phrases * images.pixel_count(image, field="image")
     if pixels > MAX_HEATMAP_PIXELS:
@@ -92,19 +90,9 @@ def decode_image(image: Image, preprocess: Preprocess, *, phrases: int) -> tuple
 
 
 def check_pixels(encoded: Sequence[Image]) -> None:
-    """Checks the total size of encoded images by their headers.
-
-    Raises:
-        InvalidInput: They are too large together, or a header is corrupt.
-        UnsupportedMedia: The data of one is not in the declared encoding.
-    """
+    """Checks the total size of encoded images by their headers; raises as `freerein.images.pixel_count`."""
     total = sum(images.pixel_count(image, field=f"images.{index}") for index, image in enumerate(encoded))
-    if total > images.MAX_REQUEST_PIXELS:
-        raise InvalidInput(
-            f"`images` must have at most {images.MAX_REQUEST_PIXELS} pixels in total; got {total}.",
-            field="images",
-            hint="Scale the images down: the model's input is smaller.",
-        )
+    images.check_total_pixels(total, hint="Scale the images down: the model's input is smaller.")
 
 
 class EncodedFrames:
@@ -123,12 +111,7 @@ class EncodedFrames:
 
 
 def model_inputs(frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int) -> Pixels:
-    """Returns the model's inputs of the frames in [start, stop), uint8 (N, H, W, 3).
-
-    Raises:
-        InvalidInput: An image is corrupt.
-        UnsupportedMedia: The data of an image is not in the declared encoding.
-    """
+    """Returns the model's inputs, uint8 (N, H, W, 3), of the frames in [start, stop); raises as `images.decode`."""
     return np.stack([preprocess(frames[index]) for index in range(start, stop)])
 
 
@@ -140,16 +123,10 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[st
         UnsupportedMedia: The data of an image is not in the declared encoding.
         TooLarge: There are too many frames.
     """
-    if bool(request.frames) == bool(request.images):
-        raise InvalidInput(
-            f"Exactly one of `frames` and `images` must be given; got {'both' if request.images else 'neither'}.",
-            field="frames",
-            hint="Send `images` over REST, `frames` over gRPC.",
-        )
+    images.check_one_form(has_frames=bool(request.frames), has_images=bool(request.images))
     field = "frames" if request.frames else "images"
     _check_count(len(request.images) // len(cameras), field)  # before any header is read
-    given = _tensor_frames(request.frames) if request.frames else _encoded_frames(request.images)
-    chosen = _choose_cameras(given, cameras, field)
+    chosen = _choose_cameras(_frames_by_camera(request), cameras, field)
     counts = {camera: len(frames) for camera, frames in chosen.items()}
     if len(set(counts.values())) > 1:
         raise InvalidInput(
@@ -162,24 +139,14 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[st
     return chosen
 
 
-def _tensor_frames(frames: Mapping[str, npt.NDArray[Any]]) -> Mapping[str, FrameSequence]:
-    for array in frames.values():
-        if array.dtype != np.uint8 or array.ndim != 4 or array.shape[3] not in (1, 3) or 0 in array.shape:
-            raise InvalidInput(
-                "`frames` must be UINT8 of shape (N, H, W, C), N at least 1 and C 1 or 3; "
-                f"got {array.dtype} {array.shape}.",
-                field="frames",
-                hint="Put channels last, and scale floats to 0..255.",
-            )
-    return frames
-
-
-def _encoded_frames(encoded: Sequence[Image]) -> Mapping[str, FrameSequence]:
-    check_pixels(encoded)
+def _frames_by_camera(request: RewardRequest) -> Mapping[str, FrameSequence]:
+    if request.frames:
+        return {camera: images.check_frames(frames, axis="N") for camera, frames in request.frames.items()}
+    check_pixels(request.images)
     indices: dict[str, list[int]] = {}
-    for index, image in enumerate(encoded):
+    for index, image in enumerate(request.images):
         indices.setdefault(image.camera, []).append(index)
-    return {camera: EncodedFrames(encoded, own) for camera, own in indices.items()}
+    return {camera: EncodedFrames(request.images, own) for camera, own in indices.items()}
 
 
 def _choose_cameras(

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -22,21 +23,14 @@ from freerein_reward.relations import rival_captions
 _FRAMES_AT_ONCE = 64
 
 
+@dataclass(frozen=True, eq=False)
 class RewardCore:
     """Core of the RPCs `Reward` and `EmbedGoal`."""
 
-    def __init__(
-        self,
-        models: ModelCache[RewardModel | GroundingModel],
-        batcher: Batcher[InferenceItem, InferenceOutput],
-        goals: GoalCache,
-        *,
-        timeout_s: float,
-    ) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._goals = goals
-        self._timeout_s = timeout_s
+    models: ModelCache[RewardModel | GroundingModel]
+    batcher: Batcher[InferenceItem, InferenceOutput]
+    goals: GoalCache
+    timeout_s: float
 
     async def reward(self, request: RewardRequest) -> RewardResponse:
         """Returns the reward of every frame for a goal text (section 4.2).
@@ -77,15 +71,12 @@ class RewardCore:
     async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
         """Returns the embedding of a goal text.
 
-        Raises:
-            InvalidInput: The text is empty, blank or too long, or the model is a grounding model.
-            OutputNotFinite: The model overflowed.
-            NotFound, FailedPrecondition: There is no such model, or no active one.
+        Raises InvalidInput when the text is empty, blank or too long; otherwise as `reward`.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
         ref, model = await self._resolve(request.model, allow_grounding=False)
-        goal = self._goals.find(ref, request.goal_text)
+        goal = self.goals.find(ref, request.goal_text)
         if goal is None:
             (goal,) = (await self._infer(ScoreItem(ref, model, (request.goal_text,)), ref, timer)).goals
         return EmbedGoalResponse(
@@ -98,13 +89,13 @@ class RewardCore:
 
     async def _resolve(self, ref: ModelRef, *, allow_grounding: bool) -> tuple[ModelRef, RewardModel]:
         """Returns a reward model; a grounding model's raw similarities are the base reward of section 4.2."""
-        ref, model = await self._models.resolve(ref)
+        ref, model = await self.models.resolve(ref)
         if not isinstance(model, RewardModel) or (isinstance(model, GroundingModel) and not allow_grounding):
             raise wrong_kind(ref, got="grounding", expected="reward")
         return ref, model
 
     async def _infer(self, item: ScoreItem, key: object, timer: CallTimer) -> Scores:
-        return cast(Scores, await timer.infer(self._batcher.submit(item, key=key, timeout_s=self._timeout_s)))
+        return cast(Scores, await timer.infer(self.batcher.submit(item, key=key, timeout_s=self.timeout_s)))
 
 
 def _views(

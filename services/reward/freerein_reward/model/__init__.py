@@ -1,22 +1,14 @@
 """The dual encoder: image encoder, text encoder, tokenizer, inference, loading."""
 
-from freerein_reward.model.dual_encoder import DualEncoder, channels_last
-from freerein_reward.model.dual_encoder_model import DualEncoderModel, preprocess
-from freerein_reward.model.grounding import GradCamModel, PhraseLocations, contrast_texts
-from freerein_reward.model.loading import GROUNDING, REWARD, load, load_grounding
-from freerein_reward.model.spec import DualEncoderSpec
-
-__all__ = [
-    "GROUNDING",
-    "REWARD",
-    "DualEncoder",
-    "DualEncoderModel",
-    "DualEncoderSpec",
-    "GradCamModel",
-    "PhraseLocations",
-    "channels_last",
-    "contrast_texts",
-    "load",
-    "load_grounding",
-    "preprocess",
-]
+from freerein_reward.model.dual_encoder import DualEncoder as DualEncoder
+from freerein_reward.model.dual_encoder import channels_last as channels_last
+from freerein_reward.model.dual_encoder_model import DualEncoderModel as DualEncoderModel
+from freerein_reward.model.dual_encoder_model import preprocess as preprocess
+from freerein_reward.model.grounding import GradCamModel as GradCamModel
+from freerein_reward.model.grounding import PhraseLocations as PhraseLocations
+from freerein_reward.model.grounding import contrast_texts as contrast_texts
+from freerein_reward.model.loading import GROUNDING as GROUNDING
+from freerein_reward.model.loading import REWARD as REWARD
+from freerein_reward.model.loading import load as load
+from freerein_reward.model.loading import load_grounding as load_grounding
+from freerein_reward.model.spec import DualEncoderSpec as DualEncoderSpec

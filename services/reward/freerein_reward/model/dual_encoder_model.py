@@ -14,14 +14,7 @@ _IMAGES_AT_ONCE = 16
 
 
 class DualEncoderModel:
-    """Embeds images and texts on the network's own device.
-
-    Args:
-        network: The trained network.
-
-    Attributes:
-        cameras: Cameras that it expects.
-    """
+    """Embeds images and texts with a trained network, on its own device; a `freerein_reward.core.RewardModel`."""
 
     def __init__(self, network: DualEncoder) -> None:
         self.network = channels_last(network.eval())

@@ -15,12 +15,7 @@ GROUNDING, REWARD = "grounding", "reward"
 def load(folder: Path, device: str) -> DualEncoderModel:
     """Returns the model in a folder; a `GradCamModel` when its kind is `grounding`.
 
-    Args:
-        folder: Written by `freerein.learning.model_files.save_model`; read as untrusted.
-        device: `auto`, `cpu` or `cuda:N`.
-
-    Raises:
-        InvalidInput: A file is missing or malformed, or the card names another kind.
+    Raises InvalidInput when the card names another kind; otherwise as `freerein.learning.model_files.load_model`.
     """
     kind = model_files.read_card(folder).get("kind")
     if kind not in (GROUNDING, REWARD):
@@ -33,11 +28,7 @@ def load(folder: Path, device: str) -> DualEncoderModel:
 
 
 def load_grounding(folder: Path, device: str) -> GradCamModel:
-    """Returns the grounding model in a folder.
-
-    Raises:
-        InvalidInput: As `load`, or it is a reward model.
-    """
+    """Returns the grounding model in a folder. Raises as `load`, and InvalidInput for a reward model."""
     model = load(folder, device)
     if not isinstance(model, GradCamModel):
         raise InvalidInput("Captions need a grounding model; got a reward model.", field="grounding")

@@ -36,11 +36,7 @@ class Tokens(NamedTuple):
 
 @dataclass(frozen=True)
 class Tokenizer:
-    """Splits texts into words, in linear time.
-
-    Attributes:
-        vocabulary: Known words, in lower case, in the order of their tokens.
-    """
+    """Splits texts into words, in linear time; `vocabulary` holds the known words, in lower case, in token order."""
 
     vocabulary: tuple[str, ...]
 

@@ -72,9 +72,7 @@ class CaptionDataset:
     def shifted(self, offsets: npt.NDArray[np.int64], *, limit: int) -> "CaptionDataset":
         """Returns the dataset with images shifted by whole pixels, edges replicated; captions stay.
 
-        Args:
-            offsets: int64 (N, 2), rows and columns, in [-limit, limit].
-            limit: Largest offset.
+        `offsets` are rows and columns, int64 (N, 2) in [-limit, limit].
         """
         views = tuple(_shift(view, offsets, limit) for view in self.views)
         return CaptionDataset(views, self.phrases, self.relations, self.sides)
@@ -84,13 +82,8 @@ class CaptionDataset:
     ) -> tuple["CaptionDataset", "CaptionDataset"]:
         """Returns the training and the validation images, of whole trajectories; images without captions are dropped.
 
-        Args:
-            lengths: int64 (n,), timesteps of each trajectory, with sum N.
-            fraction: Validation fraction of the trajectories.
-            seed: Seed of the split.
-
-        Raises:
-            InvalidInput: There is only one trajectory, or a side has no captions.
+        `lengths`, int64 (n,), are the timesteps of each trajectory, with sum N; `fraction` is the validation part's.
+        Raises InvalidInput when there is only one trajectory, or a side has no captions.
         """
         trajectories = np.repeat(np.arange(len(lengths)), lengths)  # (N,)
         has_caption = (self.relations != NO_CAPTION).any(axis=(1, 2))
@@ -118,12 +111,8 @@ def caption_images(
 ) -> CaptionDataset:
     """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
 
-    Args:
-        dataset: The dataset.
-        grounding: Locates the phrases in the frames of the first camera.
-        config: Cameras, phrases and thresholds.
-        path: Cache of the captions, read when it exists, else written.
-        on_progress: Called with the fraction done, in [0, 1].
+    The phrases are located in the frames of the first camera. `path` is a cache of the captions, read when it exists,
+    else written; `on_progress` is called with the fraction done, in [0, 1].
     """
     size = grounding.network.spec.image_size
     views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
@@ -147,11 +136,7 @@ def pairwise_relations(
 ) -> npt.NDArray[np.int8]:
     """Returns the relation of each ordered pair by table 4.1, int8 (N, P, P), `NO_CAPTION` where one is not shown.
 
-    Args:
-        x: (N, P), to the right.
-        y: (N, P), down.
-        is_shown: bool (N, P).
-        epsilon: Object width in the unit of x and y.
+    Positions (N, P), x to the right, y down, have the unit of `epsilon`, the object width; `is_shown` is bool (N, P).
     """
     positions = np.stack([x, y], axis=-1)  # (N, P, 2)
     relations = classify_relation(positions[:, :, None], positions[:, None], epsilon=epsilon)  # (N, P, P)
@@ -174,12 +159,9 @@ def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
 def relation_captions(
     phrases: Sequence[str], pairs: npt.NDArray[np.int64], *, rng: np.random.Generator | None = None
 ) -> tuple[str, ...]:
-    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair.
+    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair, int64 (pairs, 2).
 
-    Args:
-        phrases: Noun phrases.
-        pairs: int64 (pairs, 2), indices into `phrases`.
-        rng: Draws the wordings; None for the canonical ones.
+    `rng` draws the wordings; None for the canonical ones.
     """
     return tuple(
         caption(phrases[first], relation, phrases[second], wording=_wording(relation, rng))

@@ -90,12 +90,7 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
 def init_from_grounding(network: DualEncoder, grounding: GradCamModel, phrases: Sequence[str]) -> None:
     """Copies and freezes the grounding model's convolutions, and sets one keypoint per phrase to its Grad-CAM weights.
 
-    The convolutions already detect colours and shapes; relations need no others.
-
-    Args:
-        network: A network with at least as many keypoints as phrases.
-        grounding: A grounding model of the same width and depth.
-        phrases: Phrases to locate.
+    The convolutions already detect colours and shapes; relations need no others. Both have one width and depth.
     """
     ours, theirs = network.image, grounding.network.image
     for module, source in ((ours.stem, theirs.stem), (ours.layer1, theirs.layer1), (ours.layer2, theirs.layer2)):

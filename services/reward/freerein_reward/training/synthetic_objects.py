@@ -49,13 +49,7 @@ COLOURS = tuple(_HUES)
 
 @dataclass(frozen=True)
 class Attributes:
-    """Attributes of an object, or those that a caption mentions; None for unmentioned ones.
-
-    Attributes:
-        colour: One of `COLOURS`.
-        shape: One of `SHAPES`.
-        size: `small`, `big`, or None in between.
-    """
+    """Attributes of an object, or those that a caption mentions; None for unmentioned ones, and for a middle size."""
 
     colour: str | None = None
     shape: str | None = None

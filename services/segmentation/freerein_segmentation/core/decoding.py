@@ -32,13 +32,9 @@ class Decoded(NamedTuple):
 
 
 def decode(probabilities: Probabilities, *, skills: Sequence[str], smoothing: float, min_segment: int) -> Decoded:
-    """Returns the labels and segments of a trajectory.
+    """Returns the labels and segments of a trajectory with probabilities float32 (T, K), T at least 1.
 
-    Args:
-        probabilities: float32 (T, K), T at least 1, each row summing to one.
-        skills: K skill names.
-        smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
-        min_segment: Segments shorter than this many timesteps are merged into their neighbours.
+    `smoothing` and `min_segment` are those of `SegmentRequest`.
     """
     smoothed = smooth(probabilities, sigma=smoothing)
     labels = merge_short(smoothed.argmax(axis=1).astype(np.int64), smoothed, min_segment=min_segment)
@@ -47,13 +43,9 @@ def decode(probabilities: Probabilities, *, skills: Sequence[str], smoothing: fl
 
 
 def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
-    """Returns probabilities (T, K) after a Gaussian filter over time; rows still sum to one.
+    """Returns probabilities (T, K) after a Gaussian filter over time, renormalised at both ends; rows still sum to one.
 
-    The kernel is renormalised at both ends.
-
-    Args:
-        probabilities: float32 (T, K).
-        sigma: Standard deviation in timesteps; below 1/8 nothing changes.
+    `sigma` is in timesteps; below 1/8 nothing changes.
     """
     reach = round(_TRUNCATION * sigma)
     if reach == 0:

@@ -23,16 +23,7 @@ MAX_SMOOTHING = 100.0
 
 
 class SkillModel(Protocol):
-    """A trained segmentation model, as the core uses it.
-
-    Attributes:
-        skills: Names of the skills.
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
-        action_size: Numbers per action; 0 for a model without actions.
-        action_choices: Number of discrete actions; 0 for continuous ones.
-    """
+    """A trained segmentation model, as the core uses it; attributes as in `ListSkillsResponse`."""
 
     skills: tuple[str, ...]
     height: int
@@ -60,23 +51,17 @@ def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
     return [_check_output(item, item.model.probabilities(item.frames, item.actions)) for item in items]
 
 
+@dataclass(frozen=True, eq=False)
 class Segmenter:
     """The core of the segmentation service."""
 
-    def __init__(
-        self, models: ModelCache[SkillModel], batcher: Batcher[_Item, Probabilities], *, timeout_s: float
-    ) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: ModelCache[SkillModel]
+    batcher: Batcher[_Item, Probabilities]
+    timeout_s: float
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
-        """Returns the skills and the expected inputs of a model.
-
-        Raises:
-            NotFound, FailedPrecondition: There is no such model, or no active one.
-        """
-        ref, model = await self._models.resolve(request.model)
+        """Returns the skills and the expected inputs of a model; raises as `ModelCache.resolve`."""
+        ref, model = await self.models.resolve(request.model)
         return ListSkillsResponse(
             skills=model.skills,
             model=ref,
@@ -98,7 +83,7 @@ class Segmenter:
         timer = CallTimer()
         ref, model, frames = await timer.decode(self._inputs(request))
         item = _Item(model, frames, request.actions)
-        probabilities = await timer.infer(self._batcher.submit(item, key=ref, timeout_s=self._timeout_s))
+        probabilities = await timer.infer(self.batcher.submit(item, key=ref, timeout_s=self.timeout_s))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             probabilities,
@@ -110,7 +95,7 @@ class Segmenter:
 
     async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
         _check_options(request)
-        ref, model = await self._models.resolve(request.model)
+        ref, model = await self.models.resolve(request.model)
         frames = await _frames(request)
         _check_trajectory(model, frames, request.actions)
         return ref, model, frames
@@ -146,26 +131,10 @@ def _check_options(request: SegmentRequest) -> None:
 
 async def _frames(request: SegmentRequest) -> npt.NDArray[np.uint8]:
     """Returns the request's frames, uint8 (T, H, W, C); encoded images are decoded off the event loop."""
-    if (request.frames is None) == (not request.images):
-        raise InvalidInput(
-            f"Exactly one of `frames` and `images` must be given; got {'both' if request.images else 'neither'}.",
-            field="frames",
-            hint="Send `images` over REST, `frames` over gRPC.",
-        )
+    images.check_one_form(has_frames=request.frames is not None, has_images=bool(request.images))
     if request.frames is not None:
-        return _check_frames(request.frames)
+        return images.check_frames(request.frames, axis="T")
     return await asyncio.to_thread(_decode, request.images)
-
-
-def _check_frames(frames: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
-        raise InvalidInput(
-            "`frames` must be UINT8 of shape (T, H, W, C), T at least 1 and C 1 or 3; "
-            f"got {frames.dtype} {frames.shape}.",
-            field="frames",
-            hint="Put channels last, and scale floats to 0..255.",
-        )
-    return frames
 
 
 def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
@@ -176,12 +145,7 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
             hint="Send the trajectory in parts.",
         )
     total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # all have one size
-    if total > images.MAX_REQUEST_PIXELS:
-        raise InvalidInput(
-            f"`images` must have at most {images.MAX_REQUEST_PIXELS} pixels in total; got {total}.",
-            field="images",
-            hint="Scale the images to the size that ListSkills returns.",
-        )
+    images.check_total_pixels(total, hint="Scale the images to the size that ListSkills returns.")
     first = images.decode(encoded[0], field="images.0")
     frames = np.empty((len(encoded), *first.shape), np.uint8)
     frames[0] = first

@@ -28,12 +28,7 @@ class SegmentationModel:
 
     @torch.inference_mode()
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in bounded working memory.
-
-        Args:
-            frames: uint8 (T, H, W, C), T at least 1.
-            actions: float32 (T, A) or int64 (T, 1); ignored by a model without actions.
-        """
+        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in bounded working memory; see `SkillModel`."""
         if actions is None:
             actions = np.zeros((len(frames), 0), np.float32)
         probabilities = np.empty((len(frames), len(self.skills)), np.float32)
@@ -59,13 +54,5 @@ class SegmentationModel:
 
 
 def load(folder: Path, device: str) -> SegmentationModel:
-    """Returns the model in a folder.
-
-    Args:
-        folder: Written by `freerein.learning.model_files.save_model`; read as untrusted.
-        device: `auto`, `cpu` or `cuda:N`.
-
-    Raises:
-        InvalidInput: A file is missing or malformed.
-    """
+    """Returns the model in a folder; see `freerein.learning.model_files.load_model`."""
     return SegmentationModel(model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device))

@@ -85,12 +85,7 @@ def gather(
 ) -> TrajectoryBatch:
     """Returns every `spec.stride`-th timestep of some trajectories, as tensors on a device.
 
-    Args:
-        demonstrations: The trajectories.
-        items: Indices of the trajectories.
-        phases: First timestep of each, modulo its length.
-        spec: Architecture of the network.
-        device: Device of the batch.
+    `phases` are the first timestep of each, modulo its length.
     """
     frames, actions = [], []
     for item, phase in zip(items, phases, strict=True):

@@ -31,15 +31,9 @@ _Endpoint = Callable[[Request], Awaitable[Response]]
 def make_app(
     name: str, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
 ) -> FastAPI:
-    """Returns the REST API of a service.
+    """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
-    Args:
-        name: The service's name.
-        methods: Its methods; those without a REST form are served over gRPC only.
-        health: Readiness.
-        metrics: Counts the calls.
-        limits: Size, time and stream limits.
-        token: Bearer token that calls must carry; empty for none.
+    An empty `token` allows every call.
     """
     served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)

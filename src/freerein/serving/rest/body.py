@@ -64,11 +64,7 @@ async def read(request: Request, cls: type[T]) -> T:
 
 
 def read_query(request: Request, cls: type[T]) -> T:
-    """Returns the dataclass in a request's query.
-
-    Raises:
-        InvalidInput: A parameter is unknown, repeated or invalid.
-    """
+    """Returns the dataclass in a request's query; InvalidInput when a parameter is unknown, repeated or invalid."""
     return _from_parts(request.query_params.multi_items(), cls)
 
 

@@ -25,15 +25,7 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
 class RequestMiddleware:
-    """Pure ASGI middleware around the whole app.
-
-    Args:
-        app: The app.
-        metrics: Counts the calls.
-        limits: Size limits.
-        token: Bearer token that calls must carry; empty for none.
-        paths: Known paths, the only ones that become metric labels.
-    """
+    """Pure ASGI middleware around the whole app; only known `paths` become metric labels."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics, limits: Limits, token: str, paths: Set[str]) -> None:
         self._app = app

@@ -7,7 +7,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from google.protobuf.descriptor import Descriptor
 
-from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE
+from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE, TITLES
 from freerein.serving.methods import Method, RestForm
 from freerein.serving.rest.schemas import schema_of
 
@@ -18,23 +18,11 @@ MEDIA_TYPES: dict[RestForm, str] = {
 }
 _SCHEMAS = "#/components/schemas/{model}"
 _PROBLEMS = {
-    status: {
-        "description": text,
+    str(status): {
+        "description": f"{TITLES[status]}.{' See Retry-After.' if status in (429, 503) else ''}",
         "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _SCHEMAS.format(model="Problem")}}},
     }
-    for status, text in (
-        ("400", "Malformed request."),
-        ("401", "Missing or wrong token."),
-        ("404", "Not found."),
-        ("409", "Not in the state that the call needs."),
-        ("413", "Over a size limit."),
-        ("415", "Unsupported media type."),
-        ("422", "Invalid value."),
-        ("429", "Overloaded: see Retry-After."),
-        ("501", "Not implemented."),
-        ("503", "Not ready, draining, or model failure: see Retry-After."),
-        ("504", "Deadline exceeded."),
-    )
+    for status in (400, 401, 404, 409, 413, 415, 422, 429, 501, 503, 504)
 }
 _PROBLEM_SCHEMA = {
     "type": "object",
