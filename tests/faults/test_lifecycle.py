@@ -44,7 +44,7 @@ def record_demonstrations(data_dir: Path) -> None:
 
 
 def start_fit(faulty: Any) -> str:
-    config = {"steps": 100_000, "log_every": 1, "checkpoint_every": CHECKPOINT_EVERY, "features": 8, "hidden": 8}
+    config = {"steps": 100_000, "log_every": 1, "checkpoint_every": CHECKPOINT_EVERY, "features": 8, "hidden_size": 8}
     reply = faulty.http.post("/v1/start-fit", json={"dataset": "demos", "config": config, "idempotency_key": "once"})
     assert reply.status_code == 200, reply.text
     fit_id: str = reply.json()["fit"]["id"]

@@ -160,9 +160,9 @@ def test_the_doctor_recognises_a_port_that_another_program_holds(
 
 
 def test_the_doctor_finds_the_wheels_that_are_data() -> None:
-    assert [(each().name, each().state) for each in (machine.check_meshes, machine.check_text_tower)] == [
+    assert [(each().name, each().state) for each in (machine.check_meshes, machine.check_text_encoder)] == [
         ("robot meshes", "ok"),
-        ("text tower", "ok"),
+        ("text encoder", "ok"),
     ]
 
 

@@ -7,6 +7,7 @@ import os
 import textwrap
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -197,6 +198,17 @@ async def test_fits_run_one_after_the_other_and_are_listed_newest_first(bench: B
         assert (await fits.get_fit(GetFitRequest(second.id))).fit.state == "queued"
         await fits.cancel_fit(CancelFitRequest(first.id))
         assert (await end(fits, second)).state == "succeeded"
+
+
+def test_models_that_are_activated_on_several_threads_at_once_leave_one_whole_record(bench: Bench) -> None:
+    refs = []
+    for name in "ab":
+        (bench.root / name).mkdir()
+        (bench.root / name / "card.json").write_text(json.dumps({"steps": 1, "name": name}))
+        refs.append(bench.store.publish("default", bench.root / name))
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(bench.store.activate, refs * 50))
+    assert bench.store.active_version("default") in {ref.version for ref in refs}
 
 
 # --- cancelling

@@ -9,7 +9,7 @@ from freerein.learning import weights
 from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec
 from freerein_reward.model.image_encoder import AttentionPool, KeypointPool
 
-SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), keypoints=4, hidden=32)
+SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), keypoints=4, hidden_size=32)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: DualEnc
 
 
 def test_two_views_are_averaged() -> None:
-    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), keypoints=4, hidden=32))
+    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), keypoints=4, hidden_size=32))
     weights.initialise(two, generator=torch.Generator().manual_seed(0))
     frames = np.random.default_rng(0).integers(0, 256, size=(2, 3, 64, 64, 3), dtype=np.uint8)
     there = DualEncoderModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
@@ -88,7 +88,7 @@ def test_attention_pooling_equals_attention_with_explicit_keys_and_values() -> N
 
 
 def test_a_keypoint_has_position_and_presence() -> None:
-    pool = KeypointPool(2, 2, hidden=8, embedding_dim=8)
+    pool = KeypointPool(2, 2, hidden_size=8, embedding_dim=8)
     with torch.no_grad():
         pool.logits.weight.copy_(torch.eye(2))
         pool.logits.bias.fill_(-50.0)

@@ -15,7 +15,7 @@ from freerein_reward import fit
 from freerein_reward.model import DualEncoderModel, GradCamModel, load
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
-FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden": 16}
+FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden_size": 16}
 
 
 @pytest.fixture

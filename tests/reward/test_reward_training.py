@@ -11,7 +11,7 @@ from freerein.learning.fit import fit
 from freerein_reward import objectives
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
 from freerein_reward.relations import SpatialRelation
-from freerein_reward.training import CaptionDataset, RewardConfig, RewardLearner, evaluate_reward, network_spec
+from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, evaluate_reward, network_spec
 from freerein_reward.training.caption_dataset import (
     NO_CAPTION,
     pairwise_relations,
@@ -29,7 +29,7 @@ FAST = RewardConfig(
     warmup_steps=2,
     evaluate_every=3,
     checkpoint_every=3,
-    hidden=32,
+    hidden_size=32,
 )
 
 
@@ -48,16 +48,16 @@ def blocks(count: int, *, seed: int) -> CaptionDataset:
 
 
 @pytest.fixture(scope="module")
-def learner() -> RewardLearner:
+def learner() -> RewardModelLearner:
     grounding = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "blue", "block")))
     weights.initialise(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
-    return RewardLearner(
+    return RewardModelLearner(
         FAST, network_spec(grounding.spec, FAST), training, validation, GradCamModel(grounding), "", CPU
     )
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, tmp_path: Path) -> None:
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardModelLearner, tmp_path: Path) -> None:
     whole = fit(learner, tmp_path / "whole")
     asked = iter([False, False, False, True])
     assert fit(learner, tmp_path / "parts", stop=lambda: next(asked)) is None
@@ -67,7 +67,7 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardLearner, 
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_before_the_first_update_each_phrase_has_a_keypoint_with_its_heatmap(learner: RewardLearner) -> None:
+def test_before_the_first_update_each_phrase_has_a_keypoint_with_its_heatmap(learner: RewardModelLearner) -> None:
     begun = learner.init(torch.Generator().manual_seed(5)).network.image
     frames = learner.training.views[0][:4]
 
@@ -83,7 +83,7 @@ def test_before_the_first_update_each_phrase_has_a_keypoint_with_its_heatmap(lea
     np.testing.assert_allclose(heat, heatmaps, atol=1e-3)
 
 
-def test_the_convolutions_of_the_grounding_model_stay_frozen(learner: RewardLearner) -> None:
+def test_the_convolutions_of_the_grounding_model_stay_frozen(learner: RewardModelLearner) -> None:
     begun = learner.init(torch.Generator().manual_seed(5))
     ask = begun.network.image.keypoint_pool.logits.weight.clone()
 
@@ -97,7 +97,7 @@ def test_the_convolutions_of_the_grounding_model_stay_frozen(learner: RewardLear
     assert not torch.equal(after.network.image.keypoint_pool.logits.weight, ask)
 
 
-def test_evaluation_has_accuracy_precision_and_recall(learner: RewardLearner) -> None:
+def test_evaluation_has_accuracy_precision_and_recall(learner: RewardModelLearner) -> None:
     figures = evaluate_reward(learner.init(torch.Generator().manual_seed(0)).network, learner.validation)
     assert 0.0 <= figures["relation_accuracy"] <= 1.0
     assert {

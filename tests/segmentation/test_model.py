@@ -129,8 +129,8 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
 @pytest.mark.parametrize(
     "change",
     [
-        {"hidden": 50},
-        {"hidden": 10**9},
+        {"hidden_size": 50},
+        {"hidden_size": 10**9},
         {"skills": ["a"]},
         {"skills": []},
         {"channels": 2},

@@ -22,7 +22,9 @@ FRAME = (12, 12, 3)
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 STEPS = ActionSpec(1, 5, ("step",), "", (1.0,))
 CPU = torch.device("cpu")
-FAST = SegmentationConfig(steps=100, batch_size=8, lr=5e-3, warmup_steps=10, hidden=16, features=16, evaluate_every=20)
+FAST = SegmentationConfig(
+    steps=100, batch_size=8, lr=5e-3, warmup_steps=10, hidden_size=16, features=16, evaluate_every=20
+)
 
 
 def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, list[npt.NDArray[np.int64]]]:

@@ -19,7 +19,7 @@ from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
 from freerein_reward.model import REWARD, DualEncoder, load_grounding
 from freerein_reward.relations import rival_captions
-from freerein_reward.training import RewardConfig, RewardLearner, caption_images, evaluate_reward, network_spec
+from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
 
 _MAX_PHRASES = 32  # captions and time grow with the square
 
@@ -58,7 +58,7 @@ def main(folder: Path, data_dir: Path, device: str, grounding: Path) -> int:
     return run_child(folder, train)
 
 
-def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> RewardLearner:
+def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, grounding: Path) -> RewardModelLearner:
     model = load_grounding(grounding, device)
     captions = folder / f"captions-{grounding.name}.safetensors"
     spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
@@ -67,7 +67,7 @@ def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, 
         dataset, model, config, captions, on_progress=lambda done: rows.append(0, {"captioned": done}) if rows else None
     )
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
-    return RewardLearner(
+    return RewardModelLearner(
         config=config,
         spec=spec,
         training=training,
@@ -79,7 +79,7 @@ def _learner(folder: Path, dataset: Dataset, config: RewardConfig, device: str, 
 
 
 def _card(
-    dataset: Dataset, learner: RewardLearner, fitted: FitResult[DualEncoder], grounding: Path
+    dataset: Dataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder], grounding: Path
 ) -> Mapping[str, Any]:
     return {
         "kind": REWARD,

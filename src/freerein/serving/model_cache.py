@@ -76,7 +76,7 @@ class ModelCache(Generic[M]):
         ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)
         folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
-        self._store.activate(ref, expected_current=request.expected_current)
+        await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
         return ActivateModelResponse(Model(ref, True, model_card(folder)))
 
     async def _get(self, ref: ModelRef) -> M:

@@ -7,6 +7,7 @@ so a version is immutable. Models are published by one rename, and their files a
 import hashlib
 import json
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ class ModelStore:
     def __init__(self, root: Path, shipped: Path | None = None) -> None:
         self._root = root
         self._roots = (root, shipped) if shipped is not None else (root,)
+        self._activating = threading.Lock()  # fits and calls activate on threads of their own
 
     def publish(self, name: str, folder: Path) -> ModelRef:
         """Moves a folder of files into the store and returns its reference. Equal files have equal versions.
@@ -60,14 +62,15 @@ class ModelStore:
             FailedPrecondition: The active version is not `expected_current`.
         """
         self._find(ref)
-        current = self.active_version(ref.name)
-        if expected_current and expected_current != current:
-            raise FailedPrecondition(
-                f"The active version must be the expected one; it is {current or 'none'}.",
-                field="expected_current",
-                hint="List the models, decide again, and send the version that is active now.",
-            )
-        write_atomic(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
+        with self._activating:
+            current = self.active_version(ref.name)
+            if expected_current and expected_current != current:
+                raise FailedPrecondition(
+                    f"The active version must be the expected one; it is {current or 'none'}.",
+                    field="expected_current",
+                    hint="List the models, decide again, and send the version that is active now.",
+                )
+            write_atomic(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
 
     def active_version(self, name: str) -> str:
         """Returns the active version of a name, empty when there is none."""

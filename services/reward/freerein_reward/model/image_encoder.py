@@ -28,7 +28,7 @@ class ClipImageEncoder(nn.Module):
         self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
         self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
         self.pool: AttentionPool | KeypointPool = (
-            KeypointPool(channels, spec.keypoints, hidden=spec.hidden, embedding_dim=spec.embedding_dim)
+            KeypointPool(channels, spec.keypoints, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
             if spec.keypoints
             else AttentionPool(channels, embedding_dim=spec.embedding_dim)
         )
@@ -98,11 +98,11 @@ class KeypointPool(nn.Module):
     relations are not linear in positions.
     """
 
-    def __init__(self, channels: int, keypoints: int, *, hidden: int, embedding_dim: int) -> None:
+    def __init__(self, channels: int, keypoints: int, *, hidden_size: int, embedding_dim: int) -> None:
         super().__init__()
         self.logits = nn.Linear(channels, keypoints)
-        layers = (nn.Linear(3 * keypoints, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
-        self.mlp = nn.Sequential(*layers, nn.Linear(hidden, embedding_dim))
+        layers = (nn.Linear(3 * keypoints, hidden_size), nn.ReLU(), nn.Linear(hidden_size, hidden_size), nn.ReLU())
+        self.mlp = nn.Sequential(*layers, nn.Linear(hidden_size, embedding_dim))
 
     def forward(self, maps: Tensor) -> Tensor:
         """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""

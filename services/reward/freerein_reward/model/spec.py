@@ -17,7 +17,7 @@ class DualEncoderSpec:
         width: Channels of the image encoder's stem; a multiple of 8.
         depth: Bottlenecks per stage of the image encoder.
         keypoints: Keypoints of the image encoder's pooling, for relations; 0 for attention pooling, for nouns.
-        hidden: Units of each hidden layer after keypoint pooling.
+        hidden_size: Units of each hidden layer after keypoint pooling.
         text_width: Channels of the text encoder; a multiple of 16.
         text_depth: Layers of the text encoder.
         embedding_dim: Dimension of the embeddings.
@@ -33,7 +33,7 @@ class DualEncoderSpec:
     width: int = bounded(8, least=8, most=128)
     depth: int = bounded(1, least=1, most=8)
     keypoints: int = bounded(0, least=0, most=512)
-    hidden: int = bounded(256, least=1, most=4096)
+    hidden_size: int = bounded(256, least=1, most=4096)
     text_width: int = bounded(64, least=16, most=1024)
     text_depth: int = bounded(2, least=1, most=12)
     embedding_dim: int = bounded(64, least=8, most=1024)

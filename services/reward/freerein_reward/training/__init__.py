@@ -8,5 +8,5 @@ from freerein_reward.training.evaluation import calibrate_presence as calibrate_
 from freerein_reward.training.evaluation import evaluate_grounding as evaluate_grounding
 from freerein_reward.training.evaluation import evaluate_reward as evaluate_reward
 from freerein_reward.training.grounding_learner import GroundingLearner as GroundingLearner
-from freerein_reward.training.reward_learner import RewardLearner as RewardLearner
-from freerein_reward.training.reward_learner import network_spec as network_spec
+from freerein_reward.training.reward_model_learner import RewardModelLearner as RewardModelLearner
+from freerein_reward.training.reward_model_learner import network_spec as network_spec

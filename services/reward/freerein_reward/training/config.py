@@ -42,7 +42,7 @@ class RewardConfig(FitConfig):
         min_presence: Presence probability from which a phrase appears in captions.
         batch_size: Images per optimiser step.
         extra_keypoints: Keypoints in addition to one per phrase.
-        hidden: Units of each of the two hidden layers after keypoint pooling.
+        hidden_size: Units of each of the two hidden layers after keypoint pooling.
         embedding_dim: Dimension of the embeddings.
         validation_fraction: Fraction of trajectories whose captions choose the best weights.
     """
@@ -55,6 +55,6 @@ class RewardConfig(FitConfig):
     lr: float = bounded(3e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(50, least=1, most=1_000_000)
     extra_keypoints: int = bounded(12, least=0, most=256)
-    hidden: int = bounded(256, least=1, most=4096)
+    hidden_size: int = bounded(256, least=1, most=4096)
     embedding_dim: int = bounded(64, least=8, most=1024)
     validation_fraction: float = bounded(0.1, least=0.01, most=0.5)

@@ -12,7 +12,7 @@ from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.caption_dataset import NO_CAPTION, CaptionDataset, flatten_pairs
 from freerein_reward.training.grounding_learner import GroundingLearner
-from freerein_reward.training.reward_learner import relation_scores
+from freerein_reward.training.reward_model_learner import relation_scores
 
 _COLOURS_PER_QUERY = 4
 _QUERIES = 10

@@ -33,7 +33,7 @@ class ModelSpec:
         stride: Temporal stride of the LSTM; the timesteps of each phase are a sequence of their own.
         context: Whether scores depend on the past only (the dissertation's) or on the whole trajectory.
         features: Number of image features.
-        hidden: LSTM units per direction.
+        hidden_size: LSTM units per direction.
 
     Raises:
         InvalidInput: There are no skills, or 2 channels.
@@ -49,7 +49,7 @@ class ModelSpec:
     stride: int = bounded(1, least=1, most=100)
     context: Context = "bidirectional"
     features: int = bounded(64, least=8, most=1024)
-    hidden: int = bounded(100, least=8, most=1024)
+    hidden_size: int = bounded(100, least=8, most=1024)
 
     def __post_init__(self) -> None:
         if not self.skills or self.channels == 2:
@@ -69,9 +69,9 @@ class SegmentationNetwork(nn.Module):
         self.image = PatchEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.features)
         self.action = nn.Linear(spec.action_choices or spec.action_size, _ACTION_FEATURES) if spec.action_size else None
         inputs = spec.features + (_ACTION_FEATURES if spec.action_size else 0)
-        self.past = nn.LSTM(inputs, spec.hidden, batch_first=True)
-        self.future = nn.LSTM(inputs, spec.hidden, batch_first=True) if spec.context == "bidirectional" else None
-        self.head = nn.Linear(spec.hidden * (2 if self.future else 1), len(spec.skills))
+        self.past = nn.LSTM(inputs, spec.hidden_size, batch_first=True)
+        self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context == "bidirectional" else None
+        self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
 
     def forward(self, frames: Tensor, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
         """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
@@ -84,13 +84,13 @@ class SegmentationNetwork(nn.Module):
         features, ends = self.features(frames, actions), lengths.cumsum(dim=0).cpu()  # (N, D), (B,)
         padded = pad_sequence(list(features.tensor_split(ends[:-1])), batch_first=True)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
-        memory, _ = self.past(padded)  # (B, T, hidden)
+        memory, _ = self.past(padded)  # (B, T, hidden_size)
         if self.future is not None:
             # Reversed within each length, so that padding stays last.
             mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
-            reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden)
+            reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden_size)
             ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
-            memory = torch.cat([memory, ahead], dim=2)  # (B, T, 2 hidden)
+            memory = torch.cat([memory, ahead], dim=2)  # (B, T, 2 hidden_size)
         scores: Tensor = self.head(memory)  # (B, T, K)
         return scores, time < lengths[:, None]
 
@@ -108,9 +108,9 @@ class SegmentationNetwork(nn.Module):
 
         The LSTM runs window by window and carries its state, so that working memory is bounded.
         """
-        memory = _run(self.past, features)  # (T, hidden)
+        memory = _run(self.past, features)  # (T, hidden_size)
         if self.future is not None:
-            memory = torch.cat([memory, _run(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden)
+            memory = torch.cat([memory, _run(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden_size)
         scores: Tensor = self.head(memory)
         return scores
 
@@ -118,6 +118,6 @@ class SegmentationNetwork(nn.Module):
 def _run(lstm: nn.LSTM, features: Tensor) -> Tensor:
     state, memory = None, []
     for start in range(0, len(features), _TIMESTEPS_AT_ONCE):
-        output, state = lstm(features[start : start + _TIMESTEPS_AT_ONCE], state)  # (T, hidden)
+        output, state = lstm(features[start : start + _TIMESTEPS_AT_ONCE], state)  # (T, hidden_size)
         memory.append(output)
     return torch.cat(memory)

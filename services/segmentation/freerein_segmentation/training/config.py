@@ -21,7 +21,7 @@ class SegmentationConfig(FitConfig):
             trajectories in the same time.
         batch_size: Trajectories per optimiser step.
         features: Number of image features.
-        hidden: LSTM units per direction.
+        hidden_size: LSTM units per direction.
         validation_fraction: Fraction of trajectories whose tags choose the best weights.
     """
 
@@ -33,6 +33,6 @@ class SegmentationConfig(FitConfig):
     steps: int = bounded(1200, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     features: int = bounded(64, least=8, most=1024)
-    hidden: int = bounded(100, least=8, most=1024)
+    hidden_size: int = bounded(100, least=8, most=1024)
     validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(50, least=1, most=1_000_000)

@@ -42,7 +42,7 @@ def network_spec(
         stride=config.stride,
         context=config.context,
         features=config.features,
-        hidden=config.hidden,
+        hidden_size=config.hidden_size,
     )
 
 

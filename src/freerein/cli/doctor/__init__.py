@@ -42,7 +42,7 @@ def _check_all() -> list[CheckResult]:
     if "sim" in names:
         checks += [machine.check_rendering, machine.check_meshes]
     if "imitation" in names:
-        checks.append(machine.check_text_tower)
+        checks.append(machine.check_text_encoder)
     if set(names) - {"sim"}:
         checks += [machine.check_torch]
     checks += [lambda: machine.check_storage(data_dir), *(partial(services.check_service, name) for name in names)]

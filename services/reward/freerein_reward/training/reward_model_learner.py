@@ -37,7 +37,7 @@ _HALF_HEAT = 0.75
 
 
 @dataclass(frozen=True, eq=False)
-class RewardLearner:
+class RewardModelLearner:
     """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
 
     config: RewardConfig
@@ -80,7 +80,7 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
         cameras=config.cameras,
         vocabulary=tuple(dict.fromkeys(word for text in texts for word in words(text))),
         keypoints=len(config.phrases) + config.extra_keypoints,
-        hidden=config.hidden,
+        hidden_size=config.hidden_size,
         embedding_dim=config.embedding_dim,
         presence_heat=1.0,
     )
