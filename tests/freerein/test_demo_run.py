@@ -98,6 +98,6 @@ def test_the_word_blind_student_is_told_the_better_sentence_everywhere() -> None
         ("right", "right"): Returns((35.0, 25.0)),
     }
     student = Student(returns, training_s=1.0)
-    assert student.told_right.episodes == (30.0, 40.0, 35.0, 25.0)
+    assert student.own_sentence.episodes == (30.0, 40.0, 35.0, 25.0)
     assert student.word_blind.episodes == (30.0, 40.0, 20.0, 30.0)
-    assert (student.told_right - student.word_blind).mean == 2.5
+    assert (student.own_sentence - student.word_blind).mean == 2.5

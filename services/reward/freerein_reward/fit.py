@@ -89,7 +89,7 @@ def _card(
         "grounding": grounding.name,
         "config": asdict(learner.config),
         "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
-        "supervision": "noun phrases; captions are told from pixels by the grounding model",
+        "supervision": "noun phrases; captions made from pixels by the grounding model",
     }
 
 

@@ -1,5 +1,5 @@
 """The command line `freerein`.
 
 `commands` holds the commands, `jobs` shows fits and runs, `services` runs services as child processes, `doctor` and
-`demo` are commands with a room of their own.
+`demo` are packages of their own.
 """

@@ -30,8 +30,8 @@ class _LazyGroup(TyperGroup):
         name, placeholder, rest = super().resolve_command(ctx, args)
         if name is None or placeholder is None:
             return name, placeholder, rest
-        room = "freerein.cli" if name in ("doctor", "demo") else "freerein.cli.commands"
-        return name, typer.main.get_command(import_module(f"{room}.{name}").app), rest
+        package = "freerein.cli" if name in ("doctor", "demo") else "freerein.cli.commands"
+        return name, typer.main.get_command(import_module(f"{package}.{name}").app), rest
 
 
 app = typer.Typer(

@@ -2,8 +2,10 @@
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TypeVar
+
+import typer
 
 from freerein.cli.settings import CliSettings
 from freerein.clients.channel import Channel
@@ -48,6 +50,15 @@ def call_each(
     if not answers:
         raise min(errors.values(), key=lambda error: isinstance(error, Unavailable))
     return answers, errors
+
+
+def check_only_unavailable(errors: Mapping[str, ServiceError]) -> None:
+    """Prints which services do not answer; raises the first error of a service that does."""
+    for error in errors.values():
+        if not isinstance(error, Unavailable):
+            raise error
+    if errors:
+        typer.echo(f"Not running, so not listed: {', '.join(errors)}.", err=True)
 
 
 async def _call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:

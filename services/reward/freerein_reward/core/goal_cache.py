@@ -76,10 +76,8 @@ def _embed(model: RewardModel, texts: Sequence[str]) -> Iterator[tuple[str, Goal
     if vectors.ndim != 2 or len(vectors) != len(texts) or truncated.shape != (len(texts),):
         raise ValueError(f"the model returned {vectors.shape} and {truncated.shape} for {len(texts)} texts")
     for text, vector, is_cut in zip(texts, vectors, truncated, strict=True):
-        yield (
-            text,
-            GoalEmbedding(vector.astype(np.float32, copy=True), bool(is_cut)),
-        )  # not a view of the batch
+        own = vector.astype(np.float32, copy=True)  # not a view of the batch
+        yield text, GoalEmbedding(own, bool(is_cut))
 
 
 def _size(text: str, embedding: GoalEmbedding) -> int:

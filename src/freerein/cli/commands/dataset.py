@@ -85,7 +85,7 @@ def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
     return dataset[index]
 
 
-def choose_camera(dataset: Dataset, camera: str) -> str:
+def camera_or_first(dataset: Dataset, camera: str) -> str:
     """Returns the named camera, or the first one where the name is empty; raises InvalidInput where there is none."""
     cameras = tuple(dataset.spec.cameras)
     if camera and camera not in cameras:

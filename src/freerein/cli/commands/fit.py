@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from freerein import wire
-from freerein.cli.connection import call, call_each
+from freerein.cli.connection import call, call_each, check_only_unavailable
 from freerein.cli.jobs import display
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
@@ -64,7 +64,8 @@ for _service, _explanation in _SERVICES.items():
 @command
 def list_fits(service: _Service = "", as_json: AsJson = False) -> None:
     """List all fits, newest first."""
-    answers, _ = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
+    answers, errors = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
+    check_only_unavailable(errors)
     _show([(name, fit) for name, fits in answers.items() for fit in fits], as_json=as_json)
 
 

@@ -6,10 +6,9 @@ from typing import Annotated, Any
 import typer
 
 from freerein import wire
-from freerein.cli.connection import call, call_each
+from freerein.cli.connection import call, call_each, check_only_unavailable
 from freerein.cli.output import AsJson, command, show_all
 from freerein.clients import ModelClient
-from freerein.errors import Unavailable
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest, Model
 
 _LEARNED = ("segmentation", "imitation", "reward")
@@ -32,12 +31,8 @@ def list_models(
     """List every version of every model, newest first within a name."""
     asked = [service] if service else _LEARNED
     answers, errors = call_each(ModelClient, asked, lambda client: client.list_models(ListModelsRequest()))
-    for error in errors.values():
-        if not isinstance(error, Unavailable):
-            raise error
+    check_only_unavailable(errors)
     _show([(name, model) for name, answer in answers.items() for model in answer.models], as_json=as_json)
-    if errors:
-        typer.echo(f"Not running, so not listed: {', '.join(errors)}.", err=True)
 
 
 @app.command()

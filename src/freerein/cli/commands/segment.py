@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from freerein import wire
-from freerein.cli.commands.dataset import choose_camera, dataset_root, read_trajectory
+from freerein.cli.commands.dataset import camera_or_first, dataset_root, read_trajectory
 from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.clients import SegmentationClient
@@ -43,7 +43,7 @@ def segment(
 ) -> None:
     """Label every timestep of a trajectory with a skill; with --save, of the whole dataset."""
     opened = Dataset(dataset_root(dataset))
-    chosen = choose_camera(opened, camera)
+    chosen = camera_or_first(opened, camera)
     request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing)
     if save:
         with progress_bar(f"labelling {dataset}", total=len(opened), is_shown=not as_json) as on_count:

@@ -119,7 +119,7 @@ def _measure(
 
 
 def _reached_figures(followed: ReachedRates, random: ReachedRates) -> list[Figure]:
-    """Returns the shares of landmarks reached; random actions are told by true states when to go on."""
+    """Returns the shares of landmarks reached; the random policy goes on to the next landmark by true states."""
     rates = (
         ("landmarks_reached", followed.overall, random.overall),
         ("no_block_moves.landmarks_reached", followed.no_block_moves, random.no_block_moves),

@@ -11,7 +11,7 @@ from freerein.cli.demo.report import Figure, Returns
 
 SIDES = ("left", "right")
 TASKS = {side: f"blocks.yellow-{side}-of-green" for side in SIDES}
-"""Task by side. The demo learns the left one by PPO, chosen because the learned reward is precise for it."""
+"""Task by side. The demo learns the left one by PPO: by true positions, the learned reward is precise for it."""
 
 TEXTS = {side: f"a yellow block to the {side} of a green block" for side in SIDES}
 """Goal text by side."""
@@ -65,7 +65,7 @@ class Student:
     training_s: float
 
     @property
-    def told_right(self) -> Returns:
+    def own_sentence(self) -> Returns:
         """Returns over both tasks, each told its own sentence."""
         return self.returns["left", "left"] + self.returns["right", "right"]
 
@@ -142,7 +142,9 @@ def _evaluation(context: Context, side: str, policy: str | dict[str, Any]) -> di
     return {"task": TASKS[side], "policy": policy, "episodes": _EPISODES, "num_envs": _EPISODES, "seed": seed}
 
 
-def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> dict[str, Mapping[str, Returns]]:
+def returns_by_panel(
+    baselines: Mapping[str, Returns], ppo: PPOResult, student: Student
+) -> dict[str, Mapping[str, Returns]]:
     """Returns what the picture compares: returns by policy, by the title of their panel."""
     told = {
         side: {f'student,\ntold "{told}"': student.returns[side, told] for told in sorted(SIDES, key=side.__ne__)}
@@ -157,7 +159,7 @@ def bars(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> 
 
 def figures(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) -> tuple[Figure, ...]:
     """Returns the figures of PPO and of distillation; returns are control steps of 100 at the goal."""
-    checkpoint, right, blind = baselines["checkpoint"], student.told_right, student.word_blind
+    checkpoint, right, blind = baselines["checkpoint"], student.own_sentence, student.word_blind
     told = [
         _figure(f"distill.{side}_of.told_{told}", returns, baselines[f"random-{side}"].mean, "random actions")
         for (side, told), returns in student.returns.items()
@@ -167,7 +169,7 @@ def figures(baselines: Mapping[str, Returns], ppo: PPOResult, student: Student) 
         _figure("ppo.return", ppo.returns, checkpoint.mean, "shipped checkpoint"),
         _figure("ppo.gain_since_checkpoint", ppo.returns - checkpoint, 0.0, "no gain", beats_baseline=True),
         *told,
-        _figure("distill.told_right_return", right, blind.mean, "one constant sentence"),
+        _figure("distill.own_sentence_return", right, blind.mean, "one constant sentence"),
         _figure("distill.gain_by_words", right - blind, 0.0, "word-blind", beats_baseline=True),
         Figure("ppo.training_s", ppo.training_s),
         Figure("distill.training_s", student.training_s),

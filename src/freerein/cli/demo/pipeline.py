@@ -96,7 +96,7 @@ async def _learn_and_measure(context: Context, out: Path) -> tuple[Figure, ...]:
     with stage("Finish the other fits"):
         for fit in others:
             await context.follow_fit(fit)
-    training_s = time.perf_counter() - started_s
+    fits_s = time.perf_counter() - started_s
     baselines_run = await language_policies.start_baselines(context)
     with stage("Evaluate goal images, rewards and recipes"):
         goal_images = await imitation.follow_goal_images(context)
@@ -116,7 +116,7 @@ async def _learn_and_measure(context: Context, out: Path) -> tuple[Figure, ...]:
             pictures.draw_timeline(path, segmentation.median(labelled), task=task.task)
         pictures.draw_rewards(out / "rewards.png", examples)
         pictures.draw_filmstrip(out / "filmstrip.png", goal_images.filmstrip)
-        pictures.draw_returns(out / "ppo.png", ppo.curve, language_policies.bars(baselines, ppo, student))
+        pictures.draw_returns(out / "ppo.png", ppo.curve, language_policies.returns_by_panel(baselines, ppo, student))
     return (
         *segmentation.figures(blocks, grid),
         *two_blocks,
@@ -124,7 +124,7 @@ async def _learn_and_measure(context: Context, out: Path) -> tuple[Figure, ...]:
         *goal_images.figures,
         *recipes,
         *language_policies.figures(baselines, ppo, student),
-        Figure("training_s", training_s),
+        Figure("fits_s", fits_s),
     )
 
 

@@ -5,7 +5,7 @@ True states are recorded for evaluation; no policy sees them.
 
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.clients import ImitationClient, SimClient
+from freerein.errors import ServiceError
 from freerein.types.common import Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse
 from freerein.types.sim import (
@@ -54,12 +55,13 @@ async def robot_session(
 ) -> "AsyncGenerator[RobotSession, None]":
     """Yields a privileged sim session of `count` robots that perform a task; `seed` is that of the episodes."""
     created = await sim.create_session(CreateSessionRequest(task, num_envs=count, seed=seed, privileged=True))
-    await sim.reset(ResetRequest(created.session))
-    start = (await sim.snapshot(SnapshotRequest(created.session))).snapshot
     try:
+        await sim.reset(ResetRequest(created.session))
+        start = (await sim.snapshot(SnapshotRequest(created.session))).snapshot
         yield RobotSession(sim, created.session, camera, count, created.task.action.size, start)
     finally:
-        await sim.close_session(CloseSessionRequest(created.session))
+        with suppress(ServiceError):  # the block's own error counts
+            await sim.close_session(CloseSessionRequest(created.session))
 
 
 @dataclass(frozen=True)

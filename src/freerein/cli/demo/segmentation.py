@@ -105,7 +105,7 @@ def median(trajectories: Sequence[LabelledTrajectory]) -> LabelledTrajectory:
 def figures(blocks: Sequence[LabelledTrajectory], grid: Sequence[LabelledTrajectory]) -> tuple[Figure, ...]:
     """Returns frame accuracy over all timesteps on `blocks` and on the grid.
 
-    The baseline is told each trajectory's longest skill and always answers it.
+    The baseline always answers a trajectory's longest true skill.
     """
     guess, majority = "each trajectory's longest skill", _majority_accuracy(blocks)
     return (

@@ -60,7 +60,7 @@ def watch(
         metrics: Names of the metrics to draw; None for the most relevant ones.
     """
 
-    async def show_all() -> J:
+    async def follow() -> J:
         progress = JobProgress()
         with _display(name, progress, metrics, as_json=as_json) as show:
             async with connect(client, service) as connected, aclosing(changes(connected)) as jobs:
@@ -72,7 +72,7 @@ def watch(
         return job
 
     try:
-        last = asyncio.run(show_all())
+        last = asyncio.run(follow())
     except KeyboardInterrupt:
         typer.echo(f"The {name} continues; `{command}` watches it again.", err=True)
         raise typer.Exit(INTERRUPTED) from None

@@ -34,23 +34,23 @@ async def reconnecting(
 ) -> AsyncGenerator[T, None]:
     """Yields the items of a stream, which is opened again where it broke off when the service goes away.
 
-    The service may be away for `timeout_s`; a stream that was open for longer, however quiet, shows that it was there.
-    Raises Unavailable or WorkerLost when it stays away.
+    Raises Unavailable or WorkerLost once the service has been unreachable for `timeout_s`. A stream that was open for
+    longer than that counts as reachable, however quiet.
     """
-    there_s = time.monotonic()
+    last_seen_s = time.monotonic()
     while True:
         opened_s = time.monotonic()
         try:
             async with aclosing(open_stream()) as items:
                 async for item in items:
-                    there_s = time.monotonic()
+                    last_seen_s = time.monotonic()
                     yield item
             return
         except (Unavailable, WorkerLost):
             broken_s = time.monotonic()
             if broken_s - opened_s > timeout_s:
-                there_s = broken_s
-            if broken_s - there_s > timeout_s:
+                last_seen_s = broken_s
+            if broken_s - last_seen_s > timeout_s:
                 raise
             await asyncio.sleep(_RETRY_S)
 
