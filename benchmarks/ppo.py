@@ -27,7 +27,7 @@ from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.retry import Retry
 from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer, collect
@@ -45,7 +45,6 @@ _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
 _ROUNDS = 3
 _CPU = torch.device("cpu")
 _CACHE_BYTES = 2**20
-_FRAMES_PER_REWARD_CALL = 32
 
 Train = Callable[[], str]
 """Trains once; returns the sha256 of the final weights."""
@@ -137,7 +136,7 @@ class _Served:
         return cls(config, sims, reward, to_checkpoint(state))
 
     def train(self) -> str:
-        retry = Retry(np.random.default_rng(), stop=lambda: False, say=lambda _: None)
+        retry = Retry(np.random.default_rng(), stop=lambda: False, log_line=lambda _: None)
         reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
         collector = RecoveringCollector(
             lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots),
@@ -191,7 +190,7 @@ class _Local:
         final, done = reply.frames[_CAMERA].copy(), reply.terminated | reply.truncated
         final[done] = reply.final_frames[_CAMERA]
         self._pending.append(final)
-        if len(self._pending) * self.num_envs == _FRAMES_PER_REWARD_CALL:
+        if len(self._pending) * self.num_envs == FRAMES_PER_REWARD_CALL:
             self._rewards.append(self._reward_thread.submit(self._reward_fn, np.concatenate(self._pending)))
             self._pending = []
         return VecStep(reply.frames[_CAMERA], reply.terminated, reply.truncated, final)

@@ -8,7 +8,7 @@ TEMP_SUFFIX = ".tmp"
 
 def write_atomic(path: Path, data: bytes) -> None:
     """Writes a file atomically: temporary file, fsync, rename, fsync of the folder. Creates missing folders."""
-    _make_folder(path.parent)
+    make_folder(path.parent)
     temporary = path.with_name(path.name + TEMP_SUFFIX)
     with temporary.open("wb") as file:
         file.write(data)
@@ -27,8 +27,9 @@ def fsync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _make_folder(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
+    """Creates a folder and its missing parents durably."""
     if not folder.is_dir():
-        _make_folder(folder.parent)
+        make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
         fsync_folder(folder.parent)

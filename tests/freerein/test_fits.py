@@ -4,6 +4,8 @@ import asyncio
 import json
 import logging
 import os
+import shutil
+import signal
 import textwrap
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -51,7 +53,7 @@ CHILD = textwrap.dedent(
     if behaviour == "burst":
         with (work / "metrics.jsonl").open("a") as metrics:
             metrics.writelines(f'{{"step": {step}, "train_loss": {1 / step}}}\\n' for step in range(3, 6))
-    if behaviour == "hopeless":
+    if behaviour == "permanent":
         sys.stderr.write("The dataset must hold two skills; it holds one.\\n")
         sys.exit(2)
     if behaviour == "broken metrics":
@@ -136,9 +138,6 @@ async def end(fits: FitService, fit: Fit) -> Fit:
     return await when(fits, fit, lambda now: now.ended)
 
 
-# --- how fits end
-
-
 async def test_a_fit_that_succeeds_makes_a_model_that_is_active(bench: Bench) -> None:
     async with bench.running() as fits:
         fit = await end(fits, await begin(fits))
@@ -160,15 +159,15 @@ async def test_a_child_that_always_dies_is_given_up(bench: Bench) -> None:
     async with bench.running() as fits:
         fit = await end(fits, await begin(fits, "crash"))
     assert (fit.state, len(bench.runs(fit))) == ("failed", 4)  # the first made progress
-    assert (
-        fit.error
-        == "3 attempts in a row ended without progress. Its process was killed by SIGKILL; its log.txt says more."
+    assert fit.error == (
+        "3 attempts in a row ended without progress. "
+        "The child process was killed by SIGKILL; see log.txt in the job's folder."
     )
 
 
-async def test_a_child_that_says_there_is_no_hope_is_believed(bench: Bench) -> None:
+async def test_a_permanent_failure_is_not_retried(bench: Bench) -> None:
     async with bench.running() as fits:
-        fit = await end(fits, await begin(fits, "hopeless"))
+        fit = await end(fits, await begin(fits, "permanent"))
     assert (fit.state, fit.error) == ("failed", "The dataset must hold two skills; it holds one.")
     assert len(bench.runs(fit)) == 1
 
@@ -211,9 +210,6 @@ def test_models_that_are_activated_on_several_threads_at_once_leave_one_whole_re
     assert bench.store.active_version("default") in {ref.version for ref in refs}
 
 
-# --- cancelling
-
-
 async def test_cancelling_ends_the_child_and_stays_final(bench: Bench) -> None:
     async with bench.running() as fits:
         fit = await begin(fits, "wait")
@@ -245,9 +241,6 @@ async def test_cancelled_at_the_moment_its_child_is_started_a_fit_ends_too(bench
         assert (await fits.get_fit(GetFitRequest(fit.id))).fit.state == "cancelled"
 
 
-# --- what is kept
-
-
 async def test_after_a_drain_the_next_start_goes_on_with_what_had_not_ended(bench: Bench) -> None:
     async with bench.running() as fits:
         ended = await end(fits, await begin(fits))
@@ -275,7 +268,7 @@ async def test_a_full_disk_ends_no_runner_and_what_happened_is_recorded_when_the
 
     monkeypatch.setattr(log, "filters", [notice])
     async with bench.running() as fits:
-        first, second, third = await begin(fits, "wait"), await begin(fits, "hopeless"), await begin(fits)
+        first, second, third = await begin(fits, "wait"), await begin(fits, "permanent"), await begin(fits)
         events = bench.folder(second) / "events.jsonl"
         kept = events.rename(events.with_name("kept"))
         events.symlink_to("/dev/full")
@@ -283,6 +276,17 @@ async def test_a_full_disk_ends_no_runner_and_what_happened_is_recorded_when_the
         assert await asyncio.to_thread(is_refused.wait, 10)
         kept.replace(events)
         assert [(await end(fits, each)).state for each in (second, third)] == ["failed", "succeeded"]
+
+
+async def test_a_fit_whose_folder_is_deleted_does_not_hold_up_the_next_one(bench: Bench) -> None:
+    async with bench.running() as fits:
+        first, second = await begin(fits, "wait"), await begin(fits)
+        await when(fits, first, lambda now: now.step)
+        child = int((bench.folder(first) / "runs.txt").read_text())
+        shutil.rmtree(bench.folder(first))
+        os.kill(child, signal.SIGKILL)
+        assert (await end(fits, second)).state == "succeeded"
+        assert [fit.id for fit in (await fits.list_fits(ListFitsRequest())).fits] == [second.id]
 
 
 async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_restart(bench: Bench) -> None:
@@ -294,9 +298,6 @@ async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_r
         with pytest.raises(AlreadyExists):
             await begin(fits, "succeed", key="mine")
         assert (await begin(fits, "wait", key="yours")).id != fit.id
-
-
-# --- watching
 
 
 async def test_watchers_see_every_event_from_their_number_on_without_gaps(bench: Bench) -> None:
@@ -332,9 +333,6 @@ async def test_every_row_of_a_burst_is_an_event(bench: Bench) -> None:
         events = [event.fit async for event in fits.watch_fit(WatchFitRequest(fit.id))]
     assert [now.step for now in events if now.state == "running"] == [0, 2, 3, 4, 5]
     assert [now.metrics["train_loss"] for now in events if now.step] == [0.5, 1 / 3, 1 / 4, 1 / 5, 1 / 5]
-
-
-# --- what is refused
 
 
 @pytest.mark.parametrize(

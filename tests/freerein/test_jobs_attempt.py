@@ -22,7 +22,7 @@ def store(tmp_path: Path) -> JobStore:
 def runner(store: JobStore, monkeypatch: pytest.MonkeyPatch) -> AttemptRunner:
     toys = Path(__file__).parents[1] / "orchestrator"
     monkeypatch.setenv("PYTHONPATH", f"{toys}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    return AttemptRunner(store, module="toy_child", hidden=("FREEREIN_DATABASE_URL",))
+    return AttemptRunner(store, module="toy_child", hidden_env=("FREEREIN_DATABASE_URL",))
 
 
 def go_on() -> StopRequest:
@@ -76,7 +76,7 @@ def test_an_attempt_that_could_not_begin_is_tried_again(store, runner):
     run_id = store.create(START, {"config": {"steps": 1}})
     (store.folder(run_id) / "log.txt").mkdir()
     attempt = runner.run(run_id, go_on)
-    assert (attempt.outcome, attempt.error) == ("crashed", "It could not be started: Is a directory.")
+    assert (attempt.outcome, attempt.error) == ("crashed", "The child process could not be started: Is a directory.")
 
 
 @pytest.mark.fault("O10")

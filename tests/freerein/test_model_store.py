@@ -53,9 +53,6 @@ def models(store: ModelStore, loader: Loader) -> ModelCache[str]:
     return ModelCache(store, loader, fit_command="freerein fit toy")
 
 
-# --- on disk
-
-
 def test_the_same_files_have_the_same_version_and_others_another(store: ModelStore, publish: Publish) -> None:
     first, again, other = publish("a"), publish("a"), publish("b")
     assert first == again != other
@@ -140,9 +137,6 @@ def test_another_version_than_expected_is_not_replaced(store: ModelStore, publis
     with pytest.raises(FailedPrecondition, match=second.version):
         store.activate(third, expected_current=first.version)
     assert store.active_version("default") == second.version
-
-
-# --- in memory
 
 
 async def test_the_active_model_is_loaded_before_it_is_ready_and_once(

@@ -142,7 +142,10 @@ def test_a_stored_policy_and_untrained_weights_can_be_evaluated(evaluation: Call
     stored = evaluation(task | {"policy": {"stored": "yellow-left-of-green"}})
     stored.check()
     assert stored.do()
-    assert stored.artifact("result.json")["policy"] == "ppo"
+    result = stored.artifact("result.json")
+    assert result["policy"] == "ppo"
+    assert result["model"]["name"] == "yellow-left-of-green"
+    assert result["model"]["version"]
     untrained = [evaluation(task | {"policy": {"untrained": 3}}) for _ in range(2)]
     assert all(run.do() for run in untrained)
     assert untrained[0].artifact("result.json") == untrained[1].artifact("result.json")

@@ -15,7 +15,7 @@ from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest
 from freerein.types.sim import CreateSessionRequest, StepResponse
 from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, oracle_reward, zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, split
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, envs_per_sim
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.errors import IterationRejected, Stopped
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
@@ -132,7 +132,7 @@ def test_the_oracle_needs_a_privileged_session(sim: SyncClient) -> None:
 def test_envs_split_over_two_sims_are_as_many_and_differ(sim: SyncClient) -> None:
     envs = open_envs(sim, sim, reward_fn=oracle_reward, privileged=True)
     frames = envs.reset()
-    assert split(3, 2) == (2, 1)
+    assert envs_per_sim(3, 2) == (2, 1)
     assert len({frame.tobytes() for frame in frames}) == 3
     step = envs.step(draw_actions(np.random.default_rng(0)))
     assert step.observations.shape == (3, 64, 64, 3)

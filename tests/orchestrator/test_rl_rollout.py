@@ -131,6 +131,6 @@ def test_normalised_rewards_do_not_depend_on_the_unit_and_are_scaled_by_the_std_
     ],
 )
 def test_an_invalid_configuration_is_refused(values: dict[str, object]) -> None:
-    assert parse(PPOConfig, {"num_steps": 64.0}).updates == 16
+    assert parse(PPOConfig, {"num_steps": 64.0}).steps_per_iteration == 16
     with pytest.raises(InvalidInput):
         parse(PPOConfig, values)

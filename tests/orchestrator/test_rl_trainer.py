@@ -181,7 +181,7 @@ def train(
         collector=lambda _: collector,
         metrics_log=lambda last_step: MetricsLogger(folder, last_step=last_step),
         interrupt=interrupt,
-        say=(log if log is not None else list[str]()).append,
+        log_line=(log if log is not None else list[str]()).append,
     ).train()
 
 
@@ -331,4 +331,4 @@ def test_the_checkpoints_of_a_training_are_readable_by_name(tmp_path: Path) -> N
     train(tmp_path)
     found = checkpoints.newest(tmp_path / "checkpoints", on_corrupt=lambda *_: pytest.fail("damaged"))
     assert found is not None
-    assert found.step == SHORT.iterations * SHORT.updates
+    assert found.step == SHORT.iterations * SHORT.steps_per_iteration

@@ -33,7 +33,7 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
         store,
         module="freerein_orchestrator.runs",
         arguments=(str(settings.data_dir), settings.device),
-        hidden=("FREEREIN_DATABASE_URL",),  # holds a password
+        hidden_env=("FREEREIN_DATABASE_URL",),  # holds a password
     )
     queue = DbosQueue(
         folder,

@@ -25,7 +25,7 @@ from freerein.jobs.store import JobStore
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SAVE_S = 5.0
-_CANCEL_S = 1.4  # with a look at the database before, two seconds from CancelRun to the child's end
+_CANCEL_S = 1.4  # with one poll of the database, at most 2 s from CancelRun to the child's end
 _ATTEMPTS = 3
 _SIGNALS = {number.value: number.name for number in signal.Signals}
 
@@ -70,15 +70,15 @@ def retry(attempt: Callable[[], AttemptResult]) -> AttemptResult:
 
 
 class AttemptRunner:
-    """Makes attempts at jobs: a child process of `module` that does not see the `hidden` environment variables."""
+    """Makes attempts at jobs: a child process of `module` that does not see the environment variables `hidden_env`."""
 
     def __init__(
-        self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden: Sequence[str] = ()
+        self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden_env: Sequence[str] = ()
     ) -> None:
         self._store = store
         self._command = (sys.executable, "-m", module)
         self._arguments = arguments
-        self._hidden = hidden
+        self._hidden_env = hidden_env
 
     def run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
         """Starts a job's child process and returns how it ended; `should_stop` is called several times a second.
@@ -95,7 +95,7 @@ class AttemptRunner:
             return self._run(job_id, should_stop)
         except OSError as error:  # a full disk, or no memory for a process: the next attempt may succeed
             _log.exception("an attempt could not be started", extra={"job": job_id})
-            return AttemptResult("crashed", error=f"It could not be started: {error.strerror}.")
+            return AttemptResult("crashed", error=f"The child process could not be started: {error.strerror}.")
 
     def _run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
         folder, done = self._store.folder(job_id), self._store.last(job_id).step
@@ -109,7 +109,7 @@ class AttemptRunner:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
-                env={name: value for name, value in os.environ.items() if name not in self._hidden},
+                env={name: value for name, value in os.environ.items() if name not in self._hidden_env},
                 pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
                 process_group=0,  # Ctrl-C in a terminal reaches us, and the child in order
             )
@@ -187,7 +187,7 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("failed", progressed, last_line)
     name = _SIGNALS.get(-code, f"signal {-code}")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
-    return AttemptResult("crashed", progressed, f"Its process {ended}; its log.txt says more.")
+    return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")
 
 
 def _last_line(path: Path) -> str:

@@ -35,7 +35,7 @@ class MetricsWriter:
 
 
 def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
-    """Returns at most `max_rows` rows from a step on, evenly decimated, always with the first and the last.
+    """Returns at most `max_rows` rows from a step on, evenly decimated, with the first and the last.
 
     Values that are not finite are left out; the file may not exist yet.
     """

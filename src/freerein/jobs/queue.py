@@ -54,7 +54,9 @@ class LocalQueue:
     def check_room(self) -> None:
         """Raises Overloaded when too many jobs are waiting."""
         if len(self._waiting) >= _MAX_WAITING:
-            raise Overloaded(f"At most {_MAX_WAITING} jobs may wait.", hint="Cancel one, or wait for one to end.")
+            raise Overloaded(
+                f"At most {_MAX_WAITING} {self._store.noun}s may wait.", hint="Cancel one, or wait for one to end."
+            )
 
     def put(self, job_id: str) -> None:
         """Queues a job, unless it is queued, running or ended."""
@@ -110,6 +112,8 @@ class LocalQueue:
         while True:
             try:
                 return self._store.record(job_id, state, **changes)
+            except FileNotFoundError:  # its folder was deleted
+                return None
             except OSError:
                 _log.exception("the end of a job cannot be recorded yet", extra={"job": job_id})
             if self._closing:

@@ -17,10 +17,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mappin
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import write_atomic
+from freerein.atomic_files import make_folder, write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
@@ -53,7 +54,7 @@ class JobStore:
 
     def __init__(self, root: Path, *, noun: str) -> None:
         self._root = root
-        self._noun = noun
+        self.noun = noun
 
     def folder(self, job_id: str) -> Path:
         """Returns the folder of a job. Raises InvalidInput for a malformed id."""
@@ -66,7 +67,7 @@ class JobStore:
         """
         job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with self.lock(job_id):
             if self.find(request) is None:
                 append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
@@ -86,7 +87,7 @@ class JobStore:
             raise AlreadyExists(
                 "An idempotency key must be used for one request; this one was used for another.",
                 field="idempotency_key",
-                hint=f"Choose a new key for a new {self._noun}.",
+                hint=f"Choose a new key for a new {self.noun}.",
             )
         return job_id
 
@@ -98,7 +99,7 @@ class JobStore:
         """Returns the contents of a job's `config.json`. Raises NotFound when there is no such job."""
         if not self.exists(job_id):
             raise NotFound(
-                f"There is no {self._noun} of this id.", field="id", hint=f"GET /v1/list-{self._noun}s lists them."
+                f"There is no {self.noun} of this id.", field="id", hint=f"GET /v1/list-{self.noun}s lists them."
             )
         return dict(json.loads((self.folder(job_id) / "config.json").read_bytes()))
 
@@ -162,15 +163,17 @@ class JobStore:
         while there is no new event, with whether there was one since the last pause; it returns False to end the
         stream. Files are read on `threads`, by default the default executor of the event loop.
         """
-        events, loop = self.events(job_id), asyncio.get_running_loop()
+        run, events = partial(asyncio.get_running_loop().run_in_executor, threads), self.events(job_id)
+        config = await run(self.config, job_id)
         sequence, ended, is_new = 0, False, False
         while True:
-            while new := await loop.run_in_executor(threads, events):
+            while new := await run(events):
                 is_new = True
                 for event in new:
                     ended = event.ended
                     if sequence >= from_sequence:
-                        yield sequence, await loop.run_in_executor(threads, self.fields, job_id, event)
+                        model = await run(self._model, job_id) if event.state == "succeeded" else None
+                        yield sequence, {"id": job_id, **config, **vars(event), "model": model}
                     sequence += 1
             if ended or not await pause(is_new):
                 return
@@ -182,9 +185,7 @@ class JobStore:
         Raises NotFound when there is no such job.
         """
         config, event = self.config(job_id), event or self.last(job_id)
-        path = self.folder(job_id) / "model.json"
-        has_model = event.state == "succeeded" and path.is_file()
-        model = ModelRef(**json.loads(path.read_bytes())) if has_model else None
+        model = self._model(job_id) if event.state == "succeeded" else None
         return {"id": job_id, **config, **vars(event), "model": model}
 
     def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> JobMetrics:
@@ -211,8 +212,12 @@ class JobStore:
         self.config(job_id)
         path = self.folder(job_id) / "artifacts" / check_name(name, field="name")
         if not path.is_file():
-            raise NotFound(f"The {self._noun} has no artifact of this name.", field="name", hint="List its artifacts.")
+            raise NotFound(f"The {self.noun} has no artifact of this name.", field="name", hint="List its artifacts.")
         return path
+
+    def _model(self, job_id: str) -> ModelRef | None:
+        path = self.folder(job_id) / "model.json"
+        return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
     @contextmanager
     def lock(self, job_id: str) -> Iterator[None]:

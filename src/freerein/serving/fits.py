@@ -3,9 +3,11 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from freerein.errors import NotFound
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
 from freerein.jobs.store import JobStore
@@ -93,8 +95,11 @@ class FitService:
         """Returns one page of the fits, newest first."""
 
         def page() -> learning.ListFitsResponse:
-            ids, token = self._jobs.page(request.page_size, request.page_token)
-            return learning.ListFitsResponse(tuple(map(self._fit, ids)), token)
+            (ids, token), fits = self._jobs.page(request.page_size, request.page_token), []
+            for fit_id in ids:
+                with suppress(NotFound):  # deleted meanwhile
+                    fits.append(self._fit(fit_id))
+            return learning.ListFitsResponse(tuple(fits), token)
 
         return await self._in_thread(page)
 

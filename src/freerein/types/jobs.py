@@ -99,7 +99,8 @@ class JobMetrics:
     """Metrics of one job.
 
     Attributes:
-        rows: In order of steps, evenly spaced over those recorded, always with the first and the last.
+        rows: In order of steps, evenly spaced over those recorded, with the first and the last; only the last if
+            `max_rows` is 1.
         total_rows: Number of rows recorded from `from_step` on, before decimation.
         next_step: `from_step` that returns only later rows.
     """

@@ -21,7 +21,7 @@ from freerein_orchestrator.rl.policy_files import NetworkPolicy, StoredPolicy
 from freerein_orchestrator.rl.vec_env import Actions, Observations
 
 _MAX_THREADS = 64
-"""Environments per session."""
+"""Calls at once: the most environments that a session may have."""
 
 
 class BatchPolicy(Protocol):
@@ -55,8 +55,10 @@ def random_policy(action: ActionSpec) -> PolicyHandle:
     return PolicyHandle(lambda seed: _RandomPolicy(action, np.random.default_rng(seed)), {"policy": "random"})
 
 
-def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool) -> PolicyHandle:
+def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: ModelRef | None = None) -> PolicyHandle:
     """Returns a policy of a ppo run; `stochastic` samples its actions, else the most likely one is taken.
+
+    `model` is its reference among the stored models, if it is one of them.
 
     Raises:
         InvalidInput: The task has another camera or other actions.
@@ -67,7 +69,9 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool) -> Poli
     def start(seed: int) -> BatchPolicy:
         return NetworkPolicy(policy.network, generator=torch.Generator().manual_seed(seed) if stochastic else None)
 
-    description = {"policy": "ppo", "sha256": policy.card["sha256"], "stochastic": stochastic}
+    description: dict[str, Any] = {"policy": "ppo", "sha256": policy.card["sha256"], "stochastic": stochastic}
+    if model is not None:
+        description["model"] = asdict(model)
     return PolicyHandle(start, description, spec.camera, spec.height, spec.width)
 
 

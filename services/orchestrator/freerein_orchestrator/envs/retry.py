@@ -41,13 +41,13 @@ class Retry:
     Args:
         rng: Draws the pauses.
         stop: Whether to stop; asked before each attempt and several times a second between attempts.
-        say: Called once per outage with the reason for waiting.
+        log_line: Called once per outage with the reason for waiting.
     """
 
-    def __init__(self, rng: np.random.Generator, *, stop: Callable[[], bool], say: Callable[[str], None]) -> None:
+    def __init__(self, rng: np.random.Generator, *, stop: Callable[[], bool], log_line: Callable[[str], None]) -> None:
         self._rng = rng
         self._stop = stop
-        self._say = say
+        self._log_line = log_line
         self._failures = 0
         self._model_faults = 0
 
@@ -70,7 +70,7 @@ class Retry:
             except ServiceError as error:
                 on_failure()
                 if not is_transient(error):
-                    raise _permanent(error) from error
+                    raise _to_permanent(error) from error
                 self.wait(error)
             except BaseException:
                 on_failure()
@@ -103,7 +103,7 @@ class Retry:
         if self._model_faults == _MAX_MODEL_FAULTS:
             raise error
         if not self._failures:
-            self._say(f"Waiting for a service. {error.detail}")
+            self._log_line(f"Waiting for a service. {error.detail}")
         pause_s = self._rng.uniform(0, min(_MAX_PAUSE_S, _FIRST_PAUSE_S * 2**self._failures))
         self._failures = min(self._failures + 1, _MAX_DOUBLINGS)
         until_s = time.monotonic() + pause_s
@@ -112,7 +112,7 @@ class Retry:
             time.sleep(min(left_s, _POLL_S))
 
 
-def _permanent(error: ServiceError) -> ServiceError:
+def _to_permanent(error: ServiceError) -> ServiceError:
     if isinstance(error, Internal | OutputNotFinite):
         return IterationRejected(error.detail, hint=error.hint or "See the log of the service that failed.")
     return error

@@ -30,12 +30,12 @@ from freerein_orchestrator.rl.vec_env import Actions, Rewards, VecStep
 T = TypeVar("T")
 
 LEASE_S = 300.0
-_FRAMES_PER_REWARD_CALL = 32
+FRAMES_PER_REWARD_CALL = 32
 _CLOSE_TIMEOUT_S = 0.5
 _POLL_S = 0.1
 
 
-def split(num_envs: int, sims: int) -> tuple[int, ...]:
+def envs_per_sim(num_envs: int, sims: int) -> tuple[int, ...]:
     """Returns the number of environments per sim service, as even as possible."""
     return tuple(num_envs // sims + (index < num_envs % sims) for index in range(sims))
 
@@ -67,12 +67,12 @@ class RemoteVectorEnv:
         snapshots: Sequence[bytes] = (),
         interrupt: Callable[[], None] = lambda: None,
     ) -> None:
-        shares = split(request.num_envs, len(sims))
+        shares = envs_per_sim(request.num_envs, len(sims))
         self.num_envs = request.num_envs
         self._cuts = np.cumsum(shares)[:-1]
         self._interrupt = interrupt
         self._closing = ExitStack()
-        self._rewards = _RewardPipeline(reward_fn, steps=max(1, _FRAMES_PER_REWARD_CALL // request.num_envs))
+        self._rewards = _RewardPipeline(reward_fn, steps=max(1, FRAMES_PER_REWARD_CALL // request.num_envs))
         self._closing.callback(self._rewards.close)
         self._stepping = ThreadPoolExecutor(len(sims), thread_name_prefix="sim")
         self._closing.callback(self._stepping.shutdown, wait=False)

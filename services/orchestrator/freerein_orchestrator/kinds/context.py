@@ -46,10 +46,11 @@ class RunContext:
         environ: Says where services are.
         stop: Whether to stop; asked often.
         cancelled: Whether it is to stop because the run was cancelled.
-        parents: Folders of what this is a step of, the run's first; empty for a whole run.
+        parents: Folders of the enclosing pipeline's runs, outermost first; empty for a whole run.
         first_step: Steps of the run before this one's.
-        prefix: Of the names of its metrics.
+        prefix: Prefix of the metrics' names.
         closing: Closed when the work has ended.
+        clients: Open clients by class and address.
     """
 
     folder: Path
@@ -63,6 +64,7 @@ class RunContext:
     first_step: int = 0
     prefix: str = ""
     closing: ExitStack = field(default_factory=ExitStack)
+    clients: dict[tuple[type[Client], str], SyncClient] = field(default_factory=dict)
 
     @property
     def artifacts(self) -> Path:
@@ -85,7 +87,7 @@ class RunContext:
 
     def retry(self) -> Retry:
         """Returns what repeats work until services are available and the run is not to stop."""
-        return Retry(np.random.default_rng(), stop=self.stop, say=self.say)
+        return Retry(np.random.default_rng(), stop=self.stop, log_line=self.log_line)
 
     def client(self, service: str) -> SyncClient:
         """Returns a blocking client of a service."""
@@ -110,7 +112,7 @@ class RunContext:
         for folder in (self.folder, *self.parents):
             write_atomic(folder / "model.json", json.dumps(asdict(model)).encode())
 
-    def say(self, text: str) -> None:
+    def log_line(self, text: str) -> None:
         """Writes a line to the run's log, unless the disk is full."""
         with suppress(OSError):
             sys.stderr.write(f"{text}\n")
@@ -131,9 +133,12 @@ class RunContext:
             first_step=self.first_step + first_step,
             prefix=f"{self.prefix}{name}/",
             closing=self.closing.enter_context(ExitStack()),
+            clients={},
         )
 
     def _connect(self, client: type[Client], where: str) -> SyncClient:
+        if found := self.clients.get((client, where)):
+            return found
         certificate = self.environ.get("FREEREIN_TLS_CERT", "")
         channel = Channel(
             where,
@@ -142,4 +147,5 @@ class RunContext:
         )
         connected = SyncClient(client(channel))
         self.closing.callback(connected.close)
+        self.clients[client, where] = connected
         return connected

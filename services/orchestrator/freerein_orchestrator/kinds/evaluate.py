@@ -189,12 +189,12 @@ class EpisodeOutcome:
     """The outcome of an episode.
 
     Attributes:
-        total: Its return by the oracle's reward.
+        episode_return: Return by the oracle's reward.
         length: Its timesteps.
         success: Whether the goal holds at the end.
     """
 
-    total: float
+    episode_return: float
     length: int
     success: bool
 
@@ -237,7 +237,7 @@ class _Evaluation:
             **{name: getattr(self._config, name) for name in ("episodes", "num_envs", "seed")},
             **self.policy,
             **self._figures(),
-            "returns": [outcome.total for outcome in self.outcomes],
+            "returns": [outcome.episode_return for outcome in self.outcomes],
             "lengths": [outcome.length for outcome in self.outcomes],
             "successes": [outcome.success for outcome in self.outcomes],
         }
@@ -247,7 +247,7 @@ class _Evaluation:
         for index in indices:
             outcome = self.outcomes[index]
             row = {
-                "episode_return": outcome.total,
+                "episode_return": outcome.episode_return,
                 "episode_length": outcome.length,
                 "success": float(outcome.success),
             }
@@ -255,7 +255,7 @@ class _Evaluation:
             self._metrics.append(index + 1, row | (self._figures() if is_last else {}))
 
     def _figures(self) -> dict[str, float]:
-        returns = [outcome.total for outcome in self.outcomes]
+        returns = [outcome.episode_return for outcome in self.outcomes]
         low, high = metrics.mean_interval(returns, rng=np.random.default_rng(self._config.seed))
         return {
             "return_mean": float(np.mean(returns)),
@@ -276,8 +276,10 @@ def _policy(context: RunContext, config: EvaluateConfig, task: Task, pinned: Map
         case ModelPolicy(name, version, goal_text, recipe):
             made, goal = ModelRef(name, version), Goal(recipe=recipe, text=goal_text)
         case StoredModelPolicy(name, version, stochastic):
-            folder = store.model_folder(ModelRef(name, version), field=_FIELD)
-            return stored_policy(load_policy(folder, device=context.device), task, stochastic=stochastic)
+            asked = ModelRef(name, version)
+            ref = ModelRef(**pinned["model"]) if pinned else store.resolve_model(asked, field=_FIELD)
+            made = load_policy(store.model_folder(ref, field=_FIELD), device=context.device)
+            return stored_policy(made, task, stochastic=stochastic, model=ref)
         case UntrainedPolicy(seed, stochastic):
             return stored_policy(_untrained(context, task, seed), task, stochastic=stochastic)
         case _:

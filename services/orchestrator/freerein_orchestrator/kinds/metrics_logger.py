@@ -23,10 +23,10 @@ class MetricsLogger:
     A full disk ends no training: rows that cannot be written are dropped, and TensorBoard's file from then on.
 
     Args:
-        folder: The run's.
+        folder: The run's folder.
         last_step: Last step to keep; later rows, which will be repeated, are dropped.
         first_step: Steps of the run before this one's.
-        prefix: Of the names of the metrics.
+        prefix: Prefix of the metrics' names.
     """
 
     def __init__(self, folder: Path, *, last_step: int, first_step: int = 0, prefix: str = "") -> None:

@@ -67,11 +67,25 @@ class PolicyStore:
         Raises:
             InvalidInput: There is no such policy.
         """
-        version = ref.version or self.models.active_version(check_name(ref.name, field=field))
         try:
-            return self.models.folder(ModelRef(ref.name, version or "none"))
+            return self.models.folder(self.resolve_model(ref, field=field))
         except NotFound as error:
             raise InvalidInput(error.detail, field=field, hint=error.hint) from error
+
+    def resolve_model(self, ref: ModelRef, *, field: str) -> ModelRef:
+        """Returns a stored policy with its version, by default the active one.
+
+        Raises:
+            InvalidInput: No version was named and none is active.
+        """
+        version = ref.version or self.models.active_version(check_name(ref.name, field=field))
+        if not version:
+            raise InvalidInput(
+                "The policy must be a stored one with an active version; no version of that name is active.",
+                field=field,
+                hint="Name a version, or one of the models of the orchestrator.",
+            )
+        return ModelRef(ref.name, version)
 
     def run_folder(self, name: str) -> Path:
         """Returns the folder of a run, by its id, or of an earlier step of the same pipeline, by its name.

@@ -85,7 +85,7 @@ def run(context: RunContext, config: PPORunConfig) -> None:
         collector=training.collector,
         metrics_log=context.metrics_logger,
         interrupt=training.retry.interrupt,
-        say=context.say,
+        log_line=context.log_line,
     )
     state = trainer.train()
     save_policy(state.network, context.artifacts, card=_card(config, state))

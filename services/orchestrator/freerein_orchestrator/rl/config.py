@@ -82,6 +82,6 @@ class PPOConfig:
         return self.num_steps if self.recurrent else 1
 
     @property
-    def updates(self) -> int:
+    def steps_per_iteration(self) -> int:
         """Optimiser steps per iteration."""
         return self.epochs * self.rollout_size // self.batch_size

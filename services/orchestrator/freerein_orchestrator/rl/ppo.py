@@ -47,11 +47,11 @@ def update(
     """
     state, batch = learner.state, training_batch(rollout, rewards, config)
     metrics: list[Mapping[str, Tensor]] = []
-    for _ in range(config.updates):
+    for _ in range(config.steps_per_iteration):
         interrupt()
         minibatch = batch.select(learner.sampler.next_batch(config.batch_size // config.sequence_length))
         losses = evaluate(state.network, minibatch, clip_range=config.clip_range)
-        lr = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.updates)
+        lr = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.steps_per_iteration)
         state = optimiser_step(state, losses.total(config), lr=lr)
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}
@@ -198,5 +198,5 @@ def _check_finite(metrics: Mapping[str, float], network: ActorCritic) -> None:
         if not math.isfinite(value):
             raise IterationRejected(
                 f"Training metrics must stay finite; {name} became {value}.",
-                hint="Lower the learning rate, or look at the rewards.",
+                hint="Lower the learning rate, or check the rewards.",
             )

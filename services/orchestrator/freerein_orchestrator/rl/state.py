@@ -70,7 +70,7 @@ class PPOState:
     @property
     def iteration(self) -> int:
         """Completed iterations."""
-        return self.learner.state.step // self.config.updates
+        return self.learner.state.step // self.config.steps_per_iteration
 
     @property
     def timesteps(self) -> int:
@@ -211,9 +211,9 @@ def from_checkpoint(
     Args:
         checkpoint: From `to_checkpoint`.
         config: As the training was started with.
-        device: As well.
-        make_reward_learner: As well.
-        inputs: Those of its inputs that may have changed.
+        device: The device that it was started on.
+        make_reward_learner: The function that it was started with.
+        inputs: Inputs to compare with the checkpoint's.
 
     Raises:
         FailedPrecondition: The training was started with another configuration or other inputs, on another device or

@@ -52,13 +52,13 @@ class Trainer:
     """Trains a policy to the end, from its last checkpoint where there is one.
 
     Attributes:
-        folder: The run's.
+        folder: The run's folder.
         init: Returns the state before the first iteration.
         load: Returns the state of a checkpoint.
         collector: Returns what collects the rollouts of a state.
         metrics_log: Returns the log, given the last step that is saved.
         interrupt: Called often; raises `Stopped` to stop.
-        say: Writes a line to the log.
+        log_line: Writes a line to the log.
         recorder: Keeps the rollouts; None to discard them.
     """
 
@@ -68,7 +68,7 @@ class Trainer:
     collector: Callable[[PPOState], Collector]
     metrics_log: Callable[[int], MetricsLog]
     interrupt: Callable[[], None] = lambda: None
-    say: Callable[[str], None] = lambda _: None
+    log_line: Callable[[str], None] = lambda _: None
     recorder: Recorder | None = None
 
     def train(self) -> PPOState:
@@ -91,7 +91,7 @@ class Trainer:
                 saved = self._saved_state()
                 iteration = 0 if saved is None else saved.iteration
                 rejected = rejected + 1 if iteration == max(started, 0) else 1
-                self.say(f"Rolled back, {rejected} in a row: {error.detail}")
+                self.log_line(f"Rolled back, {rejected} in a row: {error.detail}")
                 if rejected == _MAX_FAILURES:
                     raise FailedPrecondition(
                         f"Iteration {iteration + 1} was rejected {_MAX_FAILURES} times in a row: {error.detail}",
@@ -101,7 +101,7 @@ class Trainer:
     def _run(self, state: PPOState, rejected: int) -> PPOState:
         torch.set_num_threads(state.config.threads)
         torch.set_flush_denormal(True)
-        saver = _Saver(self.folder / "checkpoints", self.say)
+        saver = _Saver(self.folder / "checkpoints", self.log_line)
         if state.iteration == 0:
             saver.save(state)
         with closing(self.collector(state)) as collector, closing(self.metrics_log(self._step(state))) as log:
@@ -158,7 +158,7 @@ class Trainer:
     def _saved_state(self) -> PPOState | None:
         found = checkpoints.newest(
             self.folder / "checkpoints",
-            on_corrupt=lambda step, detail: self.say(f"Checkpoint {step} is skipped: {detail}"),
+            on_corrupt=lambda step, detail: self.log_line(f"Checkpoint {step} is skipped: {detail}"),
         )
         return None if found is None else self.load(found)
 
@@ -166,9 +166,9 @@ class Trainer:
 class _Saver:
     """Saves checkpoints; a full disk ends the training only after three failures in a row."""
 
-    def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
+    def __init__(self, folder: Path, log_line: Callable[[str], None]) -> None:
         self._folder = folder
-        self._say = say
+        self._log_line = log_line
         self._failures = 0
 
     def save(self, state: PPOState) -> None:
@@ -177,7 +177,7 @@ class _Saver:
             self._failures = 0
         except OSError as error:
             self._failures += 1
-            self._say(f"Iteration {state.iteration} could not be saved: {error.strerror}")
+            self._log_line(f"Iteration {state.iteration} could not be saved: {error.strerror}")
             if self._failures == _MAX_FAILURES:
                 raise FailedPrecondition(
                     f"Checkpoints must be saved; {_MAX_FAILURES} in a row could not be.", hint="Is the disk full?"

@@ -82,14 +82,22 @@ class RunService:
                 self._reason = f"{error.detail} {error.hint}"
                 continue
             self._reason = ""
-            with suppress(Unavailable):
-                await self.list_runs(orchestrator.ListRunsRequest())
+            await self._record_ends()
             return
 
     async def close(self) -> None:
         """Stops the child process, which may save first; the next start resumes its run."""
         await asyncio.to_thread(self._queue.close)
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+    async def _record_ends(self) -> None:
+        """Reads every run, which records the ends that no worker could."""
+        token = ""
+        with suppress(Unavailable):
+            while True:
+                token = (await self.list_runs(orchestrator.ListRunsRequest(page_token=token))).next_page_token
+                if not token:
+                    return
 
     async def start_run(self, request: orchestrator.StartRunRequest) -> orchestrator.StartRunResponse:
         """Queues a run, or returns the one that this idempotency key has started already.

@@ -77,7 +77,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
             collector=lambda _: RecoveringCollector(open_envs, num_steps=ppo.num_steps, retry=retry),
             metrics_log=context.metrics_logger,
             interrupt=retry.interrupt,
-            say=context.say,
+            log_line=context.log_line,
             recorder=TrajectoryRecorder(writer, camera, config.count),
         ).train()
 

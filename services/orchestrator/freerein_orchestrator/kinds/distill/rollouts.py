@@ -108,7 +108,13 @@ class _Recording:
             return
         policy = self._policies[each.teacher]
         kept = self._to_keep(policy, self._retry.call(lambda: self._run(each)))
-        for episode in kept[len(writer) - sum(self._kept) :]:
+        recorded = len(writer) - sum(self._kept)
+        if recorded < 0:
+            raise FailedPrecondition(
+                f"The dataset must hold the {sum(self._kept)} trajectories that were recorded; it holds {len(writer)}.",
+                hint="Start a new run.",
+            )
+        for episode in kept[recorded:]:
             frames = {self._spec.camera: episode.frames}
             writer.append(Trajectory(frames, episode.actions, goal_text=str(policy.card["goal_text"])))
         self._finish(each, kept)

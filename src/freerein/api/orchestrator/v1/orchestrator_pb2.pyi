@@ -396,7 +396,7 @@ class GetMetricsResponse(_message.Message):
     """`from_step` that returns only later rows."""
     @_builtins.property
     def rows(self) -> _containers.RepeatedCompositeFieldContainer[_jobs_pb2.MetricRow]:
-        """Rows in order of steps, evenly spaced over those recorded, always with the first and the last."""
+        """Rows in order of steps, evenly spaced over those recorded, with the first and the last; only the last if `max_rows` is 1."""
 
     def __init__(
         self,
