@@ -199,7 +199,8 @@ def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_b
     run_id = worker.start(crash=True)
     end = worker.watch(run_id)[-1]
     assert end["state"] == "failed"
-    assert end["error"].startswith("3 attempts in a row ended without progress. The child process was killed by SIGKILL")
+    reason = "3 attempts in a row ended without progress. The child process was killed by SIGKILL"
+    assert end["error"].startswith(reason)
     assert len(worker.pids(run_id)) == 1 + 3  # the first got further than none before it
     assert worker.ask("resume", id=run_id)["state"] in ("queued", "running")
     assert worker.watch(run_id, start=end["sequence"] + 1)[-1]["state"] == "failed"
