@@ -68,12 +68,14 @@ class Trajectory:
         actions: float32 (T, A) in [-1, 1] if continuous, int64 (T, 1) if discrete.
         skills: The set of skills that occur, sorted: the only label that learners see. Empty when unknown.
         goal_text: The goal in words; empty when unknown, or when the dataset has one for all.
+        terminated: bool (T,), whether the episode terminated after action t, as by a crash; None when unknown.
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
     actions: npt.NDArray[Any]
     skills: tuple[str, ...] = ()
     goal_text: str = ""
+    terminated: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

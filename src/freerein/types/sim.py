@@ -14,6 +14,23 @@ Frames = dict[str, npt.NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
+class Predicate:
+    """A statement about true states, for evaluation.
+
+    Attributes:
+        name: `at-landmark`, `completed/SKILL`, or a name of the world's own.
+        text: What it states, as a caption; empty where no image could show it.
+        group: Predicates of one group exclude each other: at most one holds in a state. Empty for no group.
+        needs_reference: Whether it compares each state with a reference, such as a landmark's state.
+    """
+
+    name: str
+    text: str = ""
+    group: str = ""
+    needs_reference: bool = False
+
+
+@dataclass(frozen=True)
 class Task:
     """A world with an optional goal and its oracle.
 
@@ -22,7 +39,8 @@ class Task:
         control_dt_s: Time between two actions, in seconds.
         skills: Skills that the expert can execute.
         max_episode_steps: Steps after which an episode is truncated.
-        snapshots: Whether Snapshot and Restore work, bit for bit.
+        predicates: What a privileged session can check.
+        has_expert: Whether the task has a scripted expert.
     """
 
     name: str
@@ -33,7 +51,8 @@ class Task:
     control_dt_s: float
     skills: tuple[str, ...]
     max_episode_steps: int
-    snapshots: bool
+    predicates: tuple[Predicate, ...] = ()
+    has_expert: bool = True
 
 
 @dataclass(frozen=True)
@@ -276,6 +295,61 @@ class DemonstrateResponse:
     index: int
     trajectory: Trajectory
     labels: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class CheckRequest:
+    """Asks a privileged session where a predicate of its task holds.
+
+    Attributes:
+        states: float64 (N, T, S), true states of N sequences of T timesteps.
+        references: float64 (N, T, S), what each state is compared with; only where the predicate needs a reference.
+    """
+
+    session: str
+    predicate: str
+    states: npt.NDArray[np.float64]
+    references: npt.NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CheckResponse:
+    """Where the predicate holds: bool (N, T), at each timestep, given the sequence up to there."""
+
+    holds: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Skills in order."""
+
+    skills: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ExpertActionsRequest:
+    """Asks a privileged session for the scripted expert's next actions.
+
+    Attributes:
+        recipes: Recipe of each environment, read by the first call after its reset; empty for the task's skills in
+            order.
+    """
+
+    session: str
+    recipes: tuple[Recipe, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ExpertActionsResponse:
+    """The expert's actions in the current states.
+
+    Attributes:
+        actions: float32 or int64 (N, size); 0 where the expert has finished.
+        finished: bool (N,), whether the expert has finished.
+    """
+
+    actions: npt.NDArray[Any]
+    finished: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

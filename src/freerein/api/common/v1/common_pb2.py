@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/common/v1/common.proto\x12\x16\x66reerein.api.common.v1\"6\n\x06Tensor\x12\x10\n\x08\x64\x61tatype\x18\x01 \x01(\t\x12\r\n\x05shape\x18\x02 \x03(\x03\x12\x0b\n\x03raw\x18\x03 \x01(\x0c\"\x8c\x02\n\x05Image\x12\x38\n\x08\x65ncoding\x18\x01 \x01(\x0e\x32&.freerein.api.common.v1.Image.Encoding\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0c\n\x04\x64\x61ta\x18\x04 \x01(\x0c\x12\x0e\n\x06\x63\x61mera\x18\x05 \x01(\t\"\x8b\x01\n\x08\x45ncoding\x12\x18\n\x14\x45NCODING_UNSPECIFIED\x10\x00\x12\x15\n\x11\x45NCODING_RAW_RGB8\x10\x01\x12\x16\n\x12\x45NCODING_RAW_GRAY8\x10\x02\x12\x10\n\x0c\x45NCODING_PNG\x10\x03\x12\x11\n\rENCODING_JPEG\x10\x04\x12\x11\n\rENCODING_WEBP\x10\x05\"\xef\x01\n\nTrajectory\x12>\n\x06\x66rames\x18\x01 \x03(\x0b\x32..freerein.api.common.v1.Trajectory.FramesEntry\x12/\n\x07\x61\x63tions\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x0e\n\x06skills\x18\x03 \x03(\t\x12\x11\n\tgoal_text\x18\x04 \x01(\t\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\"G\n\x06\x43\x61mera\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\"W\n\nActionSpec\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x0f\n\x07\x63hoices\x18\x02 \x01(\r\x12\r\n\x05names\x18\x03 \x03(\t\x12\x0c\n\x04unit\x18\x04 \x01(\t\x12\r\n\x05scale\x18\x05 \x03(\x01\"<\n\x0bObservation\x12-\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.Image\"S\n\x04Goal\x12-\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x0e\n\x06recipe\x18\x02 \x03(\t\x12\x0c\n\x04text\x18\x03 \x01(\t\")\n\x08ModelRef\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\"x\n\x06Timing\x12\x10\n\x08queue_ns\x18\x01 \x01(\x04\x12\x11\n\tdecode_ns\x18\x02 \x01(\x04\x12\x10\n\x08infer_ns\x18\x03 \x01(\x04\x12\x11\n\tencode_ns\x18\x04 \x01(\x04\x12\x10\n\x08total_ns\x18\x05 \x01(\x04\x12\x12\n\nbatch_size\x18\x06 \x01(\r\"Y\n\x05\x45rror\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x0c\n\x04hint\x18\x04 \x01(\t\x12\x15\n\rretry_after_s\x18\x05 \x01(\x01\"\x1e\n\x08\x44raining\x12\x12\n\ndeadline_s\x18\x01 \x01(\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/common/v1/common.proto\x12\x16\x66reerein.api.common.v1\"6\n\x06Tensor\x12\x10\n\x08\x64\x61tatype\x18\x01 \x01(\t\x12\r\n\x05shape\x18\x02 \x03(\x03\x12\x0b\n\x03raw\x18\x03 \x01(\x0c\"\x8c\x02\n\x05Image\x12\x38\n\x08\x65ncoding\x18\x01 \x01(\x0e\x32&.freerein.api.common.v1.Image.Encoding\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0c\n\x04\x64\x61ta\x18\x04 \x01(\x0c\x12\x0e\n\x06\x63\x61mera\x18\x05 \x01(\t\"\x8b\x01\n\x08\x45ncoding\x12\x18\n\x14\x45NCODING_UNSPECIFIED\x10\x00\x12\x15\n\x11\x45NCODING_RAW_RGB8\x10\x01\x12\x16\n\x12\x45NCODING_RAW_GRAY8\x10\x02\x12\x10\n\x0c\x45NCODING_PNG\x10\x03\x12\x11\n\rENCODING_JPEG\x10\x04\x12\x11\n\rENCODING_WEBP\x10\x05\"\xa3\x02\n\nTrajectory\x12>\n\x06\x66rames\x18\x01 \x03(\x0b\x32..freerein.api.common.v1.Trajectory.FramesEntry\x12/\n\x07\x61\x63tions\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x0e\n\x06skills\x18\x03 \x03(\t\x12\x11\n\tgoal_text\x18\x04 \x01(\t\x12\x32\n\nterminated\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\"G\n\x06\x43\x61mera\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\"W\n\nActionSpec\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x0f\n\x07\x63hoices\x18\x02 \x01(\r\x12\r\n\x05names\x18\x03 \x03(\t\x12\x0c\n\x04unit\x18\x04 \x01(\t\x12\r\n\x05scale\x18\x05 \x03(\x01\"<\n\x0bObservation\x12-\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.Image\"S\n\x04Goal\x12-\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x0e\n\x06recipe\x18\x02 \x03(\t\x12\x0c\n\x04text\x18\x03 \x01(\t\")\n\x08ModelRef\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\t\"x\n\x06Timing\x12\x10\n\x08queue_ns\x18\x01 \x01(\x04\x12\x11\n\tdecode_ns\x18\x02 \x01(\x04\x12\x10\n\x08infer_ns\x18\x03 \x01(\x04\x12\x11\n\tencode_ns\x18\x04 \x01(\x04\x12\x10\n\x08total_ns\x18\x05 \x01(\x04\x12\x12\n\nbatch_size\x18\x06 \x01(\r\"Y\n\x05\x45rror\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x0c\n\x04hint\x18\x04 \x01(\t\x12\x15\n\rretry_after_s\x18\x05 \x01(\x01\"\x1e\n\x08\x44raining\x12\x12\n\ndeadline_s\x18\x01 \x01(\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -40,23 +40,23 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_IMAGE_ENCODING']._serialized_start=249
   _globals['_IMAGE_ENCODING']._serialized_end=388
   _globals['_TRAJECTORY']._serialized_start=391
-  _globals['_TRAJECTORY']._serialized_end=630
-  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_start=553
-  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_end=630
-  _globals['_CAMERA']._serialized_start=632
-  _globals['_CAMERA']._serialized_end=703
-  _globals['_ACTIONSPEC']._serialized_start=705
-  _globals['_ACTIONSPEC']._serialized_end=792
-  _globals['_OBSERVATION']._serialized_start=794
-  _globals['_OBSERVATION']._serialized_end=854
-  _globals['_GOAL']._serialized_start=856
-  _globals['_GOAL']._serialized_end=939
-  _globals['_MODELREF']._serialized_start=941
-  _globals['_MODELREF']._serialized_end=982
-  _globals['_TIMING']._serialized_start=984
-  _globals['_TIMING']._serialized_end=1104
-  _globals['_ERROR']._serialized_start=1106
-  _globals['_ERROR']._serialized_end=1195
-  _globals['_DRAINING']._serialized_start=1197
-  _globals['_DRAINING']._serialized_end=1227
+  _globals['_TRAJECTORY']._serialized_end=682
+  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_start=605
+  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_end=682
+  _globals['_CAMERA']._serialized_start=684
+  _globals['_CAMERA']._serialized_end=755
+  _globals['_ACTIONSPEC']._serialized_start=757
+  _globals['_ACTIONSPEC']._serialized_end=844
+  _globals['_OBSERVATION']._serialized_start=846
+  _globals['_OBSERVATION']._serialized_end=906
+  _globals['_GOAL']._serialized_start=908
+  _globals['_GOAL']._serialized_end=991
+  _globals['_MODELREF']._serialized_start=993
+  _globals['_MODELREF']._serialized_end=1034
+  _globals['_TIMING']._serialized_start=1036
+  _globals['_TIMING']._serialized_end=1156
+  _globals['_ERROR']._serialized_start=1158
+  _globals['_ERROR']._serialized_end=1247
+  _globals['_DRAINING']._serialized_start=1249
+  _globals['_DRAINING']._serialized_end=1279
 # @@protoc_insertion_point(module_scope)

@@ -155,6 +155,7 @@ class Trajectory(_message.Message):
     ACTIONS_FIELD_NUMBER: _builtins.int
     SKILLS_FIELD_NUMBER: _builtins.int
     GOAL_TEXT_FIELD_NUMBER: _builtins.int
+    TERMINATED_FIELD_NUMBER: _builtins.int
     goal_text: _builtins.str
     """The goal in words; empty when unknown, or when the dataset has one for all."""
     @_builtins.property
@@ -169,6 +170,10 @@ class Trajectory(_message.Message):
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """The set of skills that occur, sorted; empty when unknown."""
 
+    @_builtins.property
+    def terminated(self) -> Global___Tensor:
+        """BOOL (T): whether the episode terminated after action t, as by a crash; unset when unknown."""
+
     def __init__(
         self,
         *,
@@ -176,10 +181,11 @@ class Trajectory(_message.Message):
         actions: Global___Tensor | None = ...,
         skills: _abc.Iterable[_builtins.str] | None = ...,
         goal_text: _builtins.str = ...,
+        terminated: Global___Tensor | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "terminated", b"terminated"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "goal_text", b"goal_text", "skills", b"skills"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "goal_text", b"goal_text", "skills", b"skills", "terminated", b"terminated"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

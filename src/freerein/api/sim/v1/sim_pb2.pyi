@@ -34,7 +34,8 @@ class Task(_message.Message):
     CONTROL_DT_S_FIELD_NUMBER: _builtins.int
     SKILLS_FIELD_NUMBER: _builtins.int
     MAX_EPISODE_STEPS_FIELD_NUMBER: _builtins.int
-    SNAPSHOTS_FIELD_NUMBER: _builtins.int
+    PREDICATES_FIELD_NUMBER: _builtins.int
+    HAS_EXPERT_FIELD_NUMBER: _builtins.int
     name: _builtins.str
     """Task name."""
     world: _builtins.str
@@ -45,8 +46,8 @@ class Task(_message.Message):
     """Time between two actions, in seconds."""
     max_episode_steps: _builtins.int
     """Steps after which an episode is truncated."""
-    snapshots: _builtins.bool
-    """Whether Snapshot and Restore work, bit for bit."""
+    has_expert: _builtins.bool
+    """Whether the task has a scripted expert."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Camera]:
         """The cameras."""
@@ -59,6 +60,10 @@ class Task(_message.Message):
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Skills that the expert can execute."""
 
+    @_builtins.property
+    def predicates(self) -> _containers.RepeatedCompositeFieldContainer[Global___Predicate]:
+        """What a privileged session can check."""
+
     def __init__(
         self,
         *,
@@ -70,15 +75,50 @@ class Task(_message.Message):
         control_dt_s: _builtins.float = ...,
         skills: _abc.Iterable[_builtins.str] | None = ...,
         max_episode_steps: _builtins.int = ...,
-        snapshots: _builtins.bool = ...,
+        predicates: _abc.Iterable[Global___Predicate] | None = ...,
+        has_expert: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "max_episode_steps", b"max_episode_steps", "name", b"name", "skills", b"skills", "snapshots", b"snapshots", "world", b"world"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___Task: _TypeAlias = Task  # noqa: Y015
+
+@_typing.final
+class Predicate(_message.Message):
+    """A statement about true states, for evaluation."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    TEXT_FIELD_NUMBER: _builtins.int
+    GROUP_FIELD_NUMBER: _builtins.int
+    NEEDS_REFERENCE_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    """Its name: `at-landmark`, `completed/SKILL`, or a name of the world's own."""
+    text: _builtins.str
+    """What it states, as a caption; empty where no image could show it."""
+    group: _builtins.str
+    """Predicates of one group exclude each other: at most one holds in a state. Empty for no group."""
+    needs_reference: _builtins.bool
+    """Whether it compares each state with a reference, such as a landmark's state."""
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        text: _builtins.str = ...,
+        group: _builtins.str = ...,
+        needs_reference: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["group", b"group", "name", b"name", "needs_reference", b"needs_reference", "text", b"text"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Predicate: _TypeAlias = Predicate  # noqa: Y015
 
 @_typing.final
 class ListTasksRequest(_message.Message):
@@ -861,6 +901,150 @@ class DemonstrateResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___DemonstrateResponse: _TypeAlias = DemonstrateResponse  # noqa: Y015
+
+@_typing.final
+class CheckRequest(_message.Message):
+    """Asks where a predicate holds."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_FIELD_NUMBER: _builtins.int
+    PREDICATE_FIELD_NUMBER: _builtins.int
+    STATES_FIELD_NUMBER: _builtins.int
+    REFERENCES_FIELD_NUMBER: _builtins.int
+    session: _builtins.str
+    """A privileged session."""
+    predicate: _builtins.str
+    """Name of a predicate of its task."""
+    @_builtins.property
+    def states(self) -> _common_pb2.Tensor:
+        """FP64 (N, T, S): true states of N sequences of T timesteps, as in Truth. At most 1000000 rows."""
+
+    @_builtins.property
+    def references(self) -> _common_pb2.Tensor:
+        """FP64 (N, T, S): what each state is compared with; only where the predicate needs a reference."""
+
+    def __init__(
+        self,
+        *,
+        session: _builtins.str = ...,
+        predicate: _builtins.str = ...,
+        states: _common_pb2.Tensor | None = ...,
+        references: _common_pb2.Tensor | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["references", b"references", "states", b"states"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["predicate", b"predicate", "references", b"references", "session", b"session", "states", b"states"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CheckRequest: _TypeAlias = CheckRequest  # noqa: Y015
+
+@_typing.final
+class CheckResponse(_message.Message):
+    """Where the predicate holds."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HOLDS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def holds(self) -> _common_pb2.Tensor:
+        """BOOL (N, T): whether it holds at each timestep, given the sequence up to there."""
+
+    def __init__(
+        self,
+        *,
+        holds: _common_pb2.Tensor | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CheckResponse: _TypeAlias = CheckResponse  # noqa: Y015
+
+@_typing.final
+class ExpertActionsRequest(_message.Message):
+    """Asks the scripted expert."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_FIELD_NUMBER: _builtins.int
+    RECIPES_FIELD_NUMBER: _builtins.int
+    session: _builtins.str
+    """A privileged session."""
+    @_builtins.property
+    def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
+        """Recipe of each environment, read by the first call after its reset; empty for the task's skills in order."""
+
+    def __init__(
+        self,
+        *,
+        session: _builtins.str = ...,
+        recipes: _abc.Iterable[Global___Recipe] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["recipes", b"recipes", "session", b"session"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ExpertActionsRequest: _TypeAlias = ExpertActionsRequest  # noqa: Y015
+
+@_typing.final
+class Recipe(_message.Message):
+    """Skills in order."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SKILLS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """The skills."""
+
+    def __init__(
+        self,
+        *,
+        skills: _abc.Iterable[_builtins.str] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["skills", b"skills"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Recipe: _TypeAlias = Recipe  # noqa: Y015
+
+@_typing.final
+class ExpertActionsResponse(_message.Message):
+    """The expert's actions in the current states."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ACTIONS_FIELD_NUMBER: _builtins.int
+    FINISHED_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def actions(self) -> _common_pb2.Tensor:
+        """FP32 or INT64 (num_envs, size), as the task's ActionSpec says; 0 where the expert has finished."""
+
+    @_builtins.property
+    def finished(self) -> _common_pb2.Tensor:
+        """BOOL (num_envs): whether the expert has finished."""
+
+    def __init__(
+        self,
+        *,
+        actions: _common_pb2.Tensor | None = ...,
+        finished: _common_pb2.Tensor | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ExpertActionsResponse: _TypeAlias = ExpertActionsResponse  # noqa: Y015
 
 @_typing.final
 class CloseSessionRequest(_message.Message):

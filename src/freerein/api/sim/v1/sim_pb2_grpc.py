@@ -80,6 +80,16 @@ class SimServiceStub:
                 request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.FromString,
                 _registered_method=True)
+        self.Check = channel.unary_unary(
+                '/freerein.api.sim.v1.SimService/Check',
+                request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckResponse.FromString,
+                _registered_method=True)
+        self.ExpertActions = channel.unary_unary(
+                '/freerein.api.sim.v1.SimService/ExpertActions',
+                request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsResponse.FromString,
+                _registered_method=True)
         self.CloseSession = channel.unary_unary(
                 '/freerein.api.sim.v1.SimService/CloseSession',
                 request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CloseSessionRequest.SerializeToString,
@@ -155,6 +165,20 @@ class SimServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Check(self, request, context):
+        """Judges true states by a predicate of the task. Privileged sessions only.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ExpertActions(self, request, context):
+        """Returns the scripted expert's next actions. Privileged sessions only.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CloseSession(self, request, context):
         """Closes a session.
         """
@@ -209,6 +233,16 @@ def add_SimServiceServicer_to_server(servicer, server):
                     servicer.Demonstrate,
                     request_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.FromString,
                     response_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.SerializeToString,
+            ),
+            'Check': grpc.unary_unary_rpc_method_handler(
+                    servicer.Check,
+                    request_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckResponse.SerializeToString,
+            ),
+            'ExpertActions': grpc.unary_unary_rpc_method_handler(
+                    servicer.ExpertActions,
+                    request_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsResponse.SerializeToString,
             ),
             'CloseSession': grpc.unary_unary_rpc_method_handler(
                     servicer.CloseSession,
@@ -460,6 +494,60 @@ class SimService:
             '/freerein.api.sim.v1.SimService/Demonstrate',
             freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.SerializeToString,
             freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Check(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.sim.v1.SimService/Check',
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckRequest.SerializeToString,
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ExpertActions(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.sim.v1.SimService/ExpertActions',
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsRequest.SerializeToString,
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.ExpertActionsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -53,6 +53,10 @@ class SimServiceStub:
     """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _grpc.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]
     """Records a scripted policy and streams trajectories as they finish."""
+    Check: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]
+    """Judges true states by a predicate of the task. Privileged sessions only."""
+    ExpertActions: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]
+    """Returns the scripted expert's next actions. Privileged sessions only."""
     CloseSession: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]
     """Closes a session."""
 
@@ -81,6 +85,10 @@ class SimServiceAsyncStub(SimServiceStub):
     """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _aio.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]  # type: ignore[assignment]
     """Records a scripted policy and streams trajectories as they finish."""
+    Check: _aio.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]  # type: ignore[assignment]
+    """Judges true states by a predicate of the task. Privileged sessions only."""
+    ExpertActions: _aio.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]  # type: ignore[assignment]
+    """Returns the scripted expert's next actions. Privileged sessions only."""
     CloseSession: _aio.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]  # type: ignore[assignment]
     """Closes a session."""
 
@@ -160,6 +168,22 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_sim_pb2.DemonstrateResponse], _abc.AsyncIterator[_sim_pb2.DemonstrateResponse]]:
         """Records a scripted policy and streams trajectories as they finish."""
+
+    @_abc_1.abstractmethod
+    def Check(
+        self,
+        request: _sim_pb2.CheckRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_sim_pb2.CheckResponse, _abc.Awaitable[_sim_pb2.CheckResponse]]:
+        """Judges true states by a predicate of the task. Privileged sessions only."""
+
+    @_abc_1.abstractmethod
+    def ExpertActions(
+        self,
+        request: _sim_pb2.ExpertActionsRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_sim_pb2.ExpertActionsResponse, _abc.Awaitable[_sim_pb2.ExpertActionsResponse]]:
+        """Returns the scripted expert's next actions. Privileged sessions only."""
 
     @_abc_1.abstractmethod
     def CloseSession(
