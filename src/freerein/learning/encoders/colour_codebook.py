@@ -7,6 +7,8 @@ slowly; a colour codebook over a static background has it from the start, and ea
 import torch
 from torch import Tensor, nn
 
+from freerein.errors import InvalidInput
+
 MOMENTS = 5
 """Moments per colour: root of its mass, mean column and row, and standard deviation along both."""
 
@@ -26,20 +28,29 @@ class ColourCodebook(nn.Module):
         height: Frame height in pixels.
         width: Frame width in pixels.
         channels: 1 or 3.
-        size: Number of colours.
+        features: Number of features: `MOMENTS` per colour.
+
+    Raises:
+        InvalidInput: The number of features is not a multiple of `MOMENTS`.
     """
 
     background: Tensor
     colours: Tensor
+    is_trained = False
 
-    def __init__(self, *, height: int, width: int, channels: int, size: int) -> None:
+    def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()
+        if features % MOMENTS:
+            raise InvalidInput(
+                f"`features` must be a multiple of {MOMENTS} for a colour codebook; got {features}.",
+                field="config.features",
+            )
         self._frame_size = height, width
         self.register_buffer("background", torch.empty(height * width, channels))
-        self.register_buffer("colours", torch.empty(size, channels))
+        self.register_buffer("colours", torch.empty(features // MOMENTS, channels))
 
     @torch.no_grad()
-    def fit(self, frames: Tensor, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: Tensor, *, generator: torch.Generator) -> None:
         """Sets the background, a median, and the colours before it, by k-means, from training frames.
 
         Args:
@@ -56,7 +67,7 @@ class ColourCodebook(nn.Module):
 
     @torch.no_grad()
     def forward(self, frames: Tensor) -> Tensor:
-        """Returns the moments of each colour, float32 (N, colours, MOMENTS), in frames uint8 (N, H, W, C)."""
+        """Returns the moments of each colour, float32 (N, colours * MOMENTS), in frames uint8 (N, H, W, C)."""
         pixels = frames.flatten(1, 2)  # (N, H * W, C)
         is_foreground = self._is_foreground(pixels)  # (N, H * W)
         position = is_foreground.nonzero()[:, 1]  # (n,), frame after frame
@@ -64,7 +75,7 @@ class ColourCodebook(nn.Module):
         powers = self._powers()[position]  # (n, MOMENTS)
         counts = is_foreground.sum(dim=1).tolist()
         per_frame = zip(torch.split(assignment, counts), torch.split(powers, counts), strict=True)
-        return _moments(torch.stack([weights.T @ values for weights, values in per_frame]))
+        return _moments(torch.stack([weights.T @ values for weights, values in per_frame])).flatten(1)
 
     def _is_foreground(self, pixels: Tensor) -> Tensor:
         """Returns which of the pixels (N, H * W, C) differ from the background, bool (N, H * W)."""
