@@ -23,12 +23,12 @@ from freerein.learning.train_state import N
 
 C = TypeVar("C", bound=DatasetFitConfig)
 L = TypeVar("L", bound=Learner[Any])
-M = TypeVar("M")
+M_co = TypeVar("M_co", covariant=True)
 
 
 @dataclass(frozen=True)
-class Method(Generic[C, L, N, M]):
-    """One way to train a model of class M, with a configuration C, a learner L and a network N.
+class Method(Generic[C, L, N, M_co]):
+    """One way to train a model of class M_co, with a configuration C, a learner L and a network N.
 
     Attributes:
         config: Class of the configuration.
@@ -46,13 +46,13 @@ class Method(Generic[C, L, N, M]):
     resolve: Callable[[FitDataset, C], C]
     prepare: Callable[[FitDataset, C, torch.device], L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
-    load: Callable[[Path, str], M]
+    load: Callable[[Path, str], M_co]
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
 
 
 @dataclass(frozen=True)
-class Methods(Generic[M]):
-    """The methods of a service, whose models are of class M.
+class Methods(Generic[M_co]):
+    """The methods of a service, whose models are of class M_co.
 
     Attributes:
         service: Name of the service.
@@ -60,7 +60,7 @@ class Methods(Generic[M]):
     """
 
     service: str
-    by_name: Mapping[str, Method[Any, Any, Any, M]]
+    by_name: Mapping[str, Method[Any, Any, Any, M_co]]
 
     def resolve(self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
         """Returns the complete configuration of a fit; `values` override the defaults.
@@ -98,7 +98,7 @@ class Methods(Generic[M]):
 
         return run_child(folder, train)
 
-    def load(self, folder: Path, device: str) -> M:
+    def load(self, folder: Path, device: str) -> M_co:
         """Returns the model in a folder, by the method that its card names.
 
         Raises:
@@ -112,7 +112,7 @@ class Methods(Generic[M]):
             )
         return method.load(folder, device)
 
-    def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M], dict[str, Any]]:
+    def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M_co], dict[str, Any]]:
         """Returns the method that a configuration names, and the configuration's other keys."""
         others = dict(values)
         name = others.pop("method", next(iter(self.by_name)))
