@@ -49,12 +49,12 @@ class PolicyInterface:
         return f"camera {self.camera}, {self.height} x {self.width} x {self.channels}, {action}"
 
 
-def check_teachers(specs: Sequence[PolicyInterface], *, student_camera: str) -> None:
+def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object) -> None:
     """Checks that teachers have the same spec, and their student the same camera.
 
     Args:
         specs: Of each teacher, at least one.
-        student_camera: The student's; empty for the teachers'.
+        student_cameras: `cameras` of the student's configuration; an empty list for the teachers'.
 
     Raises:
         InvalidInput: They differ.
@@ -66,10 +66,10 @@ def check_teachers(specs: Sequence[PolicyInterface], *, student_camera: str) -> 
             field=_FIELD,
             hint="Distill those that differ separately, or train them on frames of one size.",
         )
-    if student_camera not in ("", specs[0].camera):
+    if student_cameras not in ([], [specs[0].camera]):
         raise InvalidInput(
             f"A student must have its teachers' camera, {specs[0].camera}; got another.",
-            field="config.config.camera",
+            field="config.config.cameras",
             hint="Leave it out.",
         )
 

@@ -50,7 +50,7 @@ async def record(context: Context) -> None:
 
 async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to learn the policy and its goal recognizer."""
-    config = {"policy": "goal_conditioned"}
+    config = {"method": "goal_conditioned"}
     return await context.start_fit("imitation", _DATASET, model_name=_MODEL.name, config=config)
 
 

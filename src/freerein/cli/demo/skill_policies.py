@@ -35,7 +35,7 @@ async def label_demonstrations(context: Context) -> None:
 async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to clone the skills."""
     return await context.start_fit(
-        "imitation", BLOCKS.train_dataset, model_name=_MODEL.name, config={"policy": "skills"}
+        "imitation", BLOCKS.train_dataset, model_name=_MODEL.name, config={"method": "skills"}
     )
 
 
