@@ -18,8 +18,8 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_imitation import fit
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model import text_encoder
 from freerein_imitation.model.wordpiece import MAX_TOKENS
 
@@ -78,7 +78,7 @@ def run_fit() -> Callable[..., Path]:
     def run(data_dir: Path, dataset: str, values: dict[str, Any]) -> Path:
         folder = data_dir / "fit"
         folder.mkdir()
-        config = fit.resolve(data_dir, dataset, values, threads=1)
+        config = METHODS.resolve(data_dir, dataset, values, threads=1)
         (folder / "config.json").write_text(json.dumps({"dataset": dataset, "config": config}))
         command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
