@@ -2,15 +2,16 @@ import pytest
 import torch
 
 from freerein.learning import weights
-from freerein.learning.encoders import PatchEncoder, SpatialEncoder
+from freerein.learning.encoders import ConvolutionalEncoder, PatchEncoder, SpatialEncoder
 
 SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1)]
-KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
+KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, ConvolutionalEncoder])
+STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
 
-Kind = type[PatchEncoder] | type[SpatialEncoder]
+Kind = type[PatchEncoder] | type[SpatialEncoder] | type[ConvolutionalEncoder]
 
 
-def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder:
+def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder | ConvolutionalEncoder:
     encoder = kind(height=height, width=width, channels=channels, features=16)
     weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
     encoder.fit_normalisation(frames(height, width, channels))
@@ -40,7 +41,7 @@ def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int,
     assert not torch.equal(encoder(seen), encoder(changed))
 
 
-@KINDS
+@STILL
 def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
     darker, brighter = make(kind, 64, 64, 3), make(kind, 64, 64, 3)
