@@ -21,7 +21,8 @@ class Dataset:
     """Read-only sequence of the trajectories that a dataset held when it was opened.
 
     Opening compares `meta/` with `data/` and rewrites it where a crash left it out of date. Also opens any
-    LeRobotDataset v3 with images stored as images, and an action.
+    LeRobotDataset v3 with images stored as images, and an action. Where that has no `next.terminated`, `terminated` is
+    its `next.done`, which most tools also set where an episode was truncated.
 
     Attributes:
         spec: Properties that the trajectories share.

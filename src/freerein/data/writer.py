@@ -210,7 +210,7 @@ def _check_terminations(terminated: npt.NDArray[np.bool_] | None, spec: DatasetS
         raise InvalidInput(
             f"A trajectory of this dataset must have {expected}, like all others of it; got {found}.",
             field="terminated",
-            hint="Record it into a dataset of its own kind: `has_terminations` of the dataset's spec decides.",
+            hint="Give it for all trajectories of a dataset made with `has_terminations`, and for none of another.",
         )
     if terminated is not None and (terminated.dtype != np.bool_ or terminated.shape != (length,)):
         raise InvalidInput(
