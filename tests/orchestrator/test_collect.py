@@ -59,7 +59,7 @@ def test_a_run_records_what_the_same_request_does_and_describes_it(
     fingerprint = recorded(tmp_path / "plain", sim, DemonstrateRequest(**request))
     dataset = Dataset(dataset_path(tmp_path, "demos"))
     assert dataset.fingerprint == fingerprint
-    assert dataset.spec.has_terminations
+    assert [bool(each.terminated[-1]) for each in dataset] == [config is EXPERT] * len(dataset)
     assert run.artifact("dataset.json") == {
         "dataset": "demos",
         "trajectories": config["count"],
