@@ -118,8 +118,9 @@ class TrajectoryRecorder:
 def trajectories(rollout: RolloutBuffer, camera: str) -> list[Trajectory]:
     """Returns a rollout as trajectories within episodes, in order of their last timestep."""
     frames, actions = rollout.observations.numpy(), rollout.executed_actions.numpy()
+    terminated = rollout.terminated.numpy()
     return [
-        Trajectory({camera: frames[start:end, env]}, actions[start:end, env])
+        Trajectory({camera: frames[start:end, env]}, actions[start:end, env], terminated=terminated[start:end, env])
         for end, env, start in episode_slices(rollout)
     ]
 
