@@ -46,4 +46,5 @@ class FitDataset:
             actions=self.dataset.cached_actions(),
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
+            terminated=self.dataset.cached_terminations(),
         )
