@@ -16,7 +16,6 @@ from freerein.types import imitation
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
 
-
 CAMERAS = (Camera("front", 2, 3, 3), Camera("wrist", 4, 2, 1))
 
 

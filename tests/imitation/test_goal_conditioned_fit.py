@@ -66,11 +66,6 @@ def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_
             METHODS.resolve(data_dir, "wide", {"method": method}, threads=1)
 
 
-def test_sizes_that_the_encoder_cannot_have_are_refused_before_a_fit_begins(data_dir: Path) -> None:
-    with pytest.raises(InvalidInput, match="`features` must be a multiple of 5"):
-        METHODS.resolve(data_dir, "play", {"cameras": ["front"], "encoder": "colour_codebook"}, threads=1)
-
-
 def test_a_fit_is_asked_for_precisely(data_dir: Path) -> None:
     assert METHODS.resolve(data_dir, "play", LEFT, threads=3)["threads"] == 3
     for wrong in ({}, {"cameras": ["right"]}, LEFT | {"method": "pilot"}, LEFT | {"tags": True}):

@@ -136,7 +136,7 @@ def test_two_cameras_of_different_sizes_are_both_learned_from(encoder: str) -> N
     wrist = [each[:, ::2, :16, :1] for each in front]
     cameras = (*CAMERAS, Camera("wrist", 4, 16, 1))
     both = Trajectories({"front": front, "wrist": wrist}, demonstrations.actions)
-    cloned = prepare(both, labels, config=replace(FAST, encoder=encoder), cameras=cameras)
+    cloned = prepare(both, labels, config=replace(FAST, encoder=encoder, features=17), cameras=cameras)
     state, figures = cloned.update(cloned.init(torch.Generator().manual_seed(0)), np.arange(4))
     assert np.isfinite(list(figures.values())).all()
     assert np.isfinite(cloned.evaluate(state))

@@ -85,12 +85,6 @@ def load_model(
     return network.to(choose_device(device)).eval()
 
 
-def check_spec(spec: C, make: Callable[[C], nn.Module]) -> None:
-    """Constructs a network without weights. Raises InvalidInput where there is none of this spec."""
-    with torch.device("meta"):
-        make(spec)
-
-
 def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
     """Returns the model card of a folder. Raises InvalidInput when it is missing, or not a JSON object."""
     path = folder / names.card

@@ -8,7 +8,6 @@ import torch
 
 from freerein.data import read_teachers
 from freerein.errors import InvalidInput
-from freerein.learning import model_files
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
@@ -36,8 +35,7 @@ def _resolve(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
             field="dataset",
             hint="Record each trajectory with its goal text.",
         )
-    spec = network_spec(config, cameras=source.cameras(config.cameras), action=dataset.spec.action)
-    model_files.check_spec(spec, LanguageNetwork)
+    network_spec(config, cameras=source.cameras(config.cameras), action=dataset.spec.action)  # rejects bad sizes
     longest = int(dataset.lengths.max(initial=1))
     return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
 

@@ -6,7 +6,6 @@ from typing import Any
 import torch
 
 from freerein.data import labels
-from freerein.learning import model_files
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
@@ -16,7 +15,7 @@ from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConf
 
 
 def _resolve(source: FitDataset, config: SkillsConfig) -> SkillsConfig:
-    model_files.check_spec(_spec(source, config), SkillsNetwork)
+    _spec(source, config)  # rejects frames and actions that are out of bounds, and a dataset without labels
     return config
 
 

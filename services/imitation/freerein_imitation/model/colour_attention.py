@@ -6,6 +6,7 @@ learned of one skill so serves all. Networks with another encoder have no `Colou
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from freerein.learning.encoders.colour_codebook import MOMENTS, shift_horizontally
 
@@ -19,7 +20,8 @@ class ColourAttention(nn.Module):
     """Attention of skills over colours; colours of several cameras count as different ones.
 
     Args:
-        features: Features of all cameras: `MOMENTS` per colour.
+        cameras: Number of cameras.
+        features: Features per camera: `MOMENTS` for each of as many colours as fit, then zeros.
         skills: Number of skills.
 
     Attributes:
@@ -28,9 +30,10 @@ class ColourAttention(nn.Module):
 
     size = _HEADS * MOMENTS + 2 * _PAIRS
 
-    def __init__(self, features: int, *, skills: int) -> None:
+    def __init__(self, *, cameras: int, features: int, skills: int) -> None:
         super().__init__()
-        self.logits = nn.Linear(skills, _HEADS * features // MOMENTS, bias=False)
+        self._cameras, self._padding = cameras, features % MOMENTS
+        self.logits = nn.Linear(skills, _HEADS * cameras * (features // MOMENTS), bias=False)
 
     @torch.no_grad()
     def draw(self, generator: torch.Generator) -> None:
@@ -43,10 +46,10 @@ class ColourAttention(nn.Module):
         Absent colours get little attention: the logarithm of a colour's mass is added to its logit.
 
         Args:
-            features: float32 (B, T, colours * MOMENTS).
+            features: float32 (B, T, cameras * features).
             skills: One-hot, float32 (B, T, skills).
         """
-        moments = features.reshape(*features.shape[:2], -1, MOMENTS)  # (B, T, colours, MOMENTS)
+        moments = self._moments(features).flatten(2, 3)  # (B, T, colours of all cameras, MOMENTS)
         logits = self.logits(skills).unflatten(2, (_HEADS, -1))  # (B, T, heads, colours)
         presence = (moments[..., 0].clamp(min=0) + _PRESENCE_FLOOR).log()  # (B, T, colours)
         attended = (logits + presence[:, :, None]).softmax(dim=3) @ moments  # (B, T, heads, MOMENTS)
@@ -54,12 +57,18 @@ class ColourAttention(nn.Module):
         relative = attended[:, :, first, 1:3] - attended[:, :, second, 1:3]  # (B, T, pairs, 2)
         return torch.cat([_GAIN / 2 * attended.flatten(2), _GAIN * relative.flatten(2)], dim=2)
 
+    def shift(self, features: Tensor, shift: Tensor) -> Tensor:
+        """Returns features as if the foreground of all cameras lay further to the right, float32 (B, T, ...).
 
-def shift_colours(features: Tensor, shift: Tensor) -> Tensor:
-    """Returns features as if the foreground of all cameras lay further to the right, float32 (B, T, colours * MOMENTS).
+        Args:
+            features: float32 (B, T, cameras * features).
+            shift: float32 (B,), in halves of the frame's width.
+        """
+        shifted = shift_horizontally(self._moments(features), shift).flatten(3)  # (B, T, cameras, colours * MOMENTS)
+        return functional.pad(shifted, (0, self._padding)).flatten(2)
 
-    Args:
-        features: float32 (B, T, colours * MOMENTS).
-        shift: float32 (B,), in halves of the frame's width.
-    """
-    return shift_horizontally(features.reshape(*features.shape[:2], -1, MOMENTS), shift).flatten(2)
+    def _moments(self, features: Tensor) -> Tensor:
+        """Returns the moments of each camera's colours, float32 (B, T, cameras, colours, MOMENTS)."""
+        by_camera = features.reshape(*features.shape[:2], self._cameras, -1)  # (B, T, cameras, features)
+        colours = by_camera[..., : by_camera.shape[3] - self._padding]
+        return colours.reshape(*colours.shape[:3], -1, MOMENTS)

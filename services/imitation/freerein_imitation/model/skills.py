@@ -74,8 +74,11 @@ class SkillsNetwork(nn.Module):
         self.spec = spec
         encoder = ENCODERS[spec.encoder]
         self.encoder = CameraEncoders(encoder, spec.cameras, features=spec.features)
-        size, skills = self.encoder.size, len(spec.skills)
-        self.attention = ColourAttention(size, skills=skills) if encoder is ColourCodebook else None
+        size, cameras, skills = self.encoder.size, len(spec.cameras), len(spec.skills)
+        is_codebook = encoder is ColourCodebook
+        self.attention = (
+            ColourAttention(cameras=cameras, features=spec.features, skills=skills) if is_codebook else None
+        )
         attended = self.attention.size if self.attention else 0
         self.input_layer = nn.Linear(size + attended + spec.encoded_action_size + skills, spec.hidden_size)
         self.hidden_layer = nn.Linear(spec.hidden_size, spec.hidden_size)

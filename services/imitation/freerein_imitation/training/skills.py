@@ -22,7 +22,6 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.colour_attention import shift_colours
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
 from freerein_imitation.training.skill_segments import (
     SegmentBatch,
@@ -206,7 +205,7 @@ class SkillsLearner:
         features = padded_features(network, batch)
         if network.attention is not None:
             shift = config.random_shift * torch.tensor(rng.uniform(-1, 1, len(items)), dtype=torch.float32)
-            features = shift_colours(features, shift.to(self.device))
+            features = network.attention.shift(features, shift.to(self.device))
         losses = skill_losses(network, features, batch)
         loss = losses.action + config.termination_weight * losses.termination
         state, metrics = fit_step(state, loss, config)
