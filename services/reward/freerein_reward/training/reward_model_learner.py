@@ -38,15 +38,32 @@ _HALF_HEAT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class RewardModelLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
+    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`.
+
+    Attributes:
+        config: Configuration of the fit.
+        spec: Architecture of the network.
+        training: Training images.
+        validation: Validation images.
+        grounding: The grounding model that made the captions.
+        grounding_version: Its version.
+        data_fingerprint: Fingerprint of the dataset.
+        device: Device of the network.
+    """
 
     config: RewardConfig
     spec: DualEncoderSpec
     training: CaptionDataset
     validation: CaptionDataset
     grounding: GradCamModel
-    fingerprint: str
+    grounding_version: str
+    data_fingerprint: str
     device: torch.device
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of images and captions."""
+        return f"{self.data_fingerprint} {self.grounding_version}"
 
     @property
     def size(self) -> int:

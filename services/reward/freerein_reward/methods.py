@@ -1,0 +1,84 @@
+"""The service's method: rewards from images and noun phrases, by captions of the grounding model (section 4.2).
+
+The grounding model itself is fitted to no dataset: `freerein_reward.pretrain` trains it, and `load` loads it too.
+"""
+
+import json
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.jobs.metrics import MetricsWriter
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method, Methods
+from freerein_reward.model import DualEncoder, DualEncoderModel, is_grounding, load_grounding, load_reward_model
+from freerein_reward.relations import rival_captions
+from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
+
+_MAX_PHRASES = 32  # captions and time grow with the square
+
+
+def load(folder: Path, device: str) -> DualEncoderModel:
+    """Returns the model in a folder, by the method that its card names: the grounding model, or one that was fitted.
+
+    Raises:
+        InvalidInput: A file is missing or malformed.
+    """
+    return load_grounding(folder, device) if is_grounding(folder) else METHODS.load(folder, device)
+
+
+def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
+    distinct = {phrase.strip() for phrase in config.phrases} - {""}
+    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, distinct)):
+        raise InvalidInput(
+            f"`phrases` must be 2 to {_MAX_PHRASES} distinct noun phrases without relations such as `on`; "
+            f"got {len(config.phrases)}.",
+            field="config.phrases",
+            hint="Name every object of the goal texts, "
+            'for example: --set \'phrases=["a red block", "a yellow block"]\'.',
+        )
+    return config
+
+
+def _prepare(
+    source: FitDataset, config: RewardConfig, device: torch.device, *, grounding: Path, captions: Path
+) -> RewardModelLearner:
+    """Returns the learner of a fit.
+
+    Args:
+        source: Dataset.
+        config: Resolved configuration.
+        device: Device of the networks.
+        grounding: Folder of a version of the grounding model, named after it.
+        captions: Folder of the fit, where captions are cached.
+    """
+    dataset, model = source.dataset, load_grounding(grounding, str(device))
+    spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
+    path = captions / f"captions-{grounding.name}.safetensors"
+    rows = None if path.is_file() else MetricsWriter(captions / "metrics.jsonl", last_step=0)
+    images = caption_images(
+        dataset, model, config, path, on_progress=lambda done: rows.append(0, {"captioned": done}) if rows else None
+    )
+    training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
+    return RewardModelLearner(config, spec, training, validation, model, grounding.name, dataset.fingerprint, device)
+
+
+def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:
+    phrases = json.dumps(learner.config.phrases)
+    return {
+        "command": f"freerein fit reward DATASET --set 'phrases={phrases}'",
+        "data": {"trajectories": len(source.dataset), "fingerprint": source.dataset.fingerprint},
+        "grounding": learner.grounding_version,
+        "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
+        "supervision": "noun phrases; captions made from pixels by the grounding model",
+    }
+
+
+METHODS: Methods[DualEncoderModel] = Methods(
+    "reward",
+    MappingProxyType({"relation_captions": Method(RewardConfig, _resolve, _prepare, _card, load_reward_model)}),
+)
