@@ -20,11 +20,6 @@ from freerein_segmentation.training import SegmentationConfig, SegmentationLearn
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
     dataset = source.dataset
-    if len(config.cameras) != 1:
-        raise InvalidInput(
-            f"`cameras` must name 1 camera, because a request's frames are of one; got {len(config.cameras)}.",
-            field="config.cameras",
-        )
     if not dataset.spec.skills or not all(dataset.skills):
         raise InvalidInput(
             f"Each of the dataset's {len(dataset)} trajectories must name its skills; some do not.",

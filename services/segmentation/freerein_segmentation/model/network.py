@@ -33,7 +33,7 @@ class ModelSpec(InputSpec):
         hidden_size: LSTM units per direction.
 
     Raises:
-        InvalidInput: There are no skills, or cameras or actions are out of bounds.
+        InvalidInput: There are no skills or several cameras, or frames or actions are out of bounds.
     """
 
     skills: tuple[str, ...]
@@ -46,6 +46,11 @@ class ModelSpec(InputSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if len(self.cameras) != 1:
+            raise InvalidInput(
+                f"`cameras` must name 1 camera, because a request's frames are of one; got {len(self.cameras)}.",
+                field="config.cameras",
+            )
         if not self.skills:
             raise InvalidInput("A network needs at least 1 skill; got 0.", hint="Tag the trajectories.")
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from freerein_segmentation.objectives.lse import lse, lse_per_timestep
+from freerein_segmentation.objectives.mil import mil
 from freerein_segmentation.objectives.tags import Objective
 
 __all__ = ["OBJECTIVES", "Objective"]
@@ -15,5 +16,6 @@ OBJECTIVES: Mapping[str, Objective] = MappingProxyType(
     {
         "lse": lse,
         "lse_per_timestep": lse_per_timestep,
+        "mil": mil,
     }
 )

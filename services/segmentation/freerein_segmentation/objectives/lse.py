@@ -6,7 +6,7 @@ from freerein_segmentation.objectives.tags import mask_scores, tag_cross_entropy
 
 
 def lse(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
-    """Returns the dissertation's loss: log-sum-exp over time, eq. 2.2, then softmax over skills.
+    """Returns the dissertation's loss: log-sum-exp pooling over time, eq. 2.2, then softmax over skills.
 
     Q(c|X) is a ratio of total exponential mass, so that a few timesteps with high scores can satisfy it.
     """
@@ -14,7 +14,7 @@ def lse(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
 
 
 def lse_per_timestep(scores: Tensor, mask: Tensor, tags: Tensor) -> Tensor:
-    """Returns the same loss on log-probabilities, so that every timestep has equal weight.
+    """Returns `lse` on log-probabilities, so that every timestep has equal weight.
 
     A departure from the dissertation at the same supervision: Q(c|X) becomes the mean over time of P(y_t = c), eq. 2.1.
     """

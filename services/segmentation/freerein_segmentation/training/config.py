@@ -14,8 +14,7 @@ class SegmentationConfig(DatasetFitConfig):
     """Configuration of a segmentation fit; the rest is the network of section 2.3.
 
     Attributes:
-        cameras: Camera to learn from; may be empty where the dataset has one.
-        objective: `lse`, the dissertation's; `lse_per_timestep`, ours; `mil`, a baseline.
+        objective: Loss of scores against tags.
         context: `causal`, the dissertation's, or `bidirectional`.
         encoder: Image encoder.
         use_actions: Whether executed actions are an input.
@@ -24,7 +23,6 @@ class SegmentationConfig(DatasetFitConfig):
         batch_size: Trajectories per optimiser step.
         features: Number of image features.
         hidden_size: LSTM units per direction.
-        validation_fraction: Fraction of trajectories whose tags choose the best weights.
     """
 
     objective: str = one_of(OBJECTIVES, "lse_per_timestep")

@@ -1,11 +1,7 @@
-"""The service's method: rewards from images and noun phrases, by captions of the grounding model (section 4.2).
-
-The grounding model itself is fitted to no dataset: `freerein_reward.pretrain` trains it, and `load` loads it too.
-"""
+"""The method `relation_captions`: a dual encoder trained on captions of the grounding model (section 4.2)."""
 
 import json
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -14,21 +10,12 @@ from freerein.errors import InvalidInput
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
-from freerein.learning.methods import Method, Methods
-from freerein_reward.model import DualEncoder, DualEncoderModel, is_grounding, load_grounding, load_reward_model
+from freerein.learning.methods import Method
+from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
 from freerein_reward.relations import rival_captions
 from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
 
 _MAX_PHRASES = 32  # captions and time grow with the square
-
-
-def load(folder: Path, device: str) -> DualEncoderModel:
-    """Returns the model in a folder, by the method that its card names: the grounding model, or one that was fitted.
-
-    Raises:
-        InvalidInput: A file is missing or malformed.
-    """
-    return load_grounding(folder, device) if is_grounding(folder) else METHODS.load(folder, device)
 
 
 def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
@@ -78,7 +65,4 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
     }
 
 
-METHODS: Methods[DualEncoderModel] = Methods(
-    "reward",
-    MappingProxyType({"relation_captions": Method(RewardConfig, _resolve, _prepare, _card, load_reward_model)}),
-)
+RELATION_CAPTIONS = Method(RewardConfig, _resolve, _prepare, _card, load_reward_model)
