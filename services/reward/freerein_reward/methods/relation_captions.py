@@ -7,7 +7,6 @@ from typing import Any
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.jobs.metrics import MetricsWriter
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
@@ -41,17 +40,14 @@ def _prepare(
         config: Resolved configuration.
         device: Device of the networks.
         grounding: Folder of a version of the grounding model, named after it.
-        captions: Folder of the fit, where captions are cached.
+        captions: Folder of the fit, where captions are cached and progress is logged.
     """
     dataset, model = source.dataset, load_grounding(grounding, str(device))
     spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
-    path = captions / f"captions-{grounding.name}.safetensors"
-    rows = None if path.is_file() else MetricsWriter(captions / "metrics.jsonl", last_step=0)
-    images = caption_images(
-        dataset, model, config, path, on_progress=lambda done: rows.append(0, {"captioned": done}) if rows else None
-    )
+    images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
-    return RewardModelLearner(config, spec, training, validation, model, grounding.name, dataset.fingerprint, device)
+    fingerprint = f"{dataset.fingerprint} {grounding.name}"
+    return RewardModelLearner(config, spec, training, validation, model, grounding.name, fingerprint, device)
 
 
 def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:

@@ -38,18 +38,7 @@ _HALF_HEAT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class RewardModelLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`.
-
-    Attributes:
-        config: Configuration of the fit.
-        spec: Architecture of the network.
-        training: Training images.
-        validation: Validation images.
-        grounding: The grounding model that made the captions.
-        grounding_version: Its version.
-        data_fingerprint: Fingerprint of the dataset.
-        device: Device of the network.
-    """
+    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
 
     config: RewardConfig
     spec: DualEncoderSpec
@@ -57,13 +46,8 @@ class RewardModelLearner:
     validation: CaptionDataset
     grounding: GradCamModel
     grounding_version: str
-    data_fingerprint: str
+    fingerprint: str
     device: torch.device
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of images and captions."""
-        return f"{self.data_fingerprint} {self.grounding_version}"
 
     @property
     def size(self) -> int:
