@@ -37,47 +37,48 @@ class MujocoSimulation:
     """Simulates one scene for one world.
 
     Attributes:
-        model: The scene's model.
-        data: State of the simulation.
+        fingerprint: The scene's.
+        data: The current state.
     """
 
     def __init__(self, spec: WorldSpec, scene: Scene) -> None:
         mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
-        self.model = scene.model
+        self.fingerprint = scene.fingerprint
+        self._model = scene.model
         self.data = mujoco.MjData(scene.model)
         self._spec = spec
         self._renderer: Renderer | None = None
 
     def reset(self) -> None:
         """Sets the model's initial state, and forgets a divergence; call `refresh` after changing the state."""
-        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_resetData(self._model, self.data)
 
     def step(self, substeps: int) -> bool:
         """Simulates; returns whether the simulation has diverged. Call `refresh` before rendering."""
-        mujoco.mj_step(self.model, self.data, nstep=substeps)
+        mujoco.mj_step(self._model, self.data, nstep=substeps)
         return any(self.data.warning[kind].number for kind in _DIVERGED)
 
     def refresh(self) -> None:
         """Updates the poses of bodies and cameras, which MuJoCo leaves at the start of the last substep."""
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        mujoco.mj_kinematics(self._model, self.data)
+        mujoco.mj_camlight(self._model, self.data)
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
         """Returns the camera's image; the first call opens an OpenGL context on the calling thread."""
         check_view(self._spec, camera, height=height, width=width)
         if self._renderer is None:
-            self._renderer = open_renderer(self.model)
+            self._renderer = open_renderer(self._model)
         return self._renderer.render(self.data, camera, height=height, width=width)
 
     def snapshot(self) -> bytes:
         """Returns MuJoCo's complete integration state."""
-        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
-        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
+        mujoco.mj_getState(self._model, self.data, state, _STATE)
         return _HEADER.pack(_MAGIC, state.size) + state.astype("<f8").tobytes()
 
     def restore(self, snapshot: bytes) -> None:
         """Sets MuJoCo's integration state. Raises InvalidInput for bytes that are no state of this model."""
-        size = mujoco.mj_stateSize(self.model, _STATE)
+        size = mujoco.mj_stateSize(self._model, _STATE)
         if len(snapshot) != _HEADER.size + 8 * size or _HEADER.unpack_from(snapshot) != (_MAGIC, size):
             raise InvalidInput(
                 f"Expected a snapshot of this world, {_HEADER.size + 8 * size} bytes; got something else.",
@@ -86,8 +87,8 @@ class MujocoSimulation:
         state = np.frombuffer(snapshot, "<f8", offset=_HEADER.size).astype(np.float64)
         if not np.isfinite(state).all():
             raise InvalidInput("Expected a snapshot of finite numbers; got one that is not.", field="snapshot")
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, state, _STATE)
+        mujoco.mj_resetData(self._model, self.data)
+        mujoco.mj_setState(self._model, self.data, state, _STATE)
         self.refresh()
 
     def close(self) -> None:

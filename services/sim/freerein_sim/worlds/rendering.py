@@ -75,7 +75,7 @@ class Renderer:
 def _count_drawn(model: mujoco.MjModel) -> int:
     """Returns the greatest number of things that MuJoCo draws of a model; it leaves out what is beyond."""
     tendons = 2 * model.nwrap  # a tendon that winds round a geom has two points there
-    return int(model.ngeom + model.nsite + tendons + model.nskin + model.nflex + model.nflexelem + model.nflexvert)
+    return int(model.ngeom + model.nsite + tendons + model.nskin + model.nflex)
 
 
 def open_renderer(model: mujoco.MjModel) -> Renderer:

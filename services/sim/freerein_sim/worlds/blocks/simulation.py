@@ -40,9 +40,8 @@ class BlocksWorld:
         self.colours = colours
         self.goal = goal
         self._draw_initial_state = draw_initial_state
-        built = scene.build(colours, pad=pad)
-        self.fingerprint = built.fingerprint
-        self._simulation = simulation = MujocoSimulation(spec, built)
+        self._simulation = simulation = MujocoSimulation(spec, scene.build(colours, pad=pad))
+        self.fingerprint = simulation.fingerprint
         self._data = simulation.data
         self.snapshot, self.restore = simulation.snapshot, simulation.restore
         self.render, self.close = simulation.render, simulation.close
