@@ -34,7 +34,8 @@ class Method(Generic[C, L, N, M_co]):
         config: Class of the configuration.
         resolve: Returns the configuration completed by what the dataset decides. Raises InvalidInput where the
             dataset cannot be trained on, before a fit is queued.
-        prepare: Returns the learner of a fit, for a resolved configuration.
+        prepare: Returns the learner of a fit, for a dataset, a resolved configuration and a device; further keyword
+            arguments are the resources of `Methods.run_fit`.
         card: Returns the card's entries of this method, such as `supervision`; they replace the common ones of the
             same name.
         load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
@@ -44,7 +45,7 @@ class Method(Generic[C, L, N, M_co]):
 
     config: type[C]
     resolve: Callable[[FitDataset, C], C]
-    prepare: Callable[[FitDataset, C, torch.device], L]
+    prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
     load: Callable[[Path, str], M_co]
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
@@ -76,17 +77,18 @@ class Methods(Generic[M_co]):
         config = method.resolve(source, replace(config, cameras=source.choose_cameras(config.cameras)))
         return {"method": name, **asdict(config)}
 
-    def run_fit(self, folder: Path, data_dir: Path, device: str) -> int:
+    def run_fit(self, folder: Path, data_dir: Path, device: str, **resources: Path) -> int:
         """Runs or resumes the fit in a folder, as its child process; returns the exit code, of `freerein.jobs.child`.
 
-        The folder holds `config.json`; metrics, checkpoints and in the end `model/` are written there.
+        The folder holds `config.json`; metrics, checkpoints and in the end `model/` are written there. `resources` are
+        the files and folders that the service's methods need beside the dataset; `prepare` receives them.
         """
 
         def train(job: Mapping[str, Any]) -> bool:
             name, method, given = self._choose(job["config"])
             source, config = FitDataset.open(data_dir, job["dataset"]), parse(method.config, given)
             torch.set_num_threads(config.threads)
-            learner = method.prepare(source, config, choose_device(device))
+            learner = method.prepare(source, config, choose_device(device), **resources)
 
             def save(fitted: FitResult[Any], model: Path) -> None:
                 for file, data in method.files(learner).items():

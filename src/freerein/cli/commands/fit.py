@@ -32,7 +32,8 @@ _SERVICES = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
     "imitation": "Fit a policy to a dataset: goal-conditioned by default, `--set method=skills` for recipes of skills, "
     "`--set method=language` for language goals.",
-    "reward": "Fit a vision-language reward model to unlabelled images and noun phrases.",
+    "reward": "Fit a vision-language reward model to unlabelled images and noun phrases, which must be given: "
+    '`--set \'phrases=["a red block", "a yellow block"]\'`.',
 }
 
 

@@ -22,6 +22,7 @@ MODEL = "blocks"
 """Name of the reward model."""
 
 _TASK, _DATASET, _CAMERA = "blocks.scatter", "scatter", "front"
+_PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
 _TRAJECTORIES = 1000
 _SESSIONS, _SCENES, _RANDOM_STEPS = 5, 64, 4
 _DRAWN_TWO_BLOCKS = (0, 1, 2, 4)  # indices of the relations in the picture
@@ -56,7 +57,7 @@ async def record(context: Context) -> None:
 
 async def start_fit(context: Context) -> tuple[str, Fit]:
     """Starts to learn the reward model."""
-    return await context.start_fit("reward", _DATASET, model_name=MODEL, config={})
+    return await context.start_fit("reward", _DATASET, model_name=MODEL, config={"phrases": list(_PHRASES)})
 
 
 async def look_at_two_blocks(context: Context) -> Scenes:
