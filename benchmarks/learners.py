@@ -15,24 +15,27 @@ import torch
 
 from freerein.data.cache import open_or_build
 from freerein.learning.fit import Learner
-from freerein.learning.trajectories import TrajectoryArrays
+from freerein.learning.trajectories import Trajectories, TrajectoryArrays
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
-from freerein.types.common import ActionSpec, ModelRef
-from freerein_imitation.model.policy import PolicyNetworkSpec
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
+from freerein.types.common import ActionSpec, Camera, ModelRef
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork
+from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, policy_losses
+from freerein_imitation.training.goal_conditioned import network_spec as goal_conditioned_spec
+from freerein_imitation.training.goal_images import GoalImagesLearner
 from freerein_imitation.training.skills import SkillsConfig, SkillsLearner
-from freerein_imitation.training.trajectories import TrajectoryDataset
+from freerein_imitation.training.skills import network_spec as skills_spec
 from freerein_reward.model import load_grounding
 from freerein_reward.training import RewardConfig, RewardModelLearner
 from freerein_reward.training import network_spec as reward_spec
 from freerein_reward.training.caption_dataset import CaptionDataset, pairwise_relations, pairwise_sides
-from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 from freerein_segmentation.training import network_spec as segmentation_spec
 
 _SKILLS = ("reach", "grasp", "lift", "place", "retreat")
 _ACTION = ActionSpec(len(_SKILLS), 0, _SKILLS, "m", (0.05,) * len(_SKILLS))
 _TRAJECTORIES, _SEGMENTS = 64, 3
 _IMAGES, _BLOCK, _NOISE = 2000, 8, 60
+_PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
 _COLOURS = np.array([(220, 40, 40), (40, 200, 60), (220, 210, 50), (50, 80, 220)], np.uint8)
 _CPU = torch.device("cpu")
 
@@ -48,6 +51,11 @@ class World:
 
     frame: tuple[int, int, int]
     timesteps: tuple[int, int]
+
+    @property
+    def camera(self) -> Camera:
+        """The only camera."""
+        return Camera("front", *self.frame)
 
 
 _GRID, _BLOCKS = World((33, 30, 3), (10, 40)), World((64, 64, 3), (90, 130))
@@ -77,52 +85,36 @@ def build(name: str, variant: Variant, folder: Path) -> Learner[Any]:
     return _LEARNERS[name](variant, folder)
 
 
-@dataclass(frozen=True, eq=False)
-class _Trajectories:
-    """Synthetic trajectories.
-
-    Attributes:
-        frames: By trajectory, uint8 (T, H, W, C).
-        actions: By trajectory, float32 (T, A).
-        labels: By trajectory, the skill at each timestep, int64 (T,).
-    """
-
-    frames: TrajectoryArrays[np.uint8]
-    actions: list[npt.NDArray[np.float32]]
-    labels: list[npt.NDArray[np.int64]]
-
-
 def _segmentation(variant: Variant, folder: Path, *, world: World) -> SegmentationLearner:
     config = SegmentationConfig(batch_size=SegmentationConfig().batch_size * variant.batch_factor)
-    drawn = _draw(world, variant, folder)
-    tags = [tuple(_SKILLS[skill] for skill in np.unique(labels)) for labels in drawn.labels]
-    demonstrations = Demonstrations(drawn.frames, drawn.actions, tags)
+    demonstrations, _ = _draw(world, variant, folder)
     training, validation = demonstrations.split(fraction=config.validation_fraction, seed=config.seed)
-    spec = segmentation_spec(config, frame=world.frame, action=_ACTION, skills=_SKILLS)
+    spec = segmentation_spec(config, cameras=(world.camera,), action=_ACTION, skills=_SKILLS)
     return SegmentationLearner(config, spec, training, validation, "", _CPU)
 
 
-def _goal_conditioned(variant: Variant, folder: Path, *, world: World) -> GoalConditionedLearner:
+def _goal_conditioned(variant: Variant, folder: Path, *, world: World) -> Learner[Any]:
     config = GoalConditionedConfig(batch_size=GoalConditionedConfig().batch_size * variant.batch_factor)
-    drawn = _draw(world, variant, folder)
-    trajectories = TrajectoryDataset(drawn.frames, drawn.actions)
-    return GoalConditionedLearner.prepare(config, _sizes(world), trajectories, fingerprint="", device=_CPU)
+    exploration, _ = _draw(world, variant, folder)
+    training, validation = exploration.split(fraction=config.validation_fraction, seed=config.seed)
+    spec = goal_conditioned_spec(config, cameras=(world.camera,), action=_ACTION)
+    losses = partial(policy_losses, consistency_weight=config.forward_consistency_weight)
+    return GoalImagesLearner(config, partial(GoalConditionedNetwork, spec), losses, training, validation, "", _CPU)
 
 
 def _skills(variant: Variant, folder: Path, *, world: World) -> SkillsLearner:
     config = SkillsConfig(batch_size=SkillsConfig().batch_size * variant.batch_factor)
-    drawn = _draw(world, variant, folder)
-    trajectories = TrajectoryDataset(drawn.frames, drawn.actions)
-    return SkillsLearner.prepare(
-        config, _sizes(world), trajectories, drawn.labels, skills=_SKILLS, fingerprint="", device=_CPU
-    )
+    demonstrations, labels = _draw(world, variant, folder)
+    spec = skills_spec(config, cameras=(world.camera,), action=_ACTION, skills=_SKILLS)
+    return SkillsLearner.prepare(config, spec, demonstrations, labels, fingerprint="", device=_CPU)
 
 
 def _reward(variant: Variant, _: Path) -> RewardModelLearner:
     store = ModelStore(CLONE_MODELS / "reward")
     folder = store.folder(ModelRef("grounding", store.active_version("grounding")))
     grounding = load_grounding(folder, "cpu")
-    config = RewardConfig(cameras=("front",), batch_size=RewardConfig().batch_size * variant.batch_factor)
+    batch_size = RewardConfig().batch_size * variant.batch_factor
+    config = RewardConfig(cameras=("front",), phrases=_PHRASES, batch_size=batch_size)
     images = _draw_captions(config, size=grounding.network.spec.image_size)
     training, validation = images.split(
         np.ones(_IMAGES, np.int64), fraction=config.validation_fraction, seed=config.seed
@@ -133,6 +125,7 @@ def _reward(variant: Variant, _: Path) -> RewardModelLearner:
         training=training,
         validation=validation,
         grounding=grounding,
+        grounding_version=folder.name,
         fingerprint="",
         device=_CPU,
     )
@@ -149,24 +142,19 @@ _LEARNERS: Mapping[str, Callable[[Variant, Path], Learner[Any]]] = {
 }
 
 
-def _sizes(world: World) -> PolicyNetworkSpec:
-    height, width, channels = world.frame
-    return PolicyNetworkSpec(camera="", action_size=_ACTION.size, height=height, width=width, channels=channels)
-
-
-def _draw(world: World, variant: Variant, folder: Path) -> _Trajectories:
-    """Returns trajectories of three skills each."""
+def _draw(world: World, variant: Variant, folder: Path) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:
+    """Returns trajectories of three skills each, and the skill at each timestep, int64 (T,)."""
     rng = np.random.default_rng(0)
     labels = [_draw_labels(world, rng) for _ in range(_TRAJECTORIES)]
-    frames = [_draw_frames(world, each, rng) for each in labels]
+    drawn = [_draw_frames(world, each, rng) for each in labels]
+    frames: TrajectoryArrays[np.uint8] = drawn
+    if not variant.in_memory:
+        path = folder / "cache" / "x".join(map(str, world.frame)) / "frames.raw"
+        lengths = np.array([len(each) for each in labels], np.int64)
+        frames = open_or_build(path, dtype=np.dtype(np.uint8), shape=world.frame, lengths=lengths, parts=drawn)
     codes = np.eye(len(_SKILLS), dtype=np.float32)
-    actions = [codes[each] for each in labels]
-    if variant.in_memory:
-        return _Trajectories(frames, actions, labels)
-    path = folder / "cache" / "x".join(map(str, world.frame)) / "frames.raw"
-    lengths = np.array([len(each) for each in labels], np.int64)
-    mapped = open_or_build(path, dtype=np.dtype(np.uint8), shape=world.frame, lengths=lengths, parts=frames)
-    return _Trajectories(mapped, actions, labels)
+    tags = [tuple(_SKILLS[skill] for skill in np.unique(each)) for each in labels]
+    return Trajectories({world.camera.name: frames}, [codes[each] for each in labels], tags), labels
 
 
 def _draw_labels(world: World, rng: np.random.Generator) -> npt.NDArray[np.int64]:
