@@ -89,7 +89,7 @@ class _Recording:
         self._tasks: list[Task] = [
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
-        self._spec = PolicyInterface.of_stored(policies[0])
+        (self._camera,) = PolicyInterface.of_stored(policies[0]).cameras
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
         recorded = list(plan.rounds(len(policies)))[: len(self._kept)]
@@ -98,8 +98,9 @@ class _Recording:
 
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
-        frame = (self._spec.height, self._spec.width, self._spec.channels)
-        spec = DatasetSpec(integer_fps(control_dt_s), {self._spec.camera: frame}, action, self._tasks[0].world)
+        camera = self._camera
+        cameras = {camera.name: (camera.height, camera.width, camera.channels)}
+        spec = DatasetSpec(integer_fps(control_dt_s), cameras, action, self._tasks[0].world)
         return open_writer(self._root) if self._root.is_dir() else create(self._root, spec)
 
     def record(self, writer: Writer, number: int, each: _Round) -> None:
@@ -115,7 +116,7 @@ class _Recording:
                 hint="Start a new run.",
             )
         for episode in kept[recorded:]:
-            frames = {self._spec.camera: episode.frames}
+            frames = {camera: frames[:-1] for camera, frames in episode.frames.items()}
             writer.append(Trajectory(frames, episode.actions, goal_text=str(policy.card["goal_text"])))
         self._finish(each, kept)
 
@@ -135,8 +136,8 @@ class _Recording:
         if self._plan.keep == "all":
             return episodes
         goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
-        reward_fn = LearnedReward(self._reward, goal_text, self._spec.camera, model)
-        last = np.stack([episode.frames[-1] for episode in episodes])
+        reward_fn = LearnedReward(self._reward, goal_text, self._camera.name, model)
+        last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
         rewards = self._retry.call(lambda: reward_fn(last, None))
         return [episode for episode, reward in zip(episodes, rewards, strict=True) if reward > 0]
 
