@@ -122,7 +122,7 @@ class SegmentationEvaluation:
         median = sorted(range(len(values)), key=lambda index: cast(float, values[index]["frame_accuracy"]))[
             len(values) // 2
         ]
-        names = ("truth", "labels", "confidence")
+        names = ("truth", "labels", "confidence", "frame_accuracy")
         return Result(
             {
                 "frame_accuracy": ratio_figure(
