@@ -40,15 +40,15 @@ def _learn_from_data() -> list[Step]:
         _collect("blocks-demos", task="blocks", behaviour="expert", count=400, min_skills=2, max_skills=3),
         _collect("exploration", task="blocks", behaviour="random", count=400),
         _collect("scatter", task="blocks.scatter", behaviour="random", count=1000),
-        _fit("segmentation", "grid", "grid-demos", steps=300, batch_size=16),
+        _fit("fit-grid", "segmentation", "grid", "grid-demos", steps=300, batch_size=16),
         _evaluate("grid-labels", "segmentation", task="grid", model="grid", episodes=100, **_skills(5)),
-        _fit("segmentation", "blocks", "blocks-demos", stride=3),
+        _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3),
         _step("label-blocks", "label", dataset="blocks-demos", model="blocks", smoothing=1),
         _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
-        _fit("reward", REWARD_MODEL, "scatter"),
+        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter"),
         _evaluate("two-blocks", "relations", task="blocks.scatter", model=REWARD_MODEL, episodes=320, num_envs=64),
         _evaluate("four-blocks", "relations", task="blocks", model=REWARD_MODEL, episodes=64, num_envs=64, steps=24),
-        _fit("imitation", "goal-images", "exploration", policy="goal_conditioned"),
+        _fit("fit-goal-images", "imitation", "goal-images", "exploration", policy="goal_conditioned"),
     ]
 
 
@@ -67,7 +67,7 @@ def _evaluate_and_practise() -> list[Step]:
         _returns("random-left", own, "random"),
         _returns("random-right", other, "random"),
         _returns("checkpoint", own, {"stored": INIT_FROM, "stochastic": True}),
-        _fit("imitation", "skills", "blocks-demos", after="label-blocks", policy="skills"),
+        _fit("fit-skills", "imitation", "skills", "blocks-demos", after="label-blocks", policy="skills"),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "skills"}, episodes=40, num_envs=40),
         _step("ppo", "ppo", task=own, reward_model=REWARD_MODEL, iterations=40, lr=3e-4, init_from=INIT_FROM),
         _returns("ppo-returns", own, {"run": "ppo", "stochastic": True}),
@@ -91,9 +91,9 @@ def _collect(dataset: str, **config: Any) -> Step:
     return _step(dataset, "collect", dataset=dataset, **config)
 
 
-def _fit(service: str, model: str, dataset: str, *, after: str = "", **config: Any) -> Step:
+def _fit(name: str, service: str, model: str, dataset: str, *, after: str = "", **config: Any) -> Step:
     """A fit that begins once its dataset, or the step `after`, is done."""
-    step = _step(f"fit-{model}", "fit", service=service, dataset=dataset, model_name=model, config=config)
+    step = _step(name, "fit", service=service, dataset=dataset, model_name=model, config=config)
     return {**step, "after": [after or dataset]}
 
 
