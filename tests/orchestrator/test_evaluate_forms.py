@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from freerein.clients import Channel, SimClient, SyncClient
+from freerein.clients.tasks import find_task
 from freerein.data import dataset_path, labels
 from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec
+from freerein.types.sim import CreateSessionRequest, Predicate, Task
+from freerein_orchestrator.envs.episodes import run_episodes
+from freerein_orchestrator.envs.random_policies import exploration_policy
+from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds
@@ -58,6 +65,21 @@ def check_figures(result: dict[str, Any], *names: str) -> None:
         figure = result["figures"][name]
         assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
         assert 0 <= figure["baseline"] <= 1
+
+
+@pytest.mark.e2e
+def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_draws(services: dict[str, str]) -> None:
+    request = CreateSessionRequest("blocks", num_envs=2, seed=5, privileged=True)
+    with SyncClient(SimClient(Channel(services["FREEREIN_SIM_ADDRESS"]))) as sim:
+        policies = [exploration_policy(find_task(sim, "blocks").action, stream=stream) for stream in (0, 0, 1)]
+        first, again, other = (
+            run_episodes(sim, request, policy, lambda: None, cameras=("front",), max_steps=4)[1] for policy in policies
+        )
+    assert first.frames["front"].shape == (5, 64, 64, 3)
+    np.testing.assert_array_equal(first.states, again.states)
+    np.testing.assert_array_equal(first.frames["front"], again.frames["front"])
+    np.testing.assert_array_equal(first.states[0], other.states[0])
+    assert not np.array_equal(first.actions, other.actions)
 
 
 @pytest.mark.e2e
@@ -163,20 +185,17 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
 
 
 @pytest.mark.e2e
-@pytest.mark.parametrize(
-    ("config", "missing"),
-    [
-        (RELATIONS | {"task": "grid"}, "captions"),
-        (LANDMARKS | {"task": "pendulum"}, "at-landmark"),
-        (RECIPES | {"task": "pendulum"}, "skills"),
-        (SEGMENTATION | {"task": "pendulum"}, "expert"),
-    ],
-)
-def test_a_form_whose_predicates_the_task_lacks_is_refused(
-    evaluation: Callable[..., Any], config: dict[str, Any], missing: str
-) -> None:
-    with pytest.raises(InvalidInput, match=missing):
-        evaluation(config).do()
+def test_a_task_without_captions_has_no_relations(evaluation: Callable[..., Any]) -> None:
+    with pytest.raises(InvalidInput, match="grid offers none"):
+        evaluation(RELATIONS | {"task": "grid"}).do()
+
+
+def test_a_task_that_lacks_predicates_is_refused_by_their_names() -> None:
+    bare = Task("bare", "bare", "", (), ActionSpec(1, 0, ("x",)), 0.1, (), 10, (Predicate("at-landmark"),))
+    check_predicates(bare, ["at-landmark"], form="landmarks")
+    with pytest.raises(InvalidInput, match="needs the predicates object-moves; bare offers at-landmark") as error:
+        check_predicates(bare, ["at-landmark", "object-moves"], form="landmarks")
+    assert error.value.field == "config.task"
 
 
 @pytest.mark.parametrize(

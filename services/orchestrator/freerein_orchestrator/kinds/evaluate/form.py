@@ -30,7 +30,7 @@ class FormConfig:
         seed: Seed of every random draw.
     """
 
-    form: str
+    form: str = "returns"
     task: str
     episodes: int = bounded(50, least=1, most=100_000)
     num_envs: int = bounded(10, least=1, most=64)

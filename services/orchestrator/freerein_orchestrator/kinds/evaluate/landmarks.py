@@ -38,7 +38,7 @@ class LandmarksConfig(PolicyConfig):
         steps_per_landmark: Steps after which a landmark is abandoned; 0 for the model's own limit.
     """
 
-    form: Literal["landmarks"]
+    form: Literal["landmarks"] = "landmarks"
     landmarks: int = bounded(4, least=1, most=256)
     spacing: int = bounded(6, least=1, most=1000)
     steps_per_landmark: int = bounded(0, least=0, most=10_000)

@@ -32,7 +32,7 @@ class RecipesConfig(PolicyConfig):
         steps_per_skill: Steps after which a skill is abandoned; 0 shares the steps of an episode equally.
     """
 
-    form: Literal["recipes"]
+    form: Literal["recipes"] = "recipes"
     steps_per_skill: int = bounded(0, least=0, most=10_000)
 
     def __post_init__(self) -> None:

@@ -37,7 +37,7 @@ class RelationsConfig(FormConfig):
         steps: Random actions between the first and the last frame.
     """
 
-    form: Literal["relations"]
+    form: Literal["relations"] = "relations"
     model: str = ""
     version: str = ""
     camera: str = ""

@@ -30,7 +30,7 @@ class SegmentationConfig(FormConfig):
         max_skills: Most different skills per demonstration; 0 means all of the task.
     """
 
-    form: Literal["segmentation"]
+    form: Literal["segmentation"] = "segmentation"
     model: str = ""
     version: str = ""
     smoothing: float = bounded(0.0, least=0.0, most=100.0)
