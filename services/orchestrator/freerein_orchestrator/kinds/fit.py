@@ -81,6 +81,7 @@ def run(context: RunContext, config: FitRunConfig) -> None:
     watch = None
     try:
         watch = _FitWatch(fits, retry.call(lambda: _start(fits, context, config)), context.metrics_logger(0))
+        retry.call(watch.poll)  # one that has ended has metrics to copy, too
         while not watch.fit.ended:
             retry.call(watch.poll)
     except Stopped:
