@@ -37,7 +37,13 @@ _ROWS = (
         for figure, guess in (("accuracy", "majority guess"), ("balanced_accuracy", "constant guess"))
     ),
     *(
-        _Row(f"imitation.{name}landmarks_reached", "landmarks", f"{split}landmarks_reached", "random actions", True)
+        _Row(
+            f"imitation.{name}landmarks_reached",
+            "landmarks",
+            f"{split}landmarks_reached",
+            "random actions",
+            beats_baseline=True,
+        )
         for name, split in (("", ""), ("no_block_moves.", "no_object_moves."), ("block_moves.", "object_moves."))
     ),
     _Row("imitation.landmarks_recognized", "landmarks", "landmarks_recognized"),
