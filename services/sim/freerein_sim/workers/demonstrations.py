@@ -53,7 +53,8 @@ def _act(
 
 def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
     executed = made.labels[made.labels >= 0]
-    trajectory = Trajectory(made.frames, made.actions, tuple(sorted(spec.skills[i] for i in set(executed.tolist()))))
+    skills = tuple(sorted(spec.skills[i] for i in set(executed.tolist())))
+    trajectory = Trajectory(made.frames, made.actions, skills, terminated=made.terminated)
     if request.privileged and len(executed) == len(made.labels):
         return DemonstrateResponse(request.first, trajectory, made.labels)
     return DemonstrateResponse(request.first, trajectory)

@@ -33,9 +33,9 @@ def unpack(packed: bytes) -> np.random.Generator:
 
 
 def _bits(packed: bytes) -> np.random.PCG64:
-    if len(packed) != PACKED_BYTES or packed[32] > 1:
+    if len(packed) != PACKED_BYTES or packed[16] % 2 == 0 or packed[32] > 1:  # an even increment may repeat one number
         raise InvalidInput(
-            f"The state of a generator must be {PACKED_BYTES} bytes with a flag of 0 or 1; got others.",
+            f"The state of a generator must be {PACKED_BYTES} bytes that hold a PCG64; got others.",
             field="snapshot",
             hint="Send the snapshot back unchanged.",
         )

@@ -106,8 +106,11 @@ class MakeExpert(Protocol):
         """
 
 
-class World(Protocol):
-    """One environment. Not thread-safe; `render` and `close` must be called from the same thread."""
+class UnsavedWorld(Protocol):
+    """One environment that may be unable to save its state; `worlds.replay` makes it a `World`.
+
+    Not thread-safe; `render` and `close` must be called from the same thread.
+    """
 
     @property
     def spec(self) -> WorldSpec:
@@ -143,16 +146,6 @@ class World(Protocol):
             Unimplemented: This machine cannot render.
         """
 
-    def snapshot(self) -> bytes:
-        """Returns the complete state; after `restore` the same actions give the same bits."""
-
-    def restore(self, snapshot: bytes) -> None:
-        """Restores a snapshot from a world of the same fingerprint.
-
-        Raises:
-            InvalidInput: The bytes are not a snapshot of this world; the state is unchanged.
-        """
-
     def truth(self) -> GroundTruth:
         """Returns true state and oracle reward."""
 
@@ -162,6 +155,20 @@ class World(Protocol):
 
     def close(self) -> None:
         """Frees resources; may be called twice."""
+
+
+class World(UnsavedWorld, Protocol):
+    """One environment that saves and restores its state."""
+
+    def snapshot(self) -> bytes:
+        """Returns the complete state; after `restore` the same actions give the same bits."""
+
+    def restore(self, snapshot: bytes) -> None:
+        """Restores a snapshot from a world of the same fingerprint.
+
+        Raises:
+            InvalidInput: The bytes are not a snapshot of this world; the state is unchanged.
+        """
 
 
 @dataclass(frozen=True)
@@ -253,7 +260,7 @@ def sized_cameras(spec: WorldSpec, names: Iterable[str], *, height: int, width: 
     return tuple(sized)
 
 
-def expert_of(world: World) -> MakeExpert:
+def expert_of(world: UnsavedWorld) -> MakeExpert:
     """Returns what makes the world's experts. Raises Unimplemented in a world without."""
     if world.expert is None or not world.spec.has_expert:
         raise no_expert()
