@@ -78,8 +78,10 @@ async def _run_pipeline(
                 show(run)
     check_succeeded("pipeline", run)
     rows = (await client.get_metrics(GetMetricsRequest(run_id, max_rows=_MAX_ROWS))).rows
-    returns = [row.metrics[_CURVE] for row in rows if _CURVE in row.metrics]
-    return await fetch(client, run_id), list(enumerate(returns, start=1))
+    iterations = [row for row in rows if any(name.startswith("ppo/") for name in row.metrics)]
+    first = iterations[0].step
+    curve = [(row.step - first + 1, row.metrics[_CURVE]) for row in iterations if _CURVE in row.metrics]
+    return await fetch(client, run_id), curve
 
 
 async def _draw(out: Path, results: Results, curve: list[tuple[int, float]], reward: RewardClient) -> None:
