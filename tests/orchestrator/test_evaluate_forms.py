@@ -185,9 +185,22 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
 
 
 @pytest.mark.e2e
-def test_a_task_without_captions_has_no_relations(evaluation: Callable[..., Any]) -> None:
-    with pytest.raises(InvalidInput, match="grid offers none"):
-        evaluation(RELATIONS | {"task": "grid"}).do()
+@pytest.mark.parametrize(
+    ("config", "missing"),
+    [
+        (RELATIONS | {"task": "grid"}, "captions; grid offers none"),
+        (LANDMARKS | {"task": "pendulum"}, "at-landmark, object-moves; pendulum offers none"),
+        (RECIPES | {"task": "pendulum"}, "with skills; pendulum has none"),
+        (SEGMENTATION | {"task": "pendulum"}, "an expert and skills; pendulum lacks them"),
+        ({"task": "pendulum", "policy": "expert"}, "pendulum has none"),
+    ],
+)
+def test_a_task_that_lacks_what_a_form_needs_is_refused(
+    evaluation: Callable[..., Any], config: dict[str, Any], missing: str
+) -> None:
+    with pytest.raises(InvalidInput, match=missing) as error:
+        evaluation(config).do()
+    assert error.value.field in ("config.task", "config.policy")
 
 
 def test_a_task_that_lacks_predicates_is_refused_by_their_names() -> None:

@@ -138,7 +138,7 @@ def served_policy(
         start,
         {"policy": "imitation", "model": asdict(reply.model)},
         tuple(camera.name for camera in spec.cameras),
-        *spec.frame_size,
+        *spec.frame_size(task),
         max_steps_per_goal or reply.max_steps_per_goal,
     )
 

@@ -37,19 +37,20 @@ class PolicyInterface:
         """Returns the interface of a model of the imitation service."""
         return cls(spec.cameras, spec.action.size, spec.action.choices)
 
-    @property
-    def frame_size(self) -> tuple[int, int]:
-        """Height and width in pixels of the frames of all cameras.
+    def frame_size(self, task: Task) -> tuple[int, int]:
+        """Returns height and width in pixels at which a session renders the policy's frames; 0 for the cameras' own.
 
         Raises:
-            InvalidInput: They differ: a session renders all cameras at one size.
+            InvalidInput: Sizes differ from each other and from the task's own: a session has one for all cameras.
         """
+        if set(self.cameras) <= set(task.cameras):
+            return 0, 0
         sizes = {(camera.height, camera.width) for camera in self.cameras}
         if len(sizes) > 1:
             raise InvalidInput(
-                f"All cameras of a policy must have one frame size; got {self}.",
+                f"All cameras of a policy must have one frame size, or those of the task; got {self}.",
                 field="config.policy",
-                hint="Fit it on frames of one size.",
+                hint="Fit it on frames of one size, or of the task's own sizes.",
             )
         return sizes.pop()
 

@@ -129,7 +129,7 @@ class LandmarksEvaluation:
         check_predicates(task, (AT_LANDMARK, OBJECT_MOVES), form=config.form)
         self._setup = setup
         self._policy = find_policy(setup, max_steps_per_goal=config.steps_per_landmark)
-        self._camera = self._policy.cameras[0] if self._policy.cameras else task.cameras[0].name
+        self._cameras = self._policy.cameras or (task.cameras[0].name,)
         self._max_steps = config.steps_per_landmark or self._policy.max_steps_per_goal
         if not self._max_steps:
             raise InvalidInput(
@@ -144,10 +144,10 @@ class LandmarksEvaluation:
         """Returns trials `first` to `first + count`."""
         setup, policy = self._setup, self._policy
         request = setup.session(count, first, height=policy.height, width=policy.width)
-        run = partial(run_episodes, setup.sim, request, interrupt=setup.interrupt, cameras=(self._camera,))
+        run = partial(run_episodes, setup.sim, request, interrupt=setup.interrupt, cameras=self._cameras)
         random = partial(exploration_policy, setup.task.action)
         explored = run(random(stream=_EXPLORATION), max_steps=int(self._steps[-1]))
-        goals = [Goal(tuple(encode_raw(frame, self._camera) for frame in self._goal_frames(each))) for each in explored]
+        goals = [self._goal(each) for each in explored]
         steps = self._max_steps * len(self._steps)
         followed = run(policy, goals=goals, max_steps=steps)
         baseline = run(random(stream=_BASELINE), max_steps=steps)
@@ -189,12 +189,19 @@ class LandmarksEvaluation:
             ],
             "landmarks_reached": float(pursuit.reached.mean()),
         }
-        return Trial(values, {"goals": self._goal_frames(explored), "ends": followed.frames[self._camera][ends]})
+        shown = self._cameras[0]
+        return Trial(values, {"goals": self._goal_frames(explored)[shown], "ends": followed.frames[shown][ends]})
 
-    def _goal_frames(self, explored: Episode) -> npt.NDArray[np.uint8]:
-        """Returns the goal images, uint8 (N, H, W, C)."""
-        frames = explored.frames[self._camera]
-        return frames[np.minimum(self._steps, len(frames) - 1)]
+    def _goal(self, explored: Episode) -> Goal:
+        """Returns the landmarks as goal images: for each landmark an image of every camera."""
+        frames = self._goal_frames(explored)
+        landmarks = range(len(self._steps))
+        return Goal(tuple(encode_raw(frames[camera][n], camera) for n in landmarks for camera in self._cameras))
+
+    def _goal_frames(self, explored: Episode) -> dict[str, npt.NDArray[np.uint8]]:
+        """Returns the frames at the landmarks by camera, uint8 (N, H, W, C)."""
+        places = np.minimum(self._steps, len(explored.actions))
+        return {camera: explored.frames[camera][places] for camera in self._cameras}
 
     def _landmark_states(self, explored: Sequence[Episode]) -> list[npt.NDArray[np.float64]]:
         """Returns the landmarks' true states, float64 (N, S) per episode."""
