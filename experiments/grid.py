@@ -1,0 +1,38 @@
+"""Table 2.1: the grid world with its indicator, {objectives} x {contexts}, and the supervised ceiling."""
+
+from experiments.segmentation.dataset import DatasetSpec, SplitSpec
+from experiments.segmentation.experiment import SegmentationExperiment
+from experiments.segmentation.report import Report, Row
+
+_TEXT = """\
+Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
+for validation, 1 000 for test with 5 skills; training accuracy is measured on the first 2 000. All rows share network,
+loop, batch size (128), optimiser steps (250) and learning rate, and differ in objective and context. `lse` with the
+causal context and `mil` with it are the dissertation's, which gives no number of steps and has a learning rate of 1e-4.
+The weights of the lowest validation loss are evaluated: the loss of tags, and for `supervised` that of true labels.
+`gap closed` is (value - lse causal) / (supervised in the same context - lse causal). `random` guesses a skill for each
+timestep, `random_cls` one of the trajectory's skills, `majority` always the trajectory's longest skill. The interval is
+by bootstrap over seeds, then over trajectories."""
+
+EXPERIMENT = SegmentationExperiment(
+    data=DatasetSpec(
+        "grid", train=SplitSpec(50_000, 2, 4), validation=SplitSpec(2_000, 2, 4), test=SplitSpec(1_000, 5, 5)
+    ),
+    objectives=("lse", "lse_per_timestep", "mil"),
+    contexts=("causal", "bidirectional"),
+    seeds=3,
+    settings={"steps": 250, "batch_size": 128, "lr": 2e-3, "evaluate_every": 25, "checkpoint_every": 25},
+    train_evaluated=2_000,
+    report=Report(
+        "grid",
+        title="The grid world (Table 2.1)",
+        text=_TEXT,
+        scale="full",
+        dissertation={
+            Row("random"): (20, 20, 20),
+            Row("random_cls"): (36, 36, 20),
+            Row("lse", "causal"): (100, 100, 100),
+            Row("mil", "causal"): (90.78, 91.08, 91.08),
+        },
+    ),
+)
