@@ -1,11 +1,8 @@
-"""Runs experiments and makes their tables.
-
-python -m experiments run NAME [--jobs N] [--only PATTERN ...] [--minutes N]
-python -m experiments table NAME ...
-"""
+"""Runs experiments and makes their tables: `python -m experiments run|table`; see `README.md`."""
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import registry
@@ -17,9 +14,9 @@ from freerein.errors import NotFound, ServiceError
 _WEEK_MINUTES = 7 * 24 * 60
 
 
-def main() -> int:
+def main(words: Sequence[str]) -> int:
     """Returns the exit code: 1 where an arm failed or was stopped, 2 for a refused command."""
-    arguments = _parser().parse_args()
+    arguments = _parser().parse_args(words)
     try:
         exit_code: int = arguments.command(arguments)
     except ServiceError as error:
@@ -81,4 +78,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -116,7 +116,7 @@ def open_split(folder: Path, spec: DatasetSpec, name: SplitName) -> Split:
     camera, action = world.cameras[0], world.action
     lengths = np.fromfile(folder / name / "lengths.raw", np.int64)  # (n,)
     tags = np.fromfile(folder / name / "tags.raw", np.bool_).reshape(len(lengths), -1)  # (n, K)
-    dtype = np.dtype(np.int64 if action.choices else np.float32)
+    dtype: np.dtype[Any] = np.dtype(np.int64 if action.choices else np.float32)
     return Split(
         frames=step_cache(
             folder / name / "frames.raw", lengths, np.dtype(np.uint8), (camera.height, camera.width, camera.channels)
@@ -147,7 +147,8 @@ def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
         for path, part in parts.items()
     )
     processes = [subprocess.Popen(command) for command in commands]
-    if any([process.wait() for process in processes]):
+    exit_codes = [process.wait() for process in processes]
+    if any(exit_codes):
         raise FailedPrecondition("Drawing the demonstrations failed.", hint="See the error of its process above.")
     for file in draw.FILES:
         target = folder / ("truth" if file == "labels" else "") / name / f"{file}.raw"

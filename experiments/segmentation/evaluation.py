@@ -1,7 +1,6 @@
 """Labels of trajectories by networks and by guessing, and their figures against the truth."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -52,13 +51,14 @@ def score(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: str) -
 
     Frame accuracy and balanced accuracy are over all timesteps, the edit score and F1@50 are means over trajectories.
     """
-    correct = [int((ours == theirs).sum()) for ours, theirs in zip(predicted, truth, strict=True)]
+    pairs = list(zip(predicted, truth, strict=True))
+    correct = [int((ours == theirs).sum()) for ours, theirs in pairs]
     accuracy = Sample(correct, [len(each) for each in truth])
-    by_trajectory = {"edit_score": metrics.edit_score, "f1_at_50": partial(metrics.f1_at, overlap=0.5)}
     figures = {
         FRAME_ACCURACY: accuracy.mean,
         "balanced_accuracy": metrics.balanced_accuracy(np.concatenate(predicted), np.concatenate(truth)),
-        **{name: float(np.mean(list(map(measure, predicted, truth)))) for name, measure in by_trajectory.items()},
+        "edit_score": float(np.mean([metrics.edit_score(*pair) for pair in pairs])),
+        "f1_at_50": float(np.mean([metrics.f1_at(*pair, overlap=0.5) for pair in pairs])),
     }
     return Outcome(
         {f"{split}.{name}": round(value, 6) for name, value in figures.items()}, {f"{split}.{FRAME_ACCURACY}": accuracy}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.segmentation import dataset, draw, evaluation, learners, report, truth
+from experiments.segmentation import dataset, draw, evaluation, report, supervised, truth, weakly_supervised
 from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
 from experiments.segmentation.report import SUPERVISED, Report
 from experiments.workbench.arms import Arm
@@ -106,8 +106,8 @@ class SegmentationExperiment:
 
     def _fit(self, arm: Arm, data: Path, folder: Path, on_progress: Callable[[], None]) -> Predict | None:
         """Returns the predictions of the trained network; None when training was stopped."""
-        make = learners.supervised if arm.method == SUPERVISED else learners.weakly_supervised
-        learner = make(self._fit_config(arm), self.data, data)
+        method = supervised if arm.method == SUPERVISED else weakly_supervised
+        learner = method.make_learner(self._fit_config(arm), self.data, data)
         with stop_on_sigterm() as stop:
             fitted = fit(learner, folder, stop=stop, on_event=lambda _: on_progress())
         if fitted is None:
@@ -115,6 +115,7 @@ class SegmentationExperiment:
         network = fitted.network
 
         def predict(split: SplitName, known: Sequence[evaluation.Labels]) -> Sequence[evaluation.Labels]:
-            return evaluation.predict(network, learners.demonstrations(self.data, data, split), count=len(known))
+            seen = weakly_supervised.demonstrations(self.data, data, split)
+            return evaluation.predict(network, seen, count=len(known))
 
         return predict

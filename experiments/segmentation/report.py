@@ -40,6 +40,9 @@ class Row(NamedTuple):
     context: str = ""
 
 
+_BASELINE = Row("lse", "causal")
+
+
 @dataclass(frozen=True)
 class Report:
     """The words of a table, and what its figures are compared with.
@@ -49,7 +52,6 @@ class Report:
         title: Heading of the table.
         text: What was measured, and how, in Markdown.
         scale: `full` for the dissertation's amount of data.
-        baseline: The dissertation's method.
         dissertation: The dissertation's accuracies in per cent, by row: train, validation, test.
     """
 
@@ -57,7 +59,6 @@ class Report:
     title: str
     text: str
     scale: Literal["full", "reduced"]
-    baseline: Row = Row("lse", "causal")
     dissertation: Mapping[Row, tuple[float, float, float]] = field(default_factory=dict)
 
 
@@ -97,11 +98,12 @@ def _sort_key(result: ArmResult) -> tuple[bool, bool, str, str, int]:
 
 def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
     arms = rows[row]
+    pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
     samples = [arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms]
     value = _accuracy(arms, split)
     low, high = claims.interval(samples, rng=np.random.default_rng(0))
     compared = {other: _accuracy(rows[other], split) for other in rows if other != row and row.context}
-    baseline, ceiling = compared.get(report.baseline), compared.get(Row(SUPERVISED, row.context))
+    baseline, ceiling = compared.get(_BASELINE), compared.get(Row(SUPERVISED, row.context))
     gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling)
     dissertation = report.dissertation.get(row)
     return Claim(
@@ -119,7 +121,7 @@ def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, sp
         target=None,
         met=None,
         world_hash=arms[0].world_hash,
-        command=f"python -m experiments run {report.experiment} --only '{arms[0].name.removesuffix(str(arms[0].seed))}*'",
+        command=f"python -m experiments run {report.experiment} --only '{pattern}'",
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )
 

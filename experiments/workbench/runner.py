@@ -1,6 +1,8 @@
 """Runs arms in child processes, a few at a time.
 
-<work>/arms/<experiment>/<arm>/   config.json, checkpoints, metrics of an arm, which resumes from them
+    <work>/arms/<experiment>/<arm>-<hash>/   configuration, checkpoints and metrics of an arm
+
+An arm that was killed resumes from its newest checkpoint.
 """
 
 import hashlib
@@ -66,6 +68,12 @@ def run_arms(
         return list(pool.map(run_one, arms))
 
 
+def arm_folder(name: str, experiment: Experiment, arm: Arm, places: Places) -> Path:
+    """Returns the folder of an arm's checkpoints; another configuration or another world has another folder."""
+    config = json.dumps(experiment.config(arm), sort_keys=True) + experiment.world_hash(arm.world)
+    return places.work / "arms" / name / f"{arm.name}-{hashlib.sha256(config.encode()).hexdigest()[:12]}"
+
+
 def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> bool:
     path = places.results / name / f"{arm.name}.json"
     if not path.is_file():
@@ -80,9 +88,7 @@ def _run_child(name: str, experiment: Experiment, arm: Arm, places: Places, *, d
     """Starts or resumes the child process of an arm; it ends with this process."""
     if time.monotonic() >= deadline:
         return "stopped"
-    config = json.dumps(experiment.config(arm), sort_keys=True) + experiment.world_hash(arm.world)
-    key = hashlib.sha256(config.encode()).hexdigest()[:12]
-    folder = places.work / "arms" / name / f"{arm.name}-{key}"
+    folder = arm_folder(name, experiment, arm, places)
     job = {"experiment": name, "arm": arm.name, "results": str(places.results / name), "work": str(places.work)}
     write_atomic(folder / "config.json", json.dumps(job).encode())
     command = [sys.executable, "-m", "experiments.child", str(folder)]

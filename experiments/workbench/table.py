@@ -61,16 +61,17 @@ def _plot(claims: Sequence[Claim], *, title: str, unit: str) -> bytes:
     axes = figure.add_subplot(title=title, xlabel=unit)
     rows = range(len(claims))
     for row, claim in zip(rows, claims, strict=True):
-        if claim.low is not None:
+        if claim.low is not None and claim.high is not None:
             axes.plot([claim.low, claim.high], [row, row], color="tab:blue", linewidth=3, alpha=0.4)
-    axes.plot([claim.value for claim in claims], rows, "o", color="tab:blue", label="here, 95 % interval")
+    axes.plot([claim.value for claim in claims], list(rows), "o", color="tab:blue", label="here, 95 % interval")
     for label, marker, values in (
         ("ceiling", "|", [claim.ceiling for claim in claims]),
         ("dissertation", "x", [claim.dissertation for claim in claims]),
     ):
-        found = [(value, row) for value, row in zip(values, rows, strict=True) if value is not None]
-        if found:
-            axes.plot(*zip(*found, strict=True), marker, color="black", markersize=9, label=label)
+        known = [(value, row) for value, row in zip(values, rows, strict=True) if value is not None]
+        if known:
+            x, y = zip(*known, strict=True)
+            axes.plot(x, y, marker, color="black", markersize=9, label=label)
     axes.set_yticks(rows, [claim.claim for claim in claims])
     axes.invert_yaxis()
     axes.legend(loc="best", fontsize="small")

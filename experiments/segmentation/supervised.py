@@ -1,6 +1,6 @@
-"""The learners of chapter 2: the segmentation service's, and one that is told the true labels.
+"""The supervised ceiling: the segmentation network, trained in the same loop from true labels.
 
-They share network, loop, data and configuration; only the objective differs.
+Network, data and configuration are those of the weakly supervised learner; only the objective differs.
 """
 
 from dataclasses import dataclass
@@ -12,48 +12,21 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from experiments.segmentation import dataset, truth
+from experiments.segmentation import truth, weakly_supervised
 from experiments.segmentation.dataset import DatasetSpec
 from freerein.data.cache import StepCache
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import (
-    Demonstrations,
-    SegmentationConfig,
-    SegmentationLearner,
-    gather,
-    network_spec,
-)
+from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner, gather
 
 State = TrainState[SegmentationNetwork]
 
 
-def weakly_supervised(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> SegmentationLearner:
-    """Returns the learner of frames, actions and tags, on the CPU."""
-    world = spec.world
-    camera = world.cameras[0]
-    frame = (camera.height, camera.width, camera.channels)
-    return SegmentationLearner(
-        config,
-        network_spec(config, frame=frame, action=world.action, skills=world.skills),
-        demonstrations(spec, folder, "train"),
-        demonstrations(spec, folder, "validation"),
-        fingerprint=spec.hash,
-        device=torch.device("cpu"),
-    )
-
-
-def demonstrations(spec: DatasetSpec, folder: Path, name: dataset.SplitName) -> Demonstrations:
-    """Returns a split as the segmentation service's learner reads it."""
-    split = dataset.open_split(folder, spec, name)
-    return Demonstrations(split.frames, split.actions, split.skills)
-
-
-def supervised(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> "SupervisedLearner":
-    """Returns the learner of the same network from true labels; `config.objective` is not used."""
+def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> "SupervisedLearner":
+    """Returns the learner of true labels of the dataset in a folder; `config.objective` is not used."""
     return SupervisedLearner(
-        weakly_supervised(config, spec, folder),
+        weakly_supervised.make_learner(config, spec, folder),
         truth.open_labels(folder, "train"),
         truth.open_labels(folder, "validation"),
     )
@@ -113,4 +86,5 @@ class SupervisedLearner:
         targets = torch.from_numpy(np.concatenate([labels[item] for item in items])).to(self.weak.device)  # (N,)
         losses = scores.new_zeros(mask.shape)
         losses[mask] = functional.cross_entropy(scores[mask], targets, reduction="none")
-        return losses.sum(dim=1) / batch.lengths  # (B,)
+        mean_losses: Tensor = losses.sum(dim=1) / batch.lengths  # (B,)
+        return mean_losses
