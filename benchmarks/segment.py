@@ -109,21 +109,13 @@ def _random_trajectory(name: str, task_name: str, timesteps: int) -> _Case:
 
 def _publish(case: _Case, data_dir: Path) -> SegmentationModel:
     """Publishes an untrained model for a case; returns it."""
-    spec, (_, height, width, channels) = tasks()[case.task].spec, case.frames.shape
-    network = SegmentationNetwork(
-        ModelSpec(
-            skills=spec.skills,
-            camera=spec.cameras[0].name,
-            height=height,
-            width=width,
-            channels=channels,
-            action_size=spec.action.size,
-            action_choices=spec.action.choices,
-        )
-    )
+    spec = tasks()[case.task].spec
+    camera = spec.cameras[0]
+    network = SegmentationNetwork(ModelSpec(skills=spec.skills, cameras=(camera,), action=spec.action))
     initialise(network)
-    network.image.fit_normalisation(torch.from_numpy(case.frames))
-    ref = publish(network, data_dir, "segmentation", name=case.task, card={})
+    frames = {camera.name: torch.from_numpy(case.frames)}
+    network.image.fit_normalisation(frames, generator=torch.Generator())
+    ref = publish(network, data_dir, "segmentation", name=case.task, card={"method": "set_supervised"})
     return load(data_dir / "models" / "segmentation" / ref.name / ref.version, "cpu")
 
 

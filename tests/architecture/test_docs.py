@@ -1,12 +1,13 @@
-"""Configuration tables in `docs/` equal the classes that read the configuration.
+"""Tables in `docs/` equal the code: configuration classes, and registries of what a configuration names.
 
-A table stands below a comment that names its classes. `python tests/architecture/test_docs.py` rewrites all tables.
+A table stands below a comment that names its classes or its registry. `python tests/architecture/test_docs.py` rewrites
+all tables.
 """
 
 import inspect
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
 from inspect import getattr_static
@@ -63,15 +64,24 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
 
 
 def written(classes: str) -> str:
-    """Returns the table of classes; a field of several classes appears once."""
+    """Returns the table of a registry, or of classes, where a field of several classes appears once."""
     rows: dict[str, Row] = {}
     for name in classes.split():
         module, _, attribute = name.rpartition(".")
         kind = getattr(import_module(module), attribute)
+        if isinstance(kind, Mapping):
+            return registry_table(kind)
         for row in dataclass_rows(kind) if is_dataclass(kind) else settings_rows(kind):
             rows.setdefault(row.key, row)
     header = "| key | default | may be | meaning |\n|---|---|---|---|\n"
     return header + "".join(f"| {' | '.join(row)} |\n" for row in rows.values())
+
+
+def registry_table(registry: Mapping[str, Any]) -> str:
+    """Returns the table of what a configuration may name: functions or classes, by the first sentence of their docs."""
+    sentences = {name: (inspect.getdoc(each) or "").partition("\n\n")[0] for name, each in registry.items()}
+    rows = "".join(f"| `{name}` | {' '.join(text.split())} |\n" for name, text in sentences.items())
+    return f"| name | what it is |\n|---|---|\n{rows}"
 
 
 def dataclass_rows(kind: Any) -> Iterator[Row]:
@@ -84,7 +94,8 @@ def dataclass_rows(kind: Any) -> Iterator[Row]:
         default = "needed" if value is MISSING else f"`{json.dumps(value)}`"
         bounds = getattr_static(kind, name, None)
         limits = (bounds._least, bounds._most) if hasattr(bounds, "_least") else ()
-        yield Row(f"`{name}`", default, may_be(types[name], *limits), meanings[name])
+        names = ", ".join(f"`{each}`" for each in getattr(bounds, "_names", ()))
+        yield Row(f"`{name}`", default, names or may_be(types[name], *limits), meanings[name])
 
 
 def settings_rows(kind: Any) -> Iterator[Row]:

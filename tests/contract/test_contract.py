@@ -39,7 +39,7 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
-from freerein.types.common import Image, ModelRef
+from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.learning import StartFitRequest
 
 Build = Callable[[Path, Health], Service]
@@ -153,7 +153,7 @@ class Halves:
     """A model of two skills: the first half of a trajectory is one, the second the other. It fails where told to."""
 
     skills = ("close", "open")
-    height, width, channels, action_size, action_choices = 2, 3, 3, 2, 0
+    camera, action = Camera("front", 2, 3, 3), ActionSpec(2, 0, ("dy", "dz"))
 
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
         if frames[0, 0, 0, 0] == 1:

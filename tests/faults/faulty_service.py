@@ -20,6 +20,7 @@ from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
+from freerein.types.common import Camera
 from freerein_segmentation.__main__ import NAME, build
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
@@ -29,8 +30,7 @@ class FaultyModel:
     """Answers even and odd, unless told otherwise."""
 
     skills: tuple[str, ...] = ("even", "odd")
-    height, width, channels = 4, 4, 3
-    action_size = action_choices = 0
+    camera, action = Camera("front", 4, 4, 3), None
 
     def probabilities(
         self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None

@@ -15,12 +15,13 @@ from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 
 T = 10_000
 MIB = 2**20
-SPEC = ModelSpec(skills=("a", "b", "c"), camera="top", height=33, width=30, channels=3, action_size=1, action_choices=5)
+SPEC = ModelSpec(skills=("a", "b", "c"), cameras=(Camera("front", 33, 30, 3),), action=ActionSpec(1, 5, tuple("abcde")))
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("S9")]
 
@@ -30,8 +31,10 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     data_dir = tmp_path_factory.mktemp("data")
     network = SegmentationNetwork(SPEC)
     weights.initialise(network, generator=torch.Generator().manual_seed(0))
-    network.image.fit_normalisation(torch.zeros(1, 33, 30, 3, dtype=torch.uint8))
-    save_model(network, data_dir / "unpublished", card={})
+    network.image.fit_normalisation(
+        {"front": torch.zeros(1, 33, 30, 3, dtype=torch.uint8)}, generator=torch.Generator()
+    )
+    save_model(network, data_dir / "unpublished", card={"method": "set_supervised"})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish("", data_dir / "unpublished"))
     return start_module_service("freerein_segmentation", data_dir)

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, parse
+from freerein.learning.config import bounded, one_of, parse
 
 
 @dataclass(frozen=True)
@@ -109,3 +109,40 @@ def test_a_subclass_may_have_another_default_and_other_bounds() -> None:
     with pytest.raises(InvalidInput, match=re.escape("`steps` must be in [1, 1000]; got 1001")) as error:
         parse(Longer, {"names": [], "steps": 1001})
     assert error.value.field == "config.steps"
+
+
+@dataclass(frozen=True)
+class Place:
+    name: str
+    height: int = bounded(8, least=1, most=64)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    places: tuple[Place, ...] = ()
+    best: Place = Place("here")
+    scale: tuple[float, ...] = ()
+    colour: str = one_of({"red": 1, "blue": 2}, "red")
+
+
+def test_dataclasses_may_hold_others() -> None:
+    values = {"places": [{"name": "a", "height": 2}], "best": {"name": "b"}, "scale": [1, 0.5], "colour": "blue"}
+    assert parse(Chosen, values) == Chosen((Place("a", 2),), Place("b"), (1.0, 0.5), "blue")
+    assert parse(Chosen, asdict(parse(Chosen, values))) == parse(Chosen, values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"places": [{"height": 2}]}, "must hold name"),
+        ({"places": [{"name": "a", "height": 65}]}, "`height` must be in [1, 64]; got 65"),
+        ({"places": ["a"]}, "`places` must be a list of objects"),
+        ({"best": 1}, "`best` must be an object"),
+        ({"scale": ["a"]}, "`scale` must be a list of finite numbers"),
+        ({"colour": "green"}, "`colour` must be one of red, blue; got another name"),
+        ({"colour": 1}, "`colour` must be a string"),
+    ],
+)
+def test_what_does_not_fit_a_dataclass_within_is_refused(values: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInput, match=re.escape(message)):
+        parse(Chosen, values)

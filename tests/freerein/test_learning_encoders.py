@@ -2,15 +2,23 @@ import pytest
 import torch
 
 from freerein.learning import weights
-from freerein.learning.encoders import PatchEncoder, SpatialEncoder
+from freerein.learning.encoders import (
+    ENCODERS,
+    CameraEncoders,
+    ConvolutionalEncoder,
+    PatchEncoder,
+    SpatialEncoder,
+)
+from freerein.types.common import Camera
 
 SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1)]
-KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
+KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, ConvolutionalEncoder])
+STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
 
-Kind = type[PatchEncoder] | type[SpatialEncoder]
+Kind = type[PatchEncoder] | type[SpatialEncoder] | type[ConvolutionalEncoder]
 
 
-def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder:
+def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder | ConvolutionalEncoder:
     encoder = kind(height=height, width=width, channels=channels, features=16)
     weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
     encoder.fit_normalisation(frames(height, width, channels))
@@ -40,7 +48,7 @@ def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int,
     assert not torch.equal(encoder(seen), encoder(changed))
 
 
-@KINDS
+@STILL
 def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
     darker, brighter = make(kind, 64, 64, 3), make(kind, 64, 64, 3)
@@ -68,3 +76,18 @@ def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
 def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:
     with pytest.raises(TypeError, match="Bilinear"):
         weights.initialise(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())
+
+
+@pytest.mark.parametrize("name", ENCODERS)
+def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> None:
+    cameras = (Camera("front", 33, 30, 3), Camera("wrist", 16, 24, 1))
+    encoders = CameraEncoders(ENCODERS[name], cameras, features=12)
+    generator = torch.Generator().manual_seed(0)
+    weights.initialise(encoders, generator=generator)
+    seen = {camera.name: frames(camera.height, camera.width, camera.channels) for camera in cameras}
+    encoders.fit_normalisation(seen, generator=generator)
+    features = encoders(seen)
+    assert features.shape == (4, encoders.size) == (4, 24)
+    assert features.isfinite().all()
+    assert encoders.is_trained == any(True for _ in encoders.parameters())
+    torch.testing.assert_close(encoders(seen | {"wrist": seen["wrist"].flip(0)})[:, :12], features[:, :12])

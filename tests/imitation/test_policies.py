@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from freerein_imitation.model.colour_codebook import ColourCodebook, shift_horizontally
 from torch import nn
 
 from freerein.errors import InvalidInput
@@ -17,7 +18,6 @@ from freerein.learning import model_files, weights
 from freerein.types.common import ActionSpec
 from freerein_imitation import model
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.colour_codebook import ColourCodebook, shift_horizontally
 from freerein_imitation.model.goal_conditioned import (
     GoalConditionedNetwork,
     GoalConditionedPolicy,

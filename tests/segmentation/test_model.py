@@ -1,5 +1,5 @@
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,16 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files, weights
 from freerein.learning.model_files import save_model
+from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
 from freerein_segmentation.model import network as network_module
 
-CONTINUOUS = ModelSpec(skills=("a", "b", "c"), camera="front", height=20, width=24, channels=3, action_size=2)
-DISCRETE = replace(CONTINUOUS, channels=1, action_size=1, action_choices=5, context="causal")
-BLIND = replace(CONTINUOUS, action_size=0)
+FRONT = Camera("front", 20, 24, 3)
+CONTINUOUS = ModelSpec(skills=("a", "b", "c"), cameras=(FRONT,), action=ActionSpec(2, 0, ("dy", "dz")))
+DISCRETE = replace(
+    CONTINUOUS, cameras=(replace(FRONT, channels=1),), action=ActionSpec(1, 5, tuple("abcde")), context="causal"
+)
+BLIND = replace(CONTINUOUS, use_actions=False)
 NAMED = {"continuous": CONTINUOUS, "discrete": DISCRETE, "no actions": BLIND}
 SPECS = pytest.mark.parametrize("spec", NAMED.values(), ids=NAMED.keys())
 
@@ -24,15 +28,17 @@ SPECS = pytest.mark.parametrize("spec", NAMED.values(), ids=NAMED.keys())
 def make(spec: ModelSpec) -> SegmentationNetwork:
     network = SegmentationNetwork(spec)
     weights.initialise(network, generator=torch.Generator().manual_seed(0))
-    network.image.fit_normalisation(torch.from_numpy(trajectory(spec, 50)[0]))
+    frames = {"front": torch.from_numpy(trajectory(spec, 50)[0])}
+    network.image.fit_normalisation(frames, generator=torch.Generator())
     return network
 
 
 def trajectory(spec: ModelSpec, timesteps: int, *, seed: int = 0) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any]]:
     rng = np.random.default_rng(seed)
-    frames = rng.integers(0, 256, (timesteps, spec.height, spec.width, spec.channels), np.uint8)
-    if spec.action_choices:
-        return frames, rng.integers(0, spec.action_choices, (timesteps, 1))
+    (camera,) = spec.cameras
+    frames = rng.integers(0, 256, (timesteps, camera.height, camera.width, camera.channels), np.uint8)
+    if spec.action.choices:
+        return frames, rng.integers(0, spec.action.choices, (timesteps, 1))
     return frames, rng.uniform(-1, 1, (timesteps, 2)).astype(np.float32)
 
 
@@ -40,7 +46,7 @@ def score(network: SegmentationNetwork, *lengths: int) -> torch.Tensor:
     """Returns the scores (B, T, K) of random trajectories of these lengths."""
     parts = [trajectory(network.spec, length, seed=seed) for seed, length in enumerate(lengths)]
     frames, actions = (torch.from_numpy(np.concatenate(part)) for part in zip(*parts, strict=True))
-    scores, mask = network(frames, actions, torch.tensor(lengths))
+    scores, mask = network({"front": frames}, actions, torch.tensor(lengths))
     assert mask.sum(dim=1).tolist() == list(lengths)
     return scores
 
@@ -63,7 +69,7 @@ def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, mon
 @pytest.mark.fault("S9")
 def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with_a_trajectory() -> None:
     network, encoded = make(CONTINUOUS), list[int]()
-    network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0])))
+    network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0]["front"])))
     SegmentationModel(network).probabilities(*trajectory(CONTINUOUS, 600))
     assert encoded == [256, 256, 88]
 
@@ -115,12 +121,8 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
     model = load(tmp_path / "model", "cpu")
     seen = trajectory(spec, 7)
     np.testing.assert_array_equal(model.probabilities(*seen), SegmentationModel(network).probabilities(*seen))
-    assert (model.skills, model.camera, model.height, model.width) == (("a", "b", "c"), "front", 20, 24)
-    assert (model.channels, model.action_size, model.action_choices) == (
-        spec.channels,
-        spec.action_size,
-        spec.action_choices,
-    )
+    assert (model.skills, model.camera) == (spec.skills, spec.cameras[0])
+    assert model.action == (spec.action if spec.use_actions else None)
     card = json.loads((tmp_path / "model" / "card.json").read_text())
     assert card["seed"] == 3
     assert {path.name for path in (tmp_path / "model").iterdir()} == {"model.safetensors", "card.json"}
@@ -133,7 +135,11 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
         {"hidden_size": 10**9},
         {"skills": ["a"]},
         {"skills": []},
-        {"channels": 2},
+        {"cameras": []},
+        {"cameras": [asdict(FRONT), asdict(replace(FRONT, name="wrist"))]},
+        {"cameras": [{**asdict(FRONT), "channels": 2}]},
+        {"cameras": [{**asdict(FRONT), "height": 10**9}]},
+        {"encoder": "pilot"},
         {"context": "causal"},
         {"surprise": 1},
     ],

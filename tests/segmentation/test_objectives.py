@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from freerein_segmentation.objectives import OBJECTIVES, Objective, lse, lse_per_timestep
+from freerein_segmentation.objectives import OBJECTIVES, Objective
+from freerein_segmentation.objectives.lse import lse, lse_per_timestep
 
 B, T, K = 3, 7, 4
 MASK = torch.arange(T) < torch.tensor([[7], [5], [1]])

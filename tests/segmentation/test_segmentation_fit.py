@@ -8,7 +8,7 @@ from freerein.data import DatasetSpec, create, dataset_path
 from freerein.data.layout import SPEC_FILE
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Trajectory
-from freerein_segmentation import fit
+from freerein_segmentation.methods import METHODS
 
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
@@ -27,19 +27,19 @@ def record(data_dir: Path, name: str, *, width: int = 12) -> Path:
 
 def test_a_configuration_names_the_only_camera_and_every_default(tmp_path: Path) -> None:
     record(tmp_path, "demos")
-    config = fit.resolve(tmp_path, "demos", {"steps": 3}, threads=2)
-    assert (config["camera"], config["steps"], config["threads"]) == ("front", 3, 2)
+    config = METHODS.resolve(tmp_path, "demos", {"steps": 3}, threads=2)
+    assert [config[key] for key in ("method", "cameras", "steps", "threads")] == ["set_supervised", ("front",), 3, 2]
 
 
 def test_frames_that_no_network_is_made_for_are_refused_before_a_fit_begins(tmp_path: Path) -> None:
     record(tmp_path, "wide", width=1280)
-    with pytest.raises(InvalidInput, match=r"`width` must be in .4, 1024.; got 1280") as error:
-        fit.resolve(tmp_path, "wide", {}, threads=1)
-    assert "another dataset" in error.value.hint
+    with pytest.raises(InvalidInput, match=r"4 to 1024 pixels high and wide.*got 8 x 1280") as error:
+        METHODS.resolve(tmp_path, "wide", {}, threads=1)
+    assert "another size" in error.value.hint
 
 
 def test_a_tag_that_is_no_skill_of_the_dataset_is_refused(tmp_path: Path) -> None:
     path = record(tmp_path, "demos") / SPEC_FILE
     path.write_text(json.dumps({**json.loads(path.read_text()), "skills": ["pick"]}))
     with pytest.raises(InvalidInput, match="1 tags are not"):
-        fit.resolve(tmp_path, "demos", {}, threads=1)
+        METHODS.resolve(tmp_path, "demos", {}, threads=1)

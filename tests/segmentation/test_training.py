@@ -10,15 +10,16 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
-from freerein.types.common import ActionSpec
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation import training
 from freerein_segmentation.model import Context, SegmentationModel
-from freerein_segmentation.objectives import ObjectiveName
-from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner
+from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 
 SKILLS = ("blue", "green", "red")
 COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
-FRAME = (12, 12, 3)
+CAMERAS = (Camera("front", 12, 12, 3),)
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 STEPS = ActionSpec(1, 5, ("step",), "", (1.0,))
 CPU = torch.device("cpu")
@@ -27,7 +28,7 @@ FAST = SegmentationConfig(
 )
 
 
-def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, list[npt.NDArray[np.int64]]]:
+def make(count: int, *, seed: int, skills: int = 2) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:
     """Returns noisy frames with a coloured dot, and the labels: the skill of a timestep is the colour of its dot."""
     rng = np.random.default_rng(seed)
     frames, actions, labels = [], [], []
@@ -39,22 +40,21 @@ def make(count: int, *, seed: int, skills: int = 2) -> tuple[Demonstrations, lis
         actions.append(rng.uniform(-1, 1, (len(truth), 2)).astype(np.float32))
         labels.append(truth.astype(np.int64))
     tags = [tuple(SKILLS[skill] for skill in np.unique(truth)) for truth in labels]
-    return Demonstrations(frames, actions, tags), labels
+    return Trajectories({"front": frames}, actions, tags), labels
 
 
 def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
     learnt, _ = make(48, seed=0)
     held_out, _ = make(8, seed=1)
-    spec = training.network_spec(config, frame=FRAME, action=ACTION, skills=SKILLS)
+    spec = training.network_spec(config, cameras=CAMERAS, action=ACTION, skills=SKILLS)
     return SegmentationLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
 @pytest.mark.parametrize(
-    ("objective", "context"),
-    [("lse_per_timestep", "bidirectional"), ("lse_per_timestep", "causal"), ("lse", "bidirectional")],
+    ("objective", "context"), [*((name, "bidirectional") for name in OBJECTIVES), ("lse_per_timestep", "causal")]
 )
 def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_trained_on(
-    tmp_path: Path, objective: ObjectiveName, context: Context
+    tmp_path: Path, objective: str, context: Context
 ) -> None:
     config = replace(FAST, objective=objective, context=context)
     fitted = fit(learner(config), tmp_path)
@@ -62,7 +62,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
     predicted = [
         model.probabilities(frames, actions).argmax(axis=1)
-        for frames, actions in zip(unseen.frames, unseen.actions, strict=True)
+        for frames, actions in zip(unseen.frames["front"], unseen.actions, strict=True)
     ]
     accuracy = np.mean([metrics.frame_accuracy(*pair) for pair in zip(predicted, labels, strict=True)])
     assert accuracy > 0.95
@@ -95,11 +95,10 @@ def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None
 
 def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
     learnt, _ = make(4, seed=0)
-    steps = [np.zeros((len(learnt.frames[item]), 1), np.int64) for item in range(4)]
-    discrete = Demonstrations(learnt.frames, steps, learnt.skills)
+    steps = [np.zeros((length, 1), np.int64) for length in learnt.lengths()]
+    discrete = replace(learnt, actions=steps)
     for config in (FAST, replace(FAST, use_actions=False)):
-        spec = training.network_spec(config, frame=FRAME, action=STEPS, skills=SKILLS)
-        assert (spec.action_size, spec.action_choices) == ((1, 5) if config.use_actions else (0, 0))
+        spec = training.network_spec(config, cameras=CAMERAS, action=STEPS, skills=SKILLS)
         whole = SegmentationLearner(config, spec, discrete, discrete, "fingerprint", CPU)
         state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
         assert state.step == 1
@@ -108,31 +107,11 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
 
 def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_still_count() -> None:
     learnt, _ = make(2, seed=0)
-    spec = training.network_spec(replace(FAST, stride=5), frame=FRAME, action=ACTION, skills=SKILLS)
+    spec = training.network_spec(replace(FAST, stride=5), cameras=CAMERAS, action=ACTION, skills=SKILLS)
     batch = training.gather(learnt, [0, 1], [2, 4], spec=spec, device=CPU)
-    expected = [learnt.frames[0][2::5], learnt.frames[1][4::5]]
+    frames = learnt.frames["front"]
+    expected = [frames[0][2::5], frames[1][4::5]]
     assert batch.lengths.tolist() == [len(each) for each in expected]
-    np.testing.assert_array_equal(batch.frames.numpy(), np.concatenate(expected))
-    brief = Demonstrations([learnt.frames[0][:3]], [learnt.actions[0][:3]], [SKILLS[:1]])
+    np.testing.assert_array_equal(batch.frames["front"].numpy(), np.concatenate(expected))
+    brief = Trajectories({"front": [frames[0][:3]]}, [learnt.actions[0][:3]], [SKILLS[:1]])
     assert training.gather(brief, [0], [4], spec=spec, device=CPU).lengths.tolist() == [1]
-
-
-def test_the_split_is_of_whole_trajectories_without_copying_frames() -> None:
-    demonstrations, _ = make(20, seed=0)
-    learnt, held_out = demonstrations.split(fraction=0.2, seed=0)
-    assert (len(learnt), len(held_out)) == (16, 4)
-    frames = {id(each) for part in (learnt, held_out) for each in part.frames}
-    assert frames == {id(each) for each in demonstrations.frames}
-
-
-def test_demonstrations_that_do_not_fit_together_are_refused() -> None:
-    good, _ = make(3, seed=0)
-    short = [good.actions[0], good.actions[1], good.actions[2][:-1]]
-    for frames, actions, skills in (
-        (good.frames, good.actions, good.skills[:2]),
-        (good.frames, short, good.skills),
-        (good.frames, good.actions, [*good.skills[:2], ()]),
-        ([], [], []),
-    ):
-        with pytest.raises(InvalidInput):
-            Demonstrations(frames, actions, skills)

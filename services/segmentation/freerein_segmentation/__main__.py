@@ -13,8 +13,8 @@ from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein_segmentation import fit, model
 from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
+from freerein_segmentation.methods import METHODS
 
 NAME = "segmentation"
 
@@ -25,7 +25,7 @@ def build(
     metrics: Metrics,
     health: Health,
     *,
-    load: Callable[[Path, str], SkillModel] = model.load,
+    load: Callable[[Path, str], SkillModel] = METHODS.load,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
@@ -38,15 +38,15 @@ def build(
         health=health,
         batcher=batcher,
         load=lambda folder: _warm(load(folder, settings.device)),
-        resolve=fit.resolve,
+        resolve=METHODS.resolve,
     )
 
 
 def _warm(loaded: SkillModel) -> SkillModel:
     """Returns a model after its first, slow call."""
-    frames = np.zeros((1, loaded.height, loaded.width, loaded.channels), np.uint8)
-    dtype = np.int64 if loaded.action_choices else np.float32
-    loaded.probabilities(frames, np.zeros((1, loaded.action_size), dtype) if loaded.action_size else None)
+    camera, action = loaded.camera, loaded.action
+    frames = np.zeros((1, camera.height, camera.width, camera.channels), np.uint8)
+    loaded.probabilities(frames, np.zeros((1, action.size), action.dtype) if action else None)
     return loaded
 
 

@@ -1,5 +1,6 @@
 """Datasets to learn from, as a request names them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from freerein.data.layout import dataset_path
@@ -19,17 +20,20 @@ def open_dataset(data_dir: Path, name: str) -> Dataset:
     return Dataset(path)
 
 
-def choose_camera(dataset: Dataset, asked: str) -> str:
-    """Returns the camera to learn from: the one asked for, or the only one.
+def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:
+    """Returns the cameras to learn from: those asked for, or the only one.
 
     Raises:
-        InvalidInput: The dataset has no camera of that name, or several and none was asked for.
+        InvalidInput: The dataset has no camera of one of the names, one is named twice, or it has several cameras and
+            none was asked for.
     """
     cameras = tuple(dataset.spec.cameras)
-    if asked not in (cameras if asked or len(cameras) > 1 else ("",)):
+    chosen = tuple(asked) or cameras[:1]
+    if len(set(chosen)) != len(chosen) or not set(chosen) <= set(cameras) or (not asked and len(cameras) > 1):
         raise InvalidInput(
-            f"`camera` must be one of the dataset's, {', '.join(cameras)}; got {'another' if asked else 'none'}.",
-            field="config.camera",
-            hint="A model sees one camera.",
+            f"`cameras` must be among the dataset's, {', '.join(cameras)}, each once; "
+            f"got {'others' if asked else 'none'}.",
+            field="config.cameras",
+            hint=f"For example: --set 'cameras=[\"{cameras[0]}\"]'.",
         )
-    return asked or cameras[0]
+    return chosen

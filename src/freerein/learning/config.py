@@ -1,8 +1,9 @@
 """Strict parsing of configurations: a frozen dataclass declares names, types, bounds and defaults."""
 
 import difflib
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from inspect import getattr_static
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -23,30 +24,53 @@ def bounded(default: N, *, least: float, most: float) -> N:
     return cast(N, _Bounded(default, least, most))
 
 
-class _Bounded:
-    """A descriptor-typed dataclass field with bounds."""
+def one_of(names: Collection[str], default: str) -> str:
+    """Returns a dataclass field for one of some names, such as a registry's keys; checked as `bounded`."""
+    return cast(str, _OneOf(default, names))
 
-    def __init__(self, default: float, least: float, most: float) -> None:
+
+class _Checked(ABC):
+    """A descriptor-typed dataclass field whose value is checked."""
+
+    def __init__(self, default: Any) -> None:
         self._default = default
-        self._least = least
-        self._most = most
 
     def __set_name__(self, _owner: type, name: str) -> None:
         self._name = name
 
-    def __get__(self, instance: object | None, _owner: type) -> float:
-        if instance is None:  # a dataclass asks for the default
-            return self._default
-        value: float = vars(instance)[self._name]
-        return value
+    def __get__(self, instance: object | None, _owner: type) -> Any:
+        return self._default if instance is None else vars(instance)[self._name]  # a dataclass asks for the default
 
-    def __set__(self, instance: object, value: float) -> None:
+    def __set__(self, instance: object, value: Any) -> None:
         self.check(
             value, field=self._name, hint="Values that a dataset decides, such as the frame size, need another dataset."
         )
         vars(instance)[self._name] = value
 
-    def check(self, value: float, *, field: str, hint: str) -> None:
+    @abstractmethod
+    def check(self, value: Any, *, field: str, hint: str) -> None:
+        """Raises InvalidInput where a value is not allowed."""
+
+
+class _OneOf(_Checked):
+    def __init__(self, default: str, names: Collection[str]) -> None:
+        super().__init__(default)
+        self._names = names
+
+    def check(self, value: Any, *, field: str, hint: str) -> None:
+        if value not in self._names:
+            raise InvalidInput(
+                f"`{self._name}` must be one of {', '.join(self._names)}; got another name.", field=field, hint=hint
+            )
+
+
+class _Bounded(_Checked):
+    def __init__(self, default: float, least: float, most: float) -> None:
+        super().__init__(default)
+        self._least = least
+        self._most = most
+
+    def check(self, value: Any, *, field: str, hint: str) -> None:
         if not self._least <= value <= self._most:
             raise InvalidInput(
                 f"`{self._name}` must be in [{self._least:g}, {self._most:g}]; got {value:g}.", field=field, hint=hint
@@ -59,8 +83,8 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     JSON and protobuf's Struct have one number type: for an int, 3.0 is accepted and 3.5 is not.
 
     Args:
-        kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], tuples of
-            str or dict[str, Any] of any length, or unions of these.
+        kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], frozen
+            dataclasses, tuples of any length of one of these, or unions of these.
         values: Values by field name.
 
     Raises:
@@ -83,7 +107,7 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     parsed: dict[str, Any] = {key: _convert(key, types[key], value) for key, value in values.items()}
     for key, value in parsed.items():
         bounds = getattr_static(kind, key, None)
-        if isinstance(bounds, _Bounded):
+        if isinstance(bounds, _Checked):
             bounds.check(value, field=f"config.{key}", hint="Leave it out for the default.")
     return kind(**parsed)
 
@@ -114,6 +138,8 @@ def _converted(kind: object, value: object) -> Any:
         return _number(kind, value)
     if kind == dict[str, Any]:
         return dict(value) if isinstance(value, Mapping) else MISSING
+    if isinstance(kind, type) and is_dataclass(kind):
+        return parse(kind, value) if isinstance(value, Mapping) else MISSING
     is_known = (
         isinstance(value, str) and value in get_args(kind) if get_origin(kind) is Literal else type(value) is kind
     )
@@ -133,7 +159,8 @@ def _describe(kind: object) -> str:
         return " or ".join(map(_describe, get_args(kind)))
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(get_args(kind)) if len(get_args(kind)) > 1 else str(get_args(kind)[0])
+    if get_origin(kind) is tuple:
+        items: dict[object, str] = {str: "strings", int: "whole numbers", float: "finite numbers"}
+        return f"a list of {items.get(get_args(kind)[0], 'objects')}"
     names: dict[object, str] = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string"}
-    names[dict[str, Any]] = "an object"
-    names[tuple[str, ...]], names[tuple[dict[str, Any], ...]] = "a list of strings", "a list of objects"
-    return names[kind]
+    return names.get(kind, "an object")

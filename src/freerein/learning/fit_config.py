@@ -37,3 +37,16 @@ class FitConfig:
     def from_mapping(cls, values: Mapping[str, object]) -> Self:
         """Returns the configuration of the given values; see `freerein.learning.config.parse`."""
         return parse(cls, values)
+
+
+@dataclass(frozen=True)
+class DatasetFitConfig(FitConfig):
+    """Base configuration of a fit to a dataset.
+
+    Attributes:
+        cameras: Cameras to learn from; may be empty where the dataset has one.
+        validation_fraction: Fraction of trajectories held out, whose training signal chooses the best weights.
+    """
+
+    cameras: tuple[str, ...] = ()
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)

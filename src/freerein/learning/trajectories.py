@@ -1,9 +1,14 @@
-"""Arrays stored per trajectory, as learners read them."""
+"""Trajectories as learners read them: frames, executed actions and tags; never labels of timesteps."""
 
-from typing import Protocol, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.learning.split import train_validation_split
 
 D_co = TypeVar("D_co", bound=np.generic, covariant=True)
 
@@ -16,7 +21,80 @@ class TrajectoryArrays(Protocol[D_co]):
     def __getitem__(self, index: int, /) -> npt.NDArray[D_co]: ...
 
 
-def sample_frames(frames: TrajectoryArrays[np.uint8], count: int) -> npt.NDArray[np.uint8]:
-    """Returns about `count` frames, uint8 (N, H, W, C), spaced evenly over all trajectories."""
-    every = max(1, sum(len(frames[item]) for item in range(len(frames))) // count)
-    return np.concatenate([frames[item][item % every :: every] for item in range(len(frames))])
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Frames and executed actions of n trajectories, and what else a learner may see of each.
+
+    Attributes:
+        frames: By camera and trajectory, uint8 (T, H, W, C); frame t was observed before action t.
+        actions: By trajectory, float32 (T, A) in [-1, 1] or int64 (T, 1).
+        skills: The set of skills of each trajectory; empty where unknown.
+        goal_texts: Goal text of each trajectory; empty where unknown.
+        terminated: By trajectory, whether the episode terminated after action t, as by a crash, bool (T,); None where
+            unknown.
+
+    Raises:
+        InvalidInput: There are no trajectories, one is empty, or arrays differ in their lengths.
+    """
+
+    frames: Mapping[str, TrajectoryArrays[np.uint8]]
+    actions: TrajectoryArrays[np.float32] | TrajectoryArrays[np.int64]
+    skills: Sequence[tuple[str, ...]] = ()
+    goal_texts: Sequence[str] = ()
+    terminated: TrajectoryArrays[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        arrays = [*self.frames.values(), self.actions, *([self.terminated] if self.terminated is not None else [])]
+        counts = {len(each) for each in (*arrays, *filter(None, (self.skills, self.goal_texts)))}
+        if len(counts) != 1 or 0 in counts or not self.frames:
+            raise InvalidInput(
+                f"Frames, actions and tags must be of the same trajectories, 1 or more; got {sorted(counts)}."
+            )
+        for item in range(len(self)):
+            lengths = {len(each[item]) for each in arrays}
+            if len(lengths) != 1 or 0 in lengths:
+                raise InvalidInput(
+                    f"Trajectory {item} must have as many frames as actions, at least 1; got {sorted(lengths)}.",
+                    field="dataset",
+                    hint="Remove it from the dataset, or record it again.",
+                )
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    def lengths(self) -> npt.NDArray[np.int64]:
+        """Returns the timesteps of each trajectory, int64 (n,)."""
+        return np.array([len(self.actions[item]) for item in range(len(self))], np.int64)
+
+    def subset(self, items: Sequence[int]) -> "Trajectories":
+        """Returns some of the trajectories, without copying frames."""
+        chosen: dict[str, Any] = {
+            "actions": [self.actions[item] for item in items],
+            "skills": [self.skills[item] for item in items] if self.skills else (),
+            "goal_texts": [self.goal_texts[item] for item in items] if self.goal_texts else (),
+            "terminated": [self.terminated[item] for item in items] if self.terminated is not None else None,
+        }
+        frames = {camera: [each[item] for item in items] for camera, each in self.frames.items()}
+        return replace(self, frames=frames, **chosen)
+
+    def split(self, *, fraction: float, seed: int, min_length: int = 1) -> tuple["Trajectories", "Trajectories"]:
+        """Returns the training and the validation trajectories; see `train_validation_split`.
+
+        Trajectories of fewer than `min_length` timesteps are left out.
+        """
+        usable = np.flatnonzero(self.lengths() >= min_length)
+        training, validation = train_validation_split(
+            usable,
+            fraction=fraction,
+            seed=seed,
+            unit="trajectories" if min_length == 1 else f"trajectories of {min_length} or more timesteps",
+        )
+        return self.subset(training), self.subset(validation)
+
+    def sample_frames(self, count: int) -> dict[str, npt.NDArray[np.uint8]]:
+        """Returns about `count` frames of each camera, uint8 (N, H, W, C), spaced evenly over all trajectories."""
+        every = max(1, int(self.lengths().sum()) // count)
+        return {
+            camera: np.concatenate([each[item][item % every :: every] for item in range(len(self))])
+            for camera, each in self.frames.items()
+        }

@@ -112,6 +112,20 @@ class ActionSpec:
     unit: str = ""
     scale: tuple[float, ...] = ()
 
+    @property
+    def dtype(self) -> np.dtype[np.float32] | np.dtype[np.int64]:
+        """float32 of continuous actions, int64 of discrete ones."""
+        return np.dtype(np.int64) if self.choices else np.dtype(np.float32)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest value of each number of an action."""
+        return (0, self.choices - 1) if self.choices else (-1.0, 1.0)
+
+    def no_action(self) -> npt.NDArray[Any]:
+        """Returns the previous action at the start: zeros, float32 (size,), or for discrete actions -1, int64 (1,)."""
+        return np.full(self.size, -1 if self.choices else 0, self.dtype)
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:

@@ -13,7 +13,7 @@ from freerein.errors import InvalidInput, OutputNotFinite, ServiceError, TooLarg
 from freerein.serving.batcher import Batcher
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
-from freerein.types.common import Image, ModelRef
+from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation.core import decoding
 
@@ -23,14 +23,17 @@ MAX_SMOOTHING = 100.0
 
 
 class SkillModel(Protocol):
-    """A trained segmentation model, as the core uses it; attributes as in `ListSkillsResponse`."""
+    """A trained segmentation model, as the core uses it.
+
+    Attributes:
+        skills: The skills; labels are indices into them.
+        camera: The camera whose frames it takes.
+        action: The action space; None for a model without actions.
+    """
 
     skills: tuple[str, ...]
-    height: int
-    width: int
-    channels: int
-    action_size: int
-    action_choices: int
+    camera: Camera
+    action: ActionSpec | None
 
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
         """Returns P(y_t = k), eq. 2.1, float32 (T, K), of frames (T, H, W, C) and actions (T, A), in bounded memory."""
@@ -65,11 +68,11 @@ class Segmenter:
         return ListSkillsResponse(
             skills=model.skills,
             model=ref,
-            height=model.height,
-            width=model.width,
-            channels=model.channels,
-            action_size=model.action_size,
-            action_choices=model.action_choices,
+            height=model.camera.height,
+            width=model.camera.width,
+            channels=model.camera.channels,
+            action_size=model.action.size if model.action else 0,
+            action_choices=model.action.choices if model.action else 0,
         )
 
     async def segment(self, request: SegmentRequest) -> SegmentResponse:
@@ -168,28 +171,27 @@ def _check_trajectory(model: SkillModel, frames: npt.NDArray[np.uint8], actions:
             field="frames",
             hint="Send the trajectory in parts.",
         )
-    expected = (model.height, model.width, model.channels)
+    expected = (model.camera.height, model.camera.width, model.camera.channels)
     if frames.shape[1:] != expected:
         raise InvalidInput(
             f"Frames must have height, width and channels {expected}, as in training; got {frames.shape[1:]}.",
             field="frames",
             hint="Scale the frames, or name another model.",
         )
-    if model.action_size:
-        _check_actions(model, actions, len(frames))
+    if model.action:
+        _check_actions(model.action, actions, len(frames))
 
 
-def _check_actions(model: SkillModel, actions: npt.NDArray[Any] | None, timesteps: int) -> None:
-    dtype = np.dtype(np.int64 if model.action_choices else np.float32)
-    expected = (timesteps, model.action_size)
-    if actions is None or actions.dtype != dtype or actions.shape != expected:
+def _check_actions(action: ActionSpec, actions: npt.NDArray[Any] | None, timesteps: int) -> None:
+    expected = (timesteps, action.size)
+    if actions is None or actions.dtype != action.dtype or actions.shape != expected:
         got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
         raise InvalidInput(
-            f"`actions` must be {dtype} {expected}, one row per frame; got {got}.",
+            f"`actions` must be {action.dtype} {expected}, one row per frame; got {got}.",
             field="actions",
             hint="Send the executed action of each timestep, in the format that ListSkills returns.",
         )
-    low, high = (0, model.action_choices - 1) if model.action_choices else (-1.0, 1.0)
+    low, high = action.bounds
     if not ((actions >= low) & (actions <= high)).all():  # False for NaN
         raise InvalidInput(
             f"`actions` must be finite and in [{low:g}, {high:g}]; some are not.",

@@ -9,8 +9,9 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
-from freerein.learning.encoders import PatchEncoder
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.inputs import InputSpec
 
 Context: TypeAlias = Literal["causal", "bidirectional"]
 
@@ -19,45 +20,39 @@ _TIMESTEPS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelSpec:
+class ModelSpec(InputSpec):
     """Architecture of a segmentation network.
 
     Attributes:
         skills: Names of the skills.
-        camera: Name of the camera.
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
-        action_size: Numbers per action; 0 for a network without actions.
-        action_choices: Number of discrete actions; 0 for continuous ones.
+        use_actions: Whether executed actions are an input.
+        encoder: Image encoder.
         stride: Temporal stride of the LSTM; the timesteps of each phase are a sequence of their own.
         context: Whether scores depend on the past only (the dissertation's) or on the whole trajectory.
-        features: Number of image features.
+        features: Number of image features per camera.
         hidden_size: LSTM units per direction.
 
     Raises:
-        InvalidInput: There are no skills, or 2 channels.
+        InvalidInput: There are no skills or several cameras, or frames or actions are out of bounds.
     """
 
     skills: tuple[str, ...]
-    camera: str
-    height: int = bounded(64, least=4, most=1024)
-    width: int = bounded(64, least=4, most=1024)
-    channels: int = bounded(3, least=1, most=3)
-    action_size: int = bounded(0, least=0, most=256)
-    action_choices: int = bounded(0, least=0, most=4096)
+    use_actions: bool = True
+    encoder: str = one_of(ENCODERS, "patch")
     stride: int = bounded(1, least=1, most=100)
     context: Context = "bidirectional"
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)
 
     def __post_init__(self) -> None:
-        if not self.skills or self.channels == 2:
+        super().__post_init__()
+        if len(self.cameras) != 1:
             raise InvalidInput(
-                f"A network needs at least 1 skill and 1 or 3 image channels; "
-                f"got {len(self.skills)} skills and {self.channels} channels.",
-                hint="Tag the trajectories, and store frames as gray or RGB.",
+                f"`cameras` must name 1 camera, because a request's frames are of one; got {len(self.cameras)}.",
+                field="config.cameras",
             )
+        if not self.skills:
+            raise InvalidInput("A network needs at least 1 skill; got 0.", hint="Tag the trajectories.")
 
 
 class SegmentationNetwork(nn.Module):
@@ -66,18 +61,18 @@ class SegmentationNetwork(nn.Module):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = PatchEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.features)
-        self.action = nn.Linear(spec.action_choices or spec.action_size, _ACTION_FEATURES) if spec.action_size else None
-        inputs = spec.features + (_ACTION_FEATURES if spec.action_size else 0)
+        self.image = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        self.action = nn.Linear(spec.encoded_action_size, _ACTION_FEATURES) if spec.use_actions else None
+        inputs = self.image.size + (_ACTION_FEATURES if spec.use_actions else 0)
         self.past = nn.LSTM(inputs, spec.hidden_size, batch_first=True)
         self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context == "bidirectional" else None
         self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
 
-    def forward(self, frames: Tensor, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, frames: Frames, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
         """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
 
         Args:
-            frames: uint8 (N, H, W, C), all trajectories concatenated.
+            frames: By camera, uint8 (N, H, W, C), all trajectories concatenated.
             actions: float32 (N, A) or int64 (N, 1), likewise.
             lengths: int64 (B,), timesteps of each trajectory, with sum N.
         """
@@ -94,13 +89,13 @@ class SegmentationNetwork(nn.Module):
         scores: Tensor = self.head(memory)  # (B, T, K)
         return scores, time < lengths[:, None]
 
-    def features(self, frames: Tensor, actions: Tensor) -> Tensor:
-        """Returns the LSTM's inputs, float32 (N, D), of frames uint8 (N, H, W, C) and actions (N, A)."""
-        seen: Tensor = self.image(frames)  # (N, features)
+    def features(self, frames: Frames, actions: Tensor) -> Tensor:
+        """Returns the LSTM's inputs, float32 (N, D), of frames uint8 (N, H, W, C) by camera, and actions (N, A)."""
+        seen: Tensor = self.image(frames)  # (N, cameras * features)
         if self.action is None:
             return seen
-        if self.spec.action_choices:
-            actions = functional.one_hot(actions[:, 0], self.spec.action_choices).to(seen.dtype)  # (N, choices)
+        if self.spec.action.choices:
+            actions = functional.one_hot(actions[:, 0], self.spec.action.choices).to(seen.dtype)  # (N, choices)
         return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
 
     def score(self, features: Tensor) -> Tensor:

@@ -19,9 +19,8 @@ class SegmentationModel:
     def __init__(self, network: SegmentationNetwork) -> None:
         spec = network.spec
         self.skills = spec.skills
-        self.camera = spec.camera
-        self.height, self.width, self.channels = spec.height, spec.width, spec.channels
-        self.action_size, self.action_choices = spec.action_size, spec.action_choices
+        (self.camera,) = spec.cameras
+        self.action = spec.action if spec.use_actions else None
         self._stride = spec.stride
         self._network = network.eval()
         self._device = next(network.parameters()).device
@@ -42,15 +41,14 @@ class SegmentationModel:
     ) -> npt.NDArray[np.float32]:
         """Returns the probabilities of timesteps that are one stride apart, as in training."""
         windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
-        features = torch.cat(
-            [self._network.features(*self._tensors(frames[at], actions[at])) for at in windows]
-        )  # (T, D)
+        features = torch.cat([self._features(frames[at], actions[at]) for at in windows])  # (T, D)
         probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
         return probabilities
 
-    def _tensors(self, *arrays: npt.NDArray[Any]) -> tuple[torch.Tensor, ...]:
-        """Returns copies on the network's device: arrays from the wire are read-only."""
-        return tuple(torch.tensor(array, device=self._device) for array in arrays)
+    def _features(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> torch.Tensor:
+        """Returns the LSTM's inputs; copies the arrays, because those from the wire are read-only."""
+        images = {self.camera.name: torch.tensor(frames, device=self._device)}
+        return self._network.features(images, torch.tensor(actions, device=self._device))
 
 
 def load(folder: Path, device: str) -> SegmentationModel:

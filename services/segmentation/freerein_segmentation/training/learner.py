@@ -10,12 +10,12 @@ from torch import Tensor
 from freerein.learning import weights
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
-from freerein.learning.trajectories import sample_frames
-from freerein.types.common import ActionSpec
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.demonstrations import Demonstrations, TrajectoryBatch, gather
 
 State = TrainState[SegmentationNetwork]
 
@@ -23,22 +23,19 @@ _NORMALISATION_FRAMES = 2000
 
 
 def network_spec(
-    config: SegmentationConfig, *, frame: tuple[int, int, int], action: ActionSpec, skills: tuple[str, ...]
+    config: SegmentationConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
 ) -> ModelSpec:
-    """Returns the architecture for frames of shape H, W, C and skills in the order of their labels.
+    """Returns the architecture for some cameras, and skills in the order of their labels.
 
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
     """
-    height, width, channels = frame
     return ModelSpec(
+        cameras=cameras,
+        action=action,
         skills=skills,
-        camera=config.camera,
-        height=height,
-        width=width,
-        channels=channels,
-        action_size=action.size if config.use_actions else 0,
-        action_choices=action.choices if config.use_actions else 0,
+        use_actions=config.use_actions,
+        encoder=config.encoder,
         stride=config.stride,
         context=config.context,
         features=config.features,
@@ -48,12 +45,12 @@ def network_spec(
 
 @dataclass(frozen=True, eq=False)
 class SegmentationLearner:
-    """A `freerein.learning.fit.Learner` of a segmentation network."""
+    """A `freerein.learning.fit.Learner` of a segmentation network; `training` and `validation` have tags."""
 
     config: SegmentationConfig
     spec: ModelSpec
-    training: Demonstrations
-    validation: Demonstrations
+    training: Trajectories
+    validation: Trajectories
     fingerprint: str
     device: torch.device
 
@@ -66,8 +63,9 @@ class SegmentationLearner:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        frames = sample_frames(self.training.frames, _NORMALISATION_FRAMES)
-        network.image.fit_normalisation(torch.from_numpy(frames))
+        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
+        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        network.image.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:

@@ -6,6 +6,7 @@ slowly; a colour codebook over a static background has it from the start, and ea
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 MOMENTS = 5
 """Moments per colour: root of its mass, mean column and row, and standard deviation along both."""
@@ -20,26 +21,28 @@ _ITERATIONS = 25
 
 
 class ColourCodebook(nn.Module):
-    """Mass, mean and deviation of each codebook colour over a frame's foreground pixels; without a gradient.
+    """Where each colour is: image moments of a k-means codebook of foreground colours; nothing is trained.
 
     Args:
         height: Frame height in pixels.
         width: Frame width in pixels.
         channels: 1 or 3.
-        size: Number of colours.
+        features: Number of features: `MOMENTS` for each of as many colours as fit, the rest zeros.
     """
 
     background: Tensor
     colours: Tensor
+    is_trained = False
 
-    def __init__(self, *, height: int, width: int, channels: int, size: int) -> None:
+    def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()
         self._frame_size = height, width
+        self._padding = features % MOMENTS
         self.register_buffer("background", torch.empty(height * width, channels))
-        self.register_buffer("colours", torch.empty(size, channels))
+        self.register_buffer("colours", torch.empty(features // MOMENTS, channels))
 
     @torch.no_grad()
-    def fit(self, frames: Tensor, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: Tensor, *, generator: torch.Generator) -> None:
         """Sets the background, a median, and the colours before it, by k-means, from training frames.
 
         Args:
@@ -56,7 +59,7 @@ class ColourCodebook(nn.Module):
 
     @torch.no_grad()
     def forward(self, frames: Tensor) -> Tensor:
-        """Returns the moments of each colour, float32 (N, colours, MOMENTS), in frames uint8 (N, H, W, C)."""
+        """Returns the moments of each colour, float32 (N, features), in frames uint8 (N, H, W, C)."""
         pixels = frames.flatten(1, 2)  # (N, H * W, C)
         is_foreground = self._is_foreground(pixels)  # (N, H * W)
         position = is_foreground.nonzero()[:, 1]  # (n,), frame after frame
@@ -64,7 +67,8 @@ class ColourCodebook(nn.Module):
         powers = self._powers()[position]  # (n, MOMENTS)
         counts = is_foreground.sum(dim=1).tolist()
         per_frame = zip(torch.split(assignment, counts), torch.split(powers, counts), strict=True)
-        return _moments(torch.stack([weights.T @ values for weights, values in per_frame]))
+        moments = _moments(torch.stack([weights.T @ values for weights, values in per_frame]))  # (N, colours, MOMENTS)
+        return functional.pad(moments.flatten(1), (0, self._padding))
 
     def _is_foreground(self, pixels: Tensor) -> Tensor:
         """Returns which of the pixels (N, H * W, C) differ from the background, bool (N, H * W)."""

@@ -1,0 +1,61 @@
+"""The service's method: skills of timesteps from the set of skills of each trajectory.
+
+The methods of chapter 2 share one network and one loop, and differ in the objective, which is a choice of the
+configuration; see `freerein_segmentation.objectives`.
+"""
+
+from types import MappingProxyType
+from typing import Any
+
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method, Methods
+from freerein_segmentation import model
+from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
+
+
+def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
+    dataset = source.dataset
+    if not dataset.spec.skills or not all(dataset.skills):
+        raise InvalidInput(
+            f"Each of the dataset's {len(dataset)} trajectories must name its skills; some do not.",
+            field="dataset",
+            hint="Tag them, or record with the expert; run: freerein dataset check NAME.",
+        )
+    unknown = {skill for tags in dataset.skills for skill in tags} - set(dataset.spec.skills)
+    if unknown:
+        raise InvalidInput(
+            f"Tags must be among the dataset's {len(dataset.spec.skills)} skills; {len(unknown)} tags are not.",
+            field="dataset",
+            hint="Correct the tags; run: freerein dataset check NAME.",
+        )
+    _spec(source, config)  # rejects frames and actions that are out of bounds
+    return config
+
+
+def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:
+    training, validation = source.trajectories(config.cameras).split(
+        fraction=config.validation_fraction, seed=config.seed
+    )
+    return SegmentationLearner(config, _spec(source, config), training, validation, source.dataset.fingerprint, device)
+
+
+def _spec(source: FitDataset, config: SegmentationConfig) -> ModelSpec:
+    spec = source.dataset.spec
+    return network_spec(config, cameras=source.cameras(config.cameras), action=spec.action, skills=spec.skills)
+
+
+def _card(
+    _source: FitDataset, _learner: SegmentationLearner, _fitted: FitResult[SegmentationNetwork]
+) -> dict[str, Any]:
+    return {"supervision": "the set of skills of each trajectory"}
+
+
+METHODS: Methods[SegmentationModel] = Methods(
+    "segmentation",
+    MappingProxyType({"set_supervised": Method(SegmentationConfig, _resolve, _prepare, _card, model.load)}),
+)

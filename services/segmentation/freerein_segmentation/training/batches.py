@@ -1,0 +1,60 @@
+"""Batches of trajectories with their tags; there are no labels of timesteps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from freerein.learning.encoders import Frames
+from freerein.learning.trajectories import Trajectories
+from freerein_segmentation.model import ModelSpec
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryBatch:
+    """Concatenated trajectories.
+
+    Attributes:
+        frames: By camera, uint8 (N, H, W, C).
+        actions: float32 (N, A) or int64 (N, 1).
+        lengths: int64 (B,), timesteps of each trajectory, with sum N.
+        tags: bool (B, K), skills of each trajectory.
+    """
+
+    frames: Frames
+    actions: Tensor
+    lengths: Tensor
+    tags: Tensor
+
+
+def gather(
+    trajectories: Trajectories,
+    items: Sequence[int],
+    phases: Sequence[int],
+    *,
+    spec: ModelSpec,
+    device: torch.device,
+) -> TrajectoryBatch:
+    """Returns every `spec.stride`-th timestep of some trajectories, as tensors on a device.
+
+    `phases` are the first timestep of each, modulo its length.
+    """
+    times = [
+        slice(phase % len(trajectories.actions[item]), None, spec.stride)
+        for item, phase in zip(items, phases, strict=True)
+    ]
+    places = list(zip(items, times, strict=True))
+    frames = {
+        camera: torch.from_numpy(np.concatenate([arrays[item][at] for item, at in places])).to(device)
+        for camera, arrays in trajectories.frames.items()
+    }
+    actions = [trajectories.actions[item][at] for item, at in places]
+    tags = [[skill in trajectories.skills[item] for skill in spec.skills] for item in items]
+    return TrajectoryBatch(
+        frames,
+        torch.from_numpy(np.concatenate(actions)).to(device),
+        torch.tensor([len(each) for each in actions], device=device),
+        torch.tensor(tags, device=device),
+    )

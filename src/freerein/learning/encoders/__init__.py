@@ -1,0 +1,34 @@
+"""Image encoders, by the name that a configuration chooses: frames uint8 (N, H, W, C) to features float32 (N, D).
+
+A new encoder is a module here and a line in `ENCODERS`.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from freerein.learning.encoders.cameras import CameraEncoders, Frames
+from freerein.learning.encoders.colour_codebook import ColourCodebook
+from freerein.learning.encoders.convolutional import ConvolutionalEncoder
+from freerein.learning.encoders.encoder import EncoderClass
+from freerein.learning.encoders.patch import PatchEncoder
+from freerein.learning.encoders.spatial import SpatialEncoder
+
+__all__ = [
+    "ENCODERS",
+    "CameraEncoders",
+    "ColourCodebook",
+    "ConvolutionalEncoder",
+    "Frames",
+    "PatchEncoder",
+    "SpatialEncoder",
+]
+
+ENCODERS: Mapping[str, EncoderClass] = MappingProxyType(
+    {
+        "patch": PatchEncoder,
+        "spatial": SpatialEncoder,
+        "convolutional": ConvolutionalEncoder,
+        "colour_codebook": ColourCodebook,
+    }
+)
+"""`patch`, `spatial` and `colour_codebook` subtract a mean image or a background: for cameras that do not move."""

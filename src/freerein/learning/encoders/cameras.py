@@ -1,0 +1,47 @@
+"""One encoder per camera."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from freerein.learning.encoders.encoder import EncoderClass
+from freerein.types.common import Camera
+
+Frames = Mapping[str, Tensor]
+"""By camera: uint8 (N, H, W, C)."""
+
+
+class CameraEncoders(nn.Module):
+    """Encodes frames of one or several cameras, each by an encoder of its own, and concatenates the features.
+
+    Args:
+        encoder: Class of the encoders: a value of `ENCODERS`.
+        cameras: The cameras.
+        features: Number of features per camera.
+
+    Attributes:
+        is_trained: Whether there are weights to train; else frames may be encoded once, before training.
+        size: D, the number of features of all cameras.
+    """
+
+    def __init__(self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int) -> None:
+        super().__init__()
+        self.is_trained = encoder.is_trained
+        self.size = features * len(cameras)
+        self._names = tuple(camera.name for camera in cameras)
+        self.encoders = nn.ModuleList(
+            encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
+            for camera in cameras
+        )
+
+    @torch.no_grad()
+    def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
+        """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
+        for name, encoder in zip(self._names, self.encoders, strict=True):
+            encoder.fit_normalisation(frames[name], generator=generator)  # type: ignore[operator]  # torch: a Tensor
+
+    def forward(self, frames: Frames) -> Tensor:
+        """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
+        features = [encoder(frames[name]) for name, encoder in zip(self._names, self.encoders, strict=True)]
+        return torch.cat(features, dim=1)

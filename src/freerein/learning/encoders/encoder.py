@@ -1,0 +1,20 @@
+"""What a class of image encoders is."""
+
+from typing import Protocol
+
+from torch import nn
+
+
+class EncoderClass(Protocol):
+    """Class of encoders of one camera; an encoder is a torch module, called with frames uint8 (N, H, W, C).
+
+    It also has `fit_normalisation(frames, *, generator)`, which sets what is not trained from training frames.
+
+    Attributes:
+        is_trained: Whether it has weights to train; else frames may be encoded once, before training.
+    """
+
+    is_trained: bool
+
+    def __call__(self, *, height: int, width: int, channels: int, features: int) -> nn.Module:
+        """Returns an encoder of frames of a size in pixels, with 1 or 3 channels, to `features` numbers."""

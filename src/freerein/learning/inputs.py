@@ -1,0 +1,55 @@
+"""What every network knows of its robot: cameras and actions."""
+
+from dataclasses import dataclass
+
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec, Camera
+
+_SIDE = (4, 1024)
+_MAX_CAMERAS = 8
+_MAX_ACTION_SIZE, _MAX_ACTION_CHOICES = 256, 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputSpec:
+    """Cameras and actions of a network, as of the dataset that it is trained on. Each network's spec adds its sizes.
+
+    Attributes:
+        cameras: Cameras whose frames are the input, each with a name of its own.
+        action: The action space.
+
+    Raises:
+        InvalidInput: Cameras or actions are out of bounds.
+    """
+
+    cameras: tuple[Camera, ...]
+    action: ActionSpec
+
+    def __post_init__(self) -> None:
+        names = {camera.name for camera in self.cameras}
+        if not 1 <= len(names) == len(self.cameras) <= _MAX_CAMERAS:
+            raise InvalidInput(
+                f"A network must have 1 to {_MAX_CAMERAS} cameras, each with a name of its own; "
+                f"got {len(self.cameras)} cameras and {len(names)} names.",
+                field="config.cameras",
+            )
+        for camera in self.cameras:
+            sides_fit = all(_SIDE[0] <= side <= _SIDE[1] for side in (camera.height, camera.width))
+            if not sides_fit or camera.channels not in (1, 3):
+                raise InvalidInput(
+                    f"Frames must be {_SIDE[0]} to {_SIDE[1]} pixels high and wide, with 1 or 3 channels; "
+                    f"got {camera.height} x {camera.width} x {camera.channels}.",
+                    field="dataset",
+                    hint="Record frames of another size, or store them as gray or RGB.",
+                )
+        if not (1 <= self.action.size <= _MAX_ACTION_SIZE and 0 <= self.action.choices <= _MAX_ACTION_CHOICES):
+            raise InvalidInput(
+                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or at most {_MAX_ACTION_CHOICES} choices; "
+                f"got {self.action.size} and {self.action.choices}.",
+                field="dataset",
+            )
+
+    @property
+    def encoded_action_size(self) -> int:
+        """Numbers of an action as a network takes it: its one-hot code when discrete, else its values."""
+        return self.action.choices or self.action.size

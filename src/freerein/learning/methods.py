@@ -1,0 +1,139 @@
+"""The methods of a learned service: how a model is configured, trained, saved and loaded.
+
+A method is one `Method`, registered by its name in the service's `Methods`. A fit's configuration names it by the key
+`method`, and so does the card of the model that the fit makes.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from freerein.atomic_files import write_atomic
+from freerein.errors import InvalidInput
+from freerein.jobs.child import run_child
+from freerein.learning.config import parse
+from freerein.learning.fit import FitResult, Learner, fit_and_save
+from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.model_files import choose_device, read_card, save_model
+from freerein.learning.train_state import N
+
+C = TypeVar("C", bound=DatasetFitConfig)
+L = TypeVar("L", bound=Learner[Any])
+M = TypeVar("M")
+
+
+@dataclass(frozen=True)
+class Method(Generic[C, L, N, M]):
+    """One way to train a model of class M, with a configuration C, a learner L and a network N.
+
+    Attributes:
+        config: Class of the configuration.
+        resolve: Returns the configuration completed by what the dataset decides. Raises InvalidInput where the
+            dataset cannot be trained on, before a fit is queued.
+        prepare: Returns the learner of a fit, for a resolved configuration.
+        card: Returns the card's entries of this method, such as `supervision`; they replace the common ones of the
+            same name.
+        load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
+            missing or malformed.
+        files: Returns files of the model beside weights and card, by name.
+    """
+
+    config: type[C]
+    resolve: Callable[[FitDataset, C], C]
+    prepare: Callable[[FitDataset, C, torch.device], L]
+    card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
+    load: Callable[[Path, str], M]
+    files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
+
+
+@dataclass(frozen=True)
+class Methods(Generic[M]):
+    """The methods of a service, whose models are of class M.
+
+    Attributes:
+        service: Name of the service.
+        by_name: The methods; the first is the default.
+    """
+
+    service: str
+    by_name: Mapping[str, Method[Any, Any, Any, M]]
+
+    def resolve(self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
+        """Returns the complete configuration of a fit; `values` override the defaults.
+
+        Raises:
+            NotFound: There is no such dataset.
+            InvalidInput: The configuration is invalid, or the dataset cannot be trained on.
+            FailedPrecondition: The dataset lacks labels, or what a method needs is not installed.
+        """
+        name, method, given = self._choose(values)
+        source = FitDataset.open(data_dir, dataset)
+        config = parse(method.config, {"threads": threads, **given})
+        config = method.resolve(source, replace(config, cameras=source.choose_cameras(config.cameras)))
+        return {"method": name, **asdict(config)}
+
+    def run_fit(self, folder: Path, data_dir: Path, device: str) -> int:
+        """Runs or resumes the fit in a folder, as its child process; returns the exit code, of `freerein.jobs.child`.
+
+        The folder holds `config.json`; metrics, checkpoints and in the end `model/` are written there.
+        """
+
+        def train(job: Mapping[str, Any]) -> bool:
+            name, method, given = self._choose(job["config"])
+            source, config = FitDataset.open(data_dir, job["dataset"]), parse(method.config, given)
+            torch.set_num_threads(config.threads)
+            learner = method.prepare(source, config, choose_device(device))
+
+            def save(fitted: FitResult[Any], model: Path) -> None:
+                for file, data in method.files(learner).items():
+                    write_atomic(model / file, data)
+                own = method.card(source, learner, fitted)
+                save_model(fitted.network, model, card=self._common_card(name, source, learner, fitted) | own)
+
+            return fit_and_save(learner, folder, save)
+
+        return run_child(folder, train)
+
+    def load(self, folder: Path, device: str) -> M:
+        """Returns the model in a folder, by the method that its card names.
+
+        Raises:
+            InvalidInput: A file is missing or malformed.
+        """
+        method = self.by_name.get(str(read_card(folder).get("method")))
+        if method is None:
+            raise InvalidInput(
+                f"A model's card must have `method` {' or '.join(self.by_name)}; got another or none.",
+                hint="Fit the model again, or restore its folder from a copy.",
+            )
+        return method.load(folder, device)
+
+    def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M], dict[str, Any]]:
+        """Returns the method that a configuration names, and the configuration's other keys."""
+        others = dict(values)
+        name = others.pop("method", next(iter(self.by_name)))
+        if not isinstance(name, str) or name not in self.by_name:
+            raise InvalidInput(
+                f"`method` must be {' or '.join(self.by_name)}; got something else.",
+                field="config.method",
+                hint="Leave it out for the default.",
+            )
+        return name, self.by_name[name], others
+
+    def _common_card(
+        self, name: str, source: FitDataset, learner: Learner[Any], fitted: FitResult[Any]
+    ) -> dict[str, Any]:
+        """Returns the entries that every card has."""
+        option = "" if name == next(iter(self.by_name)) else f" --set method={name}"
+        return {
+            "method": name,
+            "command": f"freerein fit {self.service} DATASET{option}",
+            "task": source.dataset.spec.task,
+            "data": {"trajectories": len(source.dataset), "fingerprint": learner.fingerprint},
+            "config": asdict(learner.config),
+            "figures": fitted.figures,
+        }

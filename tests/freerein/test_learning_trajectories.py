@@ -1,0 +1,63 @@
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from freerein.errors import InvalidInput
+from freerein.learning.trajectories import Trajectories
+
+LENGTHS = (3, 5, 4, 6)
+
+
+def frames(side: int) -> list[npt.NDArray[np.uint8]]:
+    return [np.full((length, side, side, 3), length, np.uint8) for length in LENGTHS]
+
+
+def actions() -> list[npt.NDArray[np.float32]]:
+    return [np.zeros((length, 2), np.float32) for length in LENGTHS]
+
+
+def make() -> Trajectories:
+    done = [np.arange(length) == length - 1 for length in LENGTHS]
+    tags = [("pick",), ("push",), ("pick", "push"), ("pick",)]
+    return Trajectories({"front": frames(4), "wrist": frames(6)}, actions(), tags, ["a", "b", "a", "b"], done)
+
+
+def test_the_split_is_of_whole_trajectories_without_copying_frames() -> None:
+    whole = make()
+    training, validation = whole.split(fraction=0.25, seed=0)
+    assert (len(training), len(validation)) == (3, 1)
+    assert sorted([*training.lengths(), *validation.lengths()]) == sorted(LENGTHS)
+    parts = [*training.frames["wrist"], *validation.frames["wrist"]]  # type: ignore[misc]  # lists here
+    assert {id(each) for each in parts} == {id(each) for each in whole.frames["wrist"]}  # type: ignore[attr-defined]
+
+
+def test_a_subset_keeps_everything_of_its_trajectories() -> None:
+    part = make().subset([2, 0])
+    assert part.lengths().tolist() == [4, 3]
+    assert (list(part.skills), list(part.goal_texts)) == ([("pick", "push"), ("pick",)], ["a", "a"])
+    assert part.terminated is not None
+    assert part.terminated[0].tolist() == [False, False, False, True]
+
+
+def test_trajectories_that_are_too_short_are_left_out_of_the_split() -> None:
+    training, validation = make().split(fraction=0.5, seed=0, min_length=5)
+    assert sorted([*training.lengths(), *validation.lengths()]) == [5, 6]
+    with pytest.raises(InvalidInput, match="2 trajectories of 6 or more timesteps"):
+        make().split(fraction=0.5, seed=0, min_length=6)
+
+
+def test_frames_are_sampled_from_every_trajectory_and_camera() -> None:
+    sampled = make().sample_frames(6)
+    assert {camera: each.shape[1:] for camera, each in sampled.items()} == {"front": (4, 4, 3), "wrist": (6, 6, 3)}
+    assert set(sampled["front"][:, 0, 0, 0].tolist()) == set(LENGTHS)
+
+
+def test_arrays_that_do_not_fit_together_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="same trajectories"):
+        Trajectories({"front": frames(4)[:2]}, actions())
+    with pytest.raises(InvalidInput, match="same trajectories"):
+        Trajectories({"front": frames(4)}, actions(), [("pick",)])
+    with pytest.raises(InvalidInput, match="Trajectory 3 must have as many frames as actions"):
+        Trajectories({"front": [*frames(4)[:3], frames(4)[0]]}, actions())
+    with pytest.raises(InvalidInput, match="1 or more"):
+        Trajectories({"front": []}, [])
