@@ -7,7 +7,7 @@ from experiments.segmentation.report import Report, Row
 _TEXT = """\
 Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
 for validation, 1 000 for test with 5 skills; training accuracy is measured on the first 2 000. All rows share network,
-loop, batch size (128), optimiser steps (250) and learning rate, and differ in objective and context. `lse` with the
+loop, batch size (128), optimiser steps (150) and learning rate, and differ in objective and context. `lse` with the
 causal context and `mil` with it are the dissertation's, which gives no number of steps and has a learning rate of 1e-4.
 The weights of the lowest validation loss are evaluated: the loss of tags, and for `supervised` that of true labels.
 `gap closed` is (value - lse causal) / (supervised in the same context - lse causal). `random` guesses a skill for each
@@ -21,7 +21,7 @@ EXPERIMENT = SegmentationExperiment(
     objectives=("lse", "lse_per_timestep", "mil"),
     contexts=("causal", "bidirectional"),
     seeds=3,
-    settings={"steps": 250, "batch_size": 128, "lr": 2e-3, "evaluate_every": 25, "checkpoint_every": 25},
+    settings={"steps": 150, "batch_size": 128, "lr": 2e-3, "evaluate_every": 25, "checkpoint_every": 25},
     train_evaluated=2_000,
     report=Report(
         "grid",

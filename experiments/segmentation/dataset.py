@@ -27,6 +27,7 @@ import numpy.typing as npt
 from experiments.segmentation import draw
 from freerein.data.cache import D, StepCache
 from freerein.errors import FailedPrecondition
+from freerein.learning.trajectories import Trajectories
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import WorldSpec
 
@@ -78,24 +79,6 @@ class DatasetSpec:
         return {"train": self.train, "validation": self.validation, "test": self.test}[name]
 
 
-@dataclass(frozen=True, eq=False)
-class Split:
-    """What learners may see of a split's n trajectories, mapped from disk.
-
-    Attributes:
-        frames: uint8 (T, H, W, C) per trajectory.
-        actions: float32 (T, A) in [-1, 1] or int64 (T, 1) per trajectory.
-        skills: The set of skills of each trajectory.
-    """
-
-    frames: StepCache[np.uint8]
-    actions: StepCache[np.float32] | StepCache[np.int64]
-    skills: tuple[tuple[str, ...], ...]
-
-    def __len__(self) -> int:
-        return len(self.skills)
-
-
 def open_or_draw(spec: DatasetSpec, work: Path) -> Path:
     """Returns the folder of a dataset; draws it first, in parallel processes, where it does not exist."""
     folder = work / "datasets" / spec.hash
@@ -110,19 +93,18 @@ def open_or_draw(spec: DatasetSpec, work: Path) -> Path:
     return folder
 
 
-def open_split(folder: Path, spec: DatasetSpec, name: SplitName) -> Split:
-    """Returns what learners may see of a split."""
+def open_split(folder: Path, spec: DatasetSpec, name: SplitName) -> Trajectories:
+    """Returns what learners may see of a split: frames, actions and tags, mapped from disk."""
     world = spec.world
     camera, action = world.cameras[0], world.action
     lengths = np.fromfile(folder / name / "lengths.raw", np.int64)  # (n,)
     tags = np.fromfile(folder / name / "tags.raw", np.bool_).reshape(len(lengths), -1)  # (n, K)
-    dtype: np.dtype[Any] = np.dtype(np.int64 if action.choices else np.float32)
-    return Split(
-        frames=step_cache(
-            folder / name / "frames.raw", lengths, np.dtype(np.uint8), (camera.height, camera.width, camera.channels)
-        ),
-        actions=step_cache(folder / name / "actions.raw", lengths, dtype, (action.size,)),
-        skills=tuple(tuple(world.skills[index] for index in np.flatnonzero(row)) for row in tags),
+    frame_shape = (camera.height, camera.width, camera.channels)
+    action_dtype: np.dtype[Any] = np.dtype(np.int64 if action.choices else np.float32)
+    return Trajectories(
+        {camera.name: step_cache(folder / name / "frames.raw", lengths, np.dtype(np.uint8), frame_shape)},
+        step_cache(folder / name / "actions.raw", lengths, action_dtype, (action.size,)),
+        skills=[tuple(world.skills[index] for index in np.flatnonzero(row)) for row in tags],
     )
 
 

@@ -8,8 +8,9 @@ import torch
 
 from experiments.workbench.results import Outcome, Sample
 from freerein import metrics
+from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import Demonstrations, gather
+from freerein_segmentation.training import gather
 
 Labels = npt.NDArray[np.int64]
 
@@ -18,7 +19,7 @@ FRAME_ACCURACY = "frame_accuracy"
 
 
 @torch.inference_mode()
-def predict(network: SegmentationNetwork, seen: Demonstrations, *, count: int) -> list[Labels]:
+def predict(network: SegmentationNetwork, seen: Trajectories, *, count: int) -> list[Labels]:
     """Returns the most probable skill at each timestep of the first `count` trajectories, int64 (T,) each."""
     predicted: list[Labels] = []
     device = next(network.parameters()).device

@@ -115,7 +115,6 @@ class SegmentationExperiment:
         network = fitted.network
 
         def predict(split: SplitName, known: Sequence[evaluation.Labels]) -> Sequence[evaluation.Labels]:
-            seen = weakly_supervised.demonstrations(self.data, data, split)
-            return evaluation.predict(network, seen, count=len(known))
+            return evaluation.predict(network, dataset.open_split(data, self.data, split), count=len(known))
 
         return predict

@@ -17,8 +17,9 @@ from experiments.segmentation.dataset import DatasetSpec
 from freerein.data.cache import StepCache
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import Demonstrations, SegmentationConfig, SegmentationLearner, gather
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, gather
 
 State = TrainState[SegmentationNetwork]
 
@@ -79,7 +80,7 @@ class SupervisedLearner:
         return torch.cat([self._losses(state.network, validation, labels, each) for each in batches]).mean().item()
 
     def _losses(
-        self, network: SegmentationNetwork, seen: Demonstrations, labels: StepCache[np.int64], items: list[int]
+        self, network: SegmentationNetwork, seen: Trajectories, labels: StepCache[np.int64], items: list[int]
     ) -> Tensor:
         batch = gather(seen, items, [0] * len(items), spec=self.weak.spec, device=self.weak.device)
         scores, mask = network(batch.frames, batch.actions, batch.lengths)  # (B, T, K), (B, T)

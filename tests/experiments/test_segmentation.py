@@ -38,16 +38,16 @@ def test_a_trajectory_does_not_depend_on_the_part_that_it_is_drawn_in(folder: Pa
     draw.main(tmp_path, draw.Part("grid", 0, dataset.SPLITS.index("train"), 2, 4, first=4, stop=6))
     train = dataset.open_split(folder, DATA, "train")
     drawn = np.fromfile(tmp_path / "frames", np.uint8)
-    assert np.array_equal(drawn, np.concatenate([train.frames[4], train.frames[5]]).ravel())
+    assert np.array_equal(drawn, np.concatenate([train.frames["top"][item] for item in (4, 5)]).ravel())
 
 
 def test_the_tags_of_a_trajectory_are_the_skills_of_its_true_labels(folder: Path) -> None:
     for name in dataset.SPLITS:
         split, labels, spec = dataset.open_split(folder, DATA, name), truth.open_labels(folder, name), DATA.split(name)
         assert len(split) == spec.count
-        assert split.frames[0].shape[1:] == (33, 30, 3)
+        assert split.frames["top"][0].shape[1:] == (33, 30, 3)
         for index, tags in enumerate(split.skills):
-            assert len(labels[index]) == len(split.frames[index]) == len(split.actions[index])
+            assert len(labels[index]) == len(split.actions[index])
             assert {DATA.world.skills[label] for label in labels[index]} == set(tags)
             assert spec.least_skills <= len(tags) <= spec.most_skills
 
@@ -81,7 +81,7 @@ def test_predictions_do_not_depend_on_the_batch(folder: Path) -> None:
     network = weak.init(torch.Generator().manual_seed(0)).network
     together = evaluation.predict(network, weak.training, count=9)
     alone = [evaluation.predict(network, weak.training.subset([index]), count=1)[0] for index in range(9)]
-    assert [len(each) for each in together] == [len(weak.training.frames[index]) for index in range(9)]
+    assert [len(each) for each in together] == weak.training.lengths().tolist()
     assert all(map(np.array_equal, together, alone))
 
 
