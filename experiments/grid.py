@@ -4,14 +4,19 @@ from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.report import Report, Row
 
-_TEXT = """\
+_STEPS, _BATCH_SIZE, _LR, _TRAIN_EVALUATED = 150, 128, 2e-3, 2_000
+
+_TEXT = f"""\
 Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
-for validation, 1 000 for test with 5 skills; training accuracy is measured on the first 2 000. All rows share network,
-loop, batch size (128), optimiser steps (150) and learning rate, and differ in objective and context. `lse` with the
-causal context and `mil` with it are the dissertation's, which gives no number of steps and has a learning rate of 1e-4.
-The weights of the lowest validation loss are evaluated: the loss of tags, and for `supervised` that of true labels.
+for validation, 1 000 for test with 5 skills; training accuracy is measured on the first {_TRAIN_EVALUATED}. All rows
+share network, loop, batch size ({_BATCH_SIZE} trajectories), optimiser steps ({_STEPS}) and peak learning rate
+({_LR:g}), and differ in objective and context. The dissertation's are `lse` and `mil` with the causal context; it has a
+learning rate of 1e-4 and gives no number of steps. Ours is the library's default, tried once: the loss of tags of `lse`
+with the causal context falls from 1.62 to 1.07 in 120 steps, and no network gets below 1.06. The weights of the lowest
+validation loss are evaluated: the loss of tags, and for `supervised` that of true labels.
 `gap closed` is (value - lse causal) / (supervised in the same context - lse causal). `random` guesses a skill for each
-timestep, `random_cls` one of the trajectory's skills, `majority` always the trajectory's longest skill. The interval is
+timestep, `random_cls` one of the trajectory's skills (36 when averaged over trajectories, as the dissertation prints),
+`majority` always the trajectory's longest skill. The interval is
 by bootstrap over seeds, then over trajectories."""
 
 EXPERIMENT = SegmentationExperiment(
@@ -21,8 +26,8 @@ EXPERIMENT = SegmentationExperiment(
     objectives=("lse", "lse_per_timestep", "mil"),
     contexts=("causal", "bidirectional"),
     seeds=3,
-    settings={"steps": 150, "batch_size": 128, "lr": 2e-3, "evaluate_every": 25, "checkpoint_every": 25},
-    train_evaluated=2_000,
+    settings={"steps": _STEPS, "batch_size": _BATCH_SIZE, "lr": _LR, "evaluate_every": 25, "checkpoint_every": 25},
+    train_evaluated=_TRAIN_EVALUATED,
     report=Report(
         "grid",
         title="The grid world (Table 2.1)",

@@ -89,7 +89,8 @@ class SegmentationExperiment:
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
-        return report.table(self.report, results)
+        by_name = {result.name: result for result in results}
+        return report.table(self.report, [by_name[arm.name] for arm in self.arms if arm.name in by_name])
 
     def _fit_config(self, arm: Arm) -> SegmentationConfig:
         objective = {} if arm.method == SUPERVISED else {"objective": arm.method}

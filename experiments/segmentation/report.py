@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -63,7 +62,7 @@ class Report:
 
 
 def table(report: Report, results: Sequence[ArmResult]) -> Table:
-    """Returns the table of the given results, with a claim for each row and split.
+    """Returns the table of the given results: rows in their order, with a claim for each split.
 
     Raises:
         FailedPrecondition: The results are of different generators of the world.
@@ -73,7 +72,9 @@ def table(report: Report, results: Sequence[ArmResult]) -> Table:
             "The results of a table must be of one world; the world's generator changed between them.",
             hint="Run the experiment again: python -m experiments run NAME.",
         )
-    rows = {row: list(arms) for row, arms in groupby(sorted(results, key=_sort_key), key=_row)}
+    rows: dict[Row, list[ArmResult]] = {}
+    for result in results:
+        rows.setdefault(_row(result), []).append(result)
     made = {row: [_claim(report, rows, row, split) for split in SPLITS] for row in rows}
     return Table(
         title=report.title,
@@ -88,12 +89,6 @@ def table(report: Report, results: Sequence[ArmResult]) -> Table:
 
 def _row(result: ArmResult) -> Row:
     return Row(result.method, result.options.get("context", ""))
-
-
-def _sort_key(result: ArmResult) -> tuple[bool, bool, str, str, int]:
-    """Guesses first, then weak supervision, then the ceiling; the causal context first."""
-    row = _row(result)
-    return row.method == SUPERVISED, bool(row.context), row.method, "".join(reversed(row.context)), result.seed
 
 
 def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:

@@ -54,7 +54,7 @@ class Experiment(Protocol):
             arm: One of `arms`.
             work: Folder that all arms share, for datasets.
             folder: Folder of this arm, for checkpoints.
-            on_progress: Called whenever a kill would lose nothing.
+            on_progress: Called now and then.
         """
 
     def table(self, results: Sequence[ArmResult]) -> Table:
