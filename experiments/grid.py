@@ -16,8 +16,8 @@ with the causal context falls from 1.62 to 1.07 in 120 steps, and no network get
 validation loss are evaluated: the loss of tags, and for `supervised` that of true labels.
 `gap closed` is (value - lse causal) / (supervised in the same context - lse causal). `random` guesses a skill for each
 timestep, `random_cls` one of the trajectory's skills (36 when averaged over trajectories, as the dissertation prints),
-`majority` always the trajectory's longest skill. The interval is
-by bootstrap over seeds, then over trajectories."""
+`majority` always the trajectory's longest skill. The interval is by
+bootstrap over seeds, then over trajectories."""
 
 EXPERIMENT = SegmentationExperiment(
     data=DatasetSpec(

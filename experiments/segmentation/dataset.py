@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -128,8 +128,9 @@ def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
         [sys.executable, "-m", "experiments.segmentation.draw", str(path), json.dumps(asdict(part))]
         for path, part in parts.items()
     )
-    processes = [subprocess.Popen(command) for command in commands]
-    exit_codes = [process.wait() for process in processes]
+    with ExitStack() as opened:
+        processes = [opened.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE)) for command in commands]
+        exit_codes = [process.wait() for process in processes]
     if any(exit_codes):
         raise FailedPrecondition("Drawing the demonstrations failed.", hint="See the error of its process above.")
     for file in draw.FILES:

@@ -1,6 +1,6 @@
 """Draws demonstrations from a world's generator: `python -m experiments.segmentation.draw FOLDER PART`.
 
-PART is a `Part` as JSON; FOLDER receives its raw files, named as in `FILES`.
+PART is a `Part` as JSON; FOLDER receives its raw files, named as in `FILES`. The process ends with its parent.
 """
 
 import hashlib
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freerein.jobs.child import die_with_parent
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition, World
@@ -102,4 +103,5 @@ def _arrays(episode: RecordedEpisode, tags: list[bool]) -> dict[str, npt.NDArray
 
 
 if __name__ == "__main__":
+    die_with_parent()
     main(Path(sys.argv[1]), Part(**json.loads(sys.argv[2])))

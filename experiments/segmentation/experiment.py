@@ -14,7 +14,8 @@ from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import fit
+from freerein.learning.fit import Learner, fit
+from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig
 
 GUESSES = {
@@ -65,7 +66,9 @@ class SegmentationExperiment:
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the data and, for a network, the segmentation service's configuration."""
         config: dict[str, JSON] = {"data": asdict(self.data), "train_evaluated": self.train_evaluated}
-        return config if arm.method in GUESSES else {**config, "fit": asdict(self._fit_config(arm))}
+        if arm.method not in GUESSES:
+            config["fit"] = {**asdict(self._fit_config(arm)), "objective": arm.method}
+        return config
 
     def world_hash(self, world: str) -> str:
         """Returns the hash of what the world's generator draws."""
@@ -107,8 +110,9 @@ class SegmentationExperiment:
 
     def _fit(self, arm: Arm, data: Path, folder: Path, on_progress: Callable[[], None]) -> Predict | None:
         """Returns the predictions of the trained network; None when training was stopped."""
-        method = supervised if arm.method == SUPERVISED else weakly_supervised
-        learner = method.make_learner(self._fit_config(arm), self.data, data)
+        make: Callable[[SegmentationConfig, DatasetSpec, Path], Learner[SegmentationNetwork]]
+        make = supervised.make_learner if arm.method == SUPERVISED else weakly_supervised.make_learner
+        learner = make(self._fit_config(arm), self.data, data)
         with stop_on_sigterm() as stop:
             fitted = fit(learner, folder, stop=stop, on_event=lambda _: on_progress())
         if fitted is None:

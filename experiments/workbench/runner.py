@@ -78,10 +78,8 @@ def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> 
     path = places.results / name / f"{arm.name}.json"
     if not path.is_file():
         return False
-    found = results.load(path)
-    return found.config == json.loads(json.dumps(experiment.config(arm))) and found.world_hash == experiment.world_hash(
-        arm.world
-    )
+    found, config = results.load(path), json.loads(json.dumps(experiment.config(arm)))
+    return found.config == config and found.world_hash == experiment.world_hash(arm.world)
 
 
 def _run_child(name: str, experiment: Experiment, arm: Arm, places: Places, *, deadline: float) -> Ending:
