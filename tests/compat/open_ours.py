@@ -23,6 +23,7 @@ for index, length in enumerate(scene.LENGTHS):
         assert (item["task"], int(item["episode_index"]), int(item["frame_index"])) == (scene.TASKS[index], index, t)
         assert abs(float(item["timestamp"]) - t / scene.FPS) < 1e-4
         assert np.array_equal(item["action"].numpy(), scene.actions(index)[t])
+        assert bool(item["next.terminated"]) == scene.terminations(index)[t]
         for camera in scene.SIZES:
             pixels = torch.from_numpy(scene.frames(index, camera)[t]).permute(2, 0, 1) / 255
             assert torch.equal(item[f"observation.images.{camera}"], pixels)
@@ -32,6 +33,8 @@ actions = np.concatenate([scene.actions(index) for index in range(len(scene.LENG
 stats = dataset.meta.stats["action"]
 assert np.allclose(stats["mean"], actions.mean(axis=0))
 assert np.allclose(stats["std"], actions.std(axis=0))
+terminations = np.concatenate([scene.terminations(index) for index in range(len(scene.LENGTHS))])
+assert np.allclose(dataset.meta.stats["next.terminated"]["mean"], terminations.mean())
 front = np.concatenate([scene.frames(index, "front") for index in range(len(scene.LENGTHS))]) / 255
 assert np.allclose(dataset.meta.stats["observation.images.front"]["mean"].ravel(), front.mean(axis=(0, 1, 2)))
 

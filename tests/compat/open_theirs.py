@@ -16,6 +16,7 @@ assert dataset.spec.action.names == scene.ACTION_NAMES
 for index, trajectory in enumerate(dataset):
     assert np.array_equal(trajectory.frames["front"], scene.frames(index, "front"))
     assert np.array_equal(trajectory.actions, scene.actions(index))
+    assert np.array_equal(trajectory.terminated, scene.terminations(index))
     assert np.array_equal(dataset.cached_frames("front")[index], scene.frames(index, "front"))
 assert verify(Path(sys.argv[1])) == []
 print(f"freerein opens a lerobot dataset: {len(dataset)} trajectories equal")  # noqa: T201

@@ -24,6 +24,11 @@ def actions(index: int) -> np.ndarray:
     return np.random.default_rng(index).uniform(-1, 1, (LENGTHS[index], len(ACTION_NAMES))).astype(np.float32)
 
 
+def terminations(index: int) -> np.ndarray:
+    """Returns bool (T,): trajectory 1 ends with a crash."""
+    return np.arange(LENGTHS[index]) == (LENGTHS[index] - 1 if index == 1 else -1)
+
+
 def choices(index: int) -> np.ndarray:
     """Returns int64 (T, 1), discrete actions."""
     return np.random.default_rng(index).integers(0, CHOICES, (LENGTHS[index], 1))

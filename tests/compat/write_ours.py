@@ -17,13 +17,22 @@ spec = DatasetSpec(
     robot_type="arm",
     skills=("pick", "place"),
     task=scene.TASK,
+    has_terminations=True,
 )
 with create(root / "continuous", spec) as writer:
     for index, (skills, text) in enumerate(zip(scene.SKILLS, scene.GOAL_TEXTS, strict=True)):
         frames = {camera: scene.frames(index, camera) for camera in scene.SIZES}
-        writer.append(Trajectory(frames=frames, actions=scene.actions(index), skills=skills, goal_text=text))
+        writer.append(
+            Trajectory(
+                frames=frames,
+                actions=scene.actions(index),
+                skills=skills,
+                goal_text=text,
+                terminated=scene.terminations(index),
+            )
+        )
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
-with create(root / "discrete", replace(spec, action=choice)) as writer:
+with create(root / "discrete", replace(spec, action=choice, has_terminations=False)) as writer:
     frames = {camera: scene.frames(0, camera) for camera in scene.SIZES}
     writer.append(Trajectory(frames=frames, actions=scene.choices(0)))

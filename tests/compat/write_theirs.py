@@ -11,6 +11,7 @@ features = {
     for camera, size in scene.SIZES.items()
     if size[-1] == 3
 }
+features["next.done"] = {"dtype": "bool", "shape": (1,), "names": None}
 features["observation.state"] = {"dtype": "float32", "shape": (2,), "names": None}
 features["action"] = {"dtype": "float32", "shape": (len(scene.ACTION_NAMES),), "names": list(scene.ACTION_NAMES)}
 
@@ -26,9 +27,14 @@ dataset = LeRobotDataset.create(
 for index, length in enumerate(scene.LENGTHS):
     for t in range(length):
         frame = {key: scene.frames(index, key.split(".")[-1])[t] for key in features if ".images." in key}
-        state = np.zeros(2, np.float32)
         dataset.add_frame(
-            {**frame, "observation.state": state, "action": scene.actions(index)[t], "task": scene.TASKS[index]}
+            {
+                **frame,
+                "next.done": scene.terminations(index)[t : t + 1],
+                "observation.state": np.zeros(2, np.float32),
+                "action": scene.actions(index)[t],
+                "task": scene.TASKS[index],
+            }
         )
     dataset.save_episode()
 dataset.finalize()

@@ -56,5 +56,12 @@ def test_a_client_has_a_method_for_every_call_and_no_other() -> None:
 def test_every_call_is_idempotent_or_known_not_to_be() -> None:
     calls = {(service.full_name, method) for service in SERVICES for method in service.methods_by_name}
     idempotent = {(service, method) for service, methods in retry_policy.IDEMPOTENT.items() for method in methods}
-    assert {method for _, method in calls - idempotent} == {"Reset", "Connect", "Control", "ActivateModel", "ResumeRun"}
+    assert {method for _, method in calls - idempotent} == {
+        "Reset",
+        "ExpertActions",
+        "Connect",
+        "Control",
+        "ActivateModel",
+        "ResumeRun",
+    }
     assert idempotent < calls

@@ -30,6 +30,7 @@ SPEC = DatasetSpec(
     skills=("push", "pick"),
     task="tidy the desk",
 )
+WITH_TERMINATIONS = replace(SPEC, has_terminations=True)
 DISCRETE = replace(SPEC, action=ActionSpec(size=1, choices=3, names=("left", "right", "forward")))
 
 
@@ -41,6 +42,13 @@ def trajectory(index: int, *, skills: tuple[str, ...] = ()) -> Trajectory:
 
 def discrete(index: int) -> Trajectory:
     return replace(trajectory(index), actions=np.random.default_rng(index).integers(0, 3, (4 + index, 1)))
+
+
+def crash(index: int) -> Trajectory:
+    """Returns a trajectory that ends with a crash if its index is odd."""
+    terminated = np.zeros(4 + index, np.bool_)
+    terminated[-1] = index % 2
+    return replace(trajectory(index), terminated=terminated)
 
 
 def assert_equal(got: Trajectory, expected: Trajectory) -> None:
@@ -114,6 +122,58 @@ def test_discrete_actions_come_back_as_they_were_appended(root: Path) -> None:
 
     assert_equal(Dataset(root)[0], discrete(0))
     np.testing.assert_array_equal(Dataset(root).cached_actions()[0], discrete(0).actions)
+
+
+def test_terminations_come_back_as_they_were_appended(root: Path) -> None:
+    with create(root, WITH_TERMINATIONS) as writer:
+        for index in range(3):
+            writer.append(crash(index))
+    dataset = Dataset(root)
+    cached = dataset.cached_terminations()
+
+    assert dataset.spec == WITH_TERMINATIONS
+    assert cached is not None
+    for index in range(3):
+        got = dataset[index].terminated
+        assert got is not None
+        assert (got.dtype, got.tolist()) == (np.bool_, crash(index).terminated.tolist())
+        np.testing.assert_array_equal(cached[index], got)
+    assert verify(root) == []
+
+
+def test_terminations_are_unknown_where_the_spec_has_none(root: Path, writer: Writer) -> None:
+    writer.append(trajectory(0))
+    assert Dataset(root)[0].terminated is None
+    assert Dataset(root).cached_terminations() is None
+
+
+def test_a_lost_meta_is_rebuilt_with_the_terminations(root: Path) -> None:
+    with create(root, WITH_TERMINATIONS) as writer:
+        writer.append(crash(1))
+    stats = (root / "meta/stats.json").read_bytes()
+    shutil.rmtree(root / "meta")
+
+    assert Dataset(root)[0].terminated.tolist() == [False] * 4 + [True]
+    assert (root / "meta/stats.json").read_bytes() == stats
+
+
+@pytest.mark.parametrize(
+    ("spec", "wrong"),
+    [
+        (SPEC, crash(0)),
+        (WITH_TERMINATIONS, trajectory(0)),
+        (WITH_TERMINATIONS, replace(crash(0), terminated=np.zeros(3, np.bool_))),
+        (WITH_TERMINATIONS, replace(crash(0), terminated=np.zeros((4, 1), np.bool_))),
+        (WITH_TERMINATIONS, replace(crash(0), terminated=np.zeros(4, np.int64))),
+    ],
+)
+def test_terminations_that_are_not_as_the_spec_says_are_refused(
+    root: Path, spec: DatasetSpec, wrong: Trajectory
+) -> None:
+    with create(root, spec) as writer, pytest.raises(InvalidInput) as caught:
+        writer.append(wrong)
+    assert caught.value.field == "terminated"
+    assert len(Dataset(root)) == 0
 
 
 def test_a_dataset_can_be_extended_later(root: Path, writer: Writer) -> None:

@@ -1,6 +1,7 @@
 """The layout on disk, word for word: LeRobotDataset v3.0 as its reader wants it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,29 @@ def test_a_data_file_from_before_there_were_goal_texts_is_read(root: Path) -> No
     assert footer.pop("goal_text") == ""
     pq.write_table(table.replace_schema_metadata({b"freerein": json.dumps(footer).encode()}), path)
     assert Dataset(root).goal_texts == ("tidy the desk", "tidy the desk")
+
+
+def test_a_spec_from_before_there_were_terminations_is_read(root: Path) -> None:
+    path = root / "meta/freerein.json"
+    spec = json.loads(path.read_text())
+    assert spec.pop("has_terminations") is False
+    path.write_text(json.dumps(spec))
+    assert not Dataset(root).spec.has_terminations
+
+
+def test_terminations_are_a_bool_feature_with_lerobots_statistics(root: Path) -> None:
+    with create(root.parent / "crashes", replace(Dataset(root).spec, has_terminations=True)) as writer:
+        for each, ends in zip(Dataset(root), ([False, False, True], [False] * 4), strict=True):
+            writer.append(replace(each, terminated=np.array(ends)))
+    meta = root.parent / "crashes/meta"
+    features = json.loads((meta / "info.json").read_text())["features"]
+    assert features.pop("next.terminated") == {"dtype": "bool", "shape": [1], "names": None}
+    assert features == INFO["features"]
+    columns = pq.read_schema(root.parent / "crashes/data/chunk-000/file-000.parquet")
+    assert columns.field("next.terminated").type == pa.bool_()
+    stats = json.loads((meta / "stats.json").read_text())["next.terminated"]
+    assert {name: stats[name] for name in ("min", "max", "count")} == {"min": [0.0], "max": [1.0], "count": [7.0]}
+    np.testing.assert_allclose([*stats["mean"], *stats["std"]], [1 / 7, np.sqrt(6) / 7])
 
 
 def test_statistics_are_of_all_frames_in_lerobots_shapes(root: Path) -> None:

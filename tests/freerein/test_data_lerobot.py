@@ -112,6 +112,50 @@ def test_goal_texts_are_read_where_episodes_name_one_task(root: Path) -> None:
     assert (Dataset(root).spec.task, Dataset(root).goal_texts) == ("", ("drop it", "", ""))
 
 
+def add_bools(root: Path, columns: dict[str, list[bool | None]], *, listed: bool = False) -> None:
+    """Adds columns to every data file, and declares them."""
+    for path in sorted((root / "data").rglob("*.parquet")):
+        table = pq.read_table(path)
+        for name, values in columns.items():
+            own, columns[name] = values[: len(table)], values[len(table) :]
+            table = table.append_column(name, [[[value] for value in own]] if listed else [own])
+        pq.write_table(table, path)
+    bools = {name: {"dtype": "bool", "shape": [1], "names": None} for name in columns}
+    write_info(root, features=INFO["features"] | bools)
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_terminations_are_read_where_there_is_next_done(root: Path, listed: bool) -> None:
+    ends = [False, True, False, False, True, False, False, False, False]
+    add_bools(root, {"next.done": list(ends)}, listed=listed)
+    dataset = Dataset(root)
+    assert dataset.spec.has_terminations
+    assert [each.terminated.tolist() for each in dataset] == [ends[:2], ends[2:5], ends[5:]]
+    assert dataset.cached_terminations().steps.tolist() == ends
+    assert verify(root) == []
+
+
+def test_a_column_of_terminations_comes_before_next_done(root: Path) -> None:
+    add_bools(root, {"next.done": [True] * 9, "next.terminated": [False] * 9})
+    assert not Dataset(root).cached_terminations().steps.any()
+
+
+def test_terminations_are_unknown_where_there_is_no_bool_of_them(root: Path) -> None:
+    write_info(root, features=INFO["features"] | {"next.done": COUNTER})
+    assert Dataset(root)[0].terminated is None
+    assert Dataset(root).cached_terminations() is None
+
+
+def test_terminations_that_are_declared_but_not_stored_are_found(root: Path) -> None:
+    write_info(root, features=INFO["features"] | {"next.done": {"dtype": "bool", "shape": [1], "names": None}})
+    assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1", "trajectory 2"]
+
+
+def test_a_termination_without_a_value_is_found(root: Path) -> None:
+    add_bools(root, {"next.done": [True, None, *[False] * 7]})
+    assert [each.where for each in verify(root)] == ["trajectory 0"]
+
+
 def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root: Path) -> None:
     for path in (root / "data").rglob("*.parquet"):
         table = pq.read_table(path)

@@ -25,6 +25,7 @@ WATCHED = {"open", "os.listdir", "os.scandir", "os.rename", "os.remove"}
 sys.addaudithook(lambda event, arguments: touched.append(str(arguments[0])) if event in WATCHED else None)
 dataset = Dataset(Path(sys.argv[1]))
 list(dataset), dataset.actions(0), dataset.fingerprint, dataset.cached_frames("front")[0], dataset.cached_actions()[0]
+dataset.cached_terminations()[0]
 print("\\n".join(touched))
 """
 
@@ -37,8 +38,14 @@ def root(tmp_path: Path) -> Path:
         action=ActionSpec(size=2, choices=0, names=("x", "y")),
         robot_type="arm",
         skills=("pick", "push"),
+        has_terminations=True,
     )
-    each = Trajectory({"front": np.zeros((4, 6, 8, 3), np.uint8)}, np.zeros((4, 2), np.float32), ("pick", "push"))
+    each = Trajectory(
+        {"front": np.zeros((4, 6, 8, 3), np.uint8)},
+        np.zeros((4, 2), np.float32),
+        ("pick", "push"),
+        terminated=np.array([False, False, False, True]),
+    )
     with create(tmp_path / "demos", spec) as writer:
         writer.append(each, np.array([1, 1, 0, 0]))
         writer.append(each)

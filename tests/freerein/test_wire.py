@@ -57,6 +57,14 @@ def test_arrays_maps_and_nested_messages_come_back_as_they_went() -> None:
     assert back.truth.state.dtype == np.float64
 
 
+def test_terminations_come_back_as_they_went_also_where_they_are_unknown() -> None:
+    known = common.Trajectory({}, np.zeros((2, 1), np.int64), terminated=np.array([False, True]))
+    back = wire.unpack(wire.pack(known), common.Trajectory)
+    assert back.terminated is not None
+    assert (back.terminated.dtype, back.terminated.tolist()) == (np.bool_, [False, True])
+    assert wire.unpack(wire.pack(replace(known, terminated=None)), common.Trajectory).terminated is None
+
+
 def test_structs_enums_and_number_maps_come_back_as_they_went() -> None:
     assert wire.unpack(wire.pack(FIT), learning.Fit) == FIT
 

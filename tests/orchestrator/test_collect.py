@@ -59,6 +59,7 @@ def test_a_run_records_what_the_same_request_does_and_describes_it(
     fingerprint = recorded(tmp_path / "plain", sim, DemonstrateRequest(**request))
     dataset = Dataset(dataset_path(tmp_path, "demos"))
     assert dataset.fingerprint == fingerprint
+    assert [bool(each.terminated[-1]) for each in dataset] == [config is EXPERT] * len(dataset)
     assert run.artifact("dataset.json") == {
         "dataset": "demos",
         "trajectories": config["count"],
@@ -130,6 +131,7 @@ def test_curiosity_records_all_it_did_as_trajectories_within_episodes(
     assert len(dataset) == CURIOSITY["count"]
     assert dataset.lengths.tolist() == [8] * 12 + [2, 2, 6, 6] + [8] * 2  # an episode has 50
     assert dataset.skills == ((),) * len(dataset)
+    assert not dataset.cached_terminations().steps.any()  # a time limit does not terminate an episode
     assert [row["step"] for row in run.rows] == [2, 4, 6, 8, 10, 12, 16, 18]
     assert all(row["intrinsic_reward"] > 0 for row in run.rows)
 

@@ -70,6 +70,7 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     dataset = Dataset(dataset_path(data_dir, card_of_dataset["dataset"]))
     assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3)
     assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
+    assert [each.terminated.any() for each in dataset] == [len(each.actions) < 50 for each in dataset]
     assert [teacher["goal_text"] for teacher in card_of_dataset["teachers"]] == ["pick up all", "pick up nothing"]
 
     card = json.loads(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -218,12 +219,15 @@ def test_a_rollout_becomes_trajectories_within_episodes_and_transitions_that_do_
     envs = Corridor(length=20)
     state = corridor_state(envs, 0)
     rollout, _ = CorridorCollector(envs).collect(state.network, state.collector)
+    rollout = replace(rollout, terminated=rollout.dones)
     made, steps = trajectories(rollout, "top"), Transitions.of(rollout)
 
     assert [len(each.actions) for each in made] == [20] * 4 + [12] * 4
     assert not made[4].frames["top"][0, 0, 1:].max() > 30  # it starts at the left end again
     np.testing.assert_array_equal(made[1].frames["top"], rollout.observations[:20, 1].numpy())
     np.testing.assert_array_equal(made[1].actions, rollout.actions[:20, 1].numpy())
+    assert made[1].terminated.tolist() == [t == 19 for t in range(20)]
+    assert not made[4].terminated.any()  # the rollout ended, not the episode
     expected = (position(steps.observations) + 2 * steps.actions[:, 0] - 1).clamp(0, CELLS - 1)
     torch.testing.assert_close(position(steps.next_observations), expected)
 

@@ -81,6 +81,7 @@ def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_
     network = init_network(ActorCriticSpec(vector_size=2), generator)
     rollout, after = collect(network, envs, CollectorState.init(envs, network.spec, generator), num_steps=5)
     assert rollout.dones.tolist() == [[t == 2] * 3 for t in range(5)]
+    assert rollout.terminated.tolist() == [[t == 2, False, t == 2] for t in range(5)]
     assert (rollout.truncated_values != 0).tolist() == [[False, t == 2, False] for t in range(5)]
     assert rollout.episode_starts.tolist() == [[t in (0, 3)] * 3 for t in range(5)]
     assert rollout.final_observations.tolist() == envs.final.tolist()

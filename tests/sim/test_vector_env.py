@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, Unimplemented
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.types.sim import StepResponse
 from freerein_sim.workers import snapshots
 from freerein_sim.workers.vector_env import VectorEnv
@@ -30,14 +30,7 @@ class Fragile(GridWorld):
         return StepResult(terminated=diverged, diverged=diverged) if diverged else super().step(action)
 
 
-class Inexact(GridWorld):
-    """A world without exact snapshots."""
-
-    spec = replace(grid.SPEC, exact_snapshots=False)
-
-
 FRAGILE = TaskDefinition("fragile", "grid", "", grid.SPEC, lambda: Fragile(indicator=True))
-INEXACT = TaskDefinition("inexact", "grid", "", Inexact.spec, lambda: Inexact(indicator=True))
 
 
 @pytest.fixture
@@ -312,14 +305,6 @@ def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) 
     for snapshot in foreign:
         with pytest.raises(FailedPrecondition, match="of this session's task and build"):
             envs.restore(snapshot)
-
-
-def test_a_world_without_exact_snapshots_says_so(begin: MakeEnvs) -> None:
-    envs = begin(INEXACT)
-
-    for call in (envs.snapshot, lambda: envs.restore(b"")):
-        with pytest.raises(Unimplemented, match="no exact snapshots"):
-            call()
 
 
 def test_a_size_beyond_the_cameras_is_refused_at_once(make: MakeEnvs) -> None:

@@ -1,13 +1,17 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from freerein_sim.worlds import blocks, conformance, grid
+from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.world import TaskDefinition
 
-TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
+REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, REPLAYED)}
 CHECKED = (
     "grid",
+    "replayed",
     "grid-no-indicator",
     "blocks",
     "blocks.scatter",

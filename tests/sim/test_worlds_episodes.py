@@ -30,6 +30,7 @@ def test_a_frame_is_seen_before_its_action() -> None:
     assert np.array_equal(shown.frames["top"][0], first)
     assert shown.actions[-1].item() == grid.PICK_UP
     assert len(shown.frames["top"]) == len(shown.actions) == len(shown.labels)
+    assert shown.terminated.tolist() == [False] * (len(shown.actions) - 1) + [True]
 
 
 def test_every_camera_asked_for_is_recorded() -> None:
@@ -48,7 +49,8 @@ def test_a_demonstration_of_no_steps_has_the_right_shapes() -> None:
 
     assert shown.frames["top"].shape == (0, 33, 30, 3)
     assert shown.actions.shape == (0, 1)
-    assert shown.labels.shape == (0,)
+    assert shown.labels.shape == shown.terminated.shape == (0,)
+    assert shown.terminated.dtype == np.bool_
 
 
 def test_a_demonstration_cut_short_is_no_success() -> None:
@@ -60,6 +62,7 @@ def test_a_demonstration_cut_short_is_no_success() -> None:
 
     assert len(shown.actions) == 10
     assert not shown.success
+    assert not shown.terminated.any()
 
 
 @pytest.mark.parametrize("task", [grid.TASKS[0], blocks.TASKS[0]], ids=["discrete", "continuous"])

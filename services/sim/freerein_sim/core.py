@@ -172,6 +172,24 @@ class SimCore:
                 each.cancel()
             await asyncio.gather(*making, return_exceptions=True)
 
+    async def check(self, request: sim.CheckRequest) -> sim.CheckResponse:
+        """Returns where a predicate of a privileged session's task holds."""
+
+        async def work(session: Session) -> sim.CheckResponse:
+            session.check_privileged("Check")
+            return await session.worker.call(request, sim.CheckResponse)
+
+        return await self._exclusively(request.session, work)
+
+    async def expert_actions(self, request: sim.ExpertActionsRequest) -> sim.ExpertActionsResponse:
+        """Returns the scripted expert's next actions in a privileged session, as `VectorEnv.expert_actions`."""
+
+        async def work(session: Session) -> sim.ExpertActionsResponse:
+            session.check_privileged("ExpertActions")
+            return await session.worker.call(request, sim.ExpertActionsResponse)
+
+        return await self._exclusively(request.session, work)
+
     async def close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         """Closes a session; does nothing for an unknown one."""
 

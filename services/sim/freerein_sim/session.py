@@ -5,7 +5,7 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from freerein.errors import InvalidInput, SessionNotFound, StepOutOfOrder
+from freerein.errors import FailedPrecondition, InvalidInput, SessionNotFound, StepOutOfOrder
 from freerein.types import sim
 from freerein_sim.workers.protocol import check_frames
 from freerein_sim.workers.worker import Worker
@@ -41,6 +41,15 @@ class Session:
         """Checks the size of a reply with `times` frames of every environment and camera."""
         height, width = height or self.request.height, width or self.request.width
         check_frames(self.task, cameras, height=height, width=width, images=times * self.request.num_envs)
+
+    def check_privileged(self, call: str) -> None:
+        """Raises FailedPrecondition if the session does not read the true state."""
+        if not self.request.privileged:
+            raise FailedPrecondition(
+                f"{call} reads the true state, for evaluation: it needs a privileged session; this one is not.",
+                field="session",
+                hint="Create a session with `privileged`.",
+            )
 
     def recorded_response(self, request: sim.StepRequest) -> sim.StepResponse | None:
         """Returns the response to the last step if this repeats it, None if this is the next step."""

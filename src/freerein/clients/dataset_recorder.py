@@ -130,4 +130,5 @@ def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: in
         robot_type=task.world,
         skills=task.skills,
         task=task.goal_text or task.name,
+        has_terminations=True,
     )

@@ -1,6 +1,6 @@
 """Trajectory datasets on disk: LeRobotDataset v3, one parquet file per trajectory, crash-safe.
 
-    <root>/data/           frames, actions, and per trajectory a goal text and the skills that occur
+    <root>/data/           frames, actions, terminations; per trajectory a goal text and the skills that occur
     <root>/meta/           LeRobot's index, rebuilt from data/ where the two differ
     <root>/cache/          decoded frames and actions, rebuilt when data/ changes
     <root>/labels/         per-timestep skills predicted by a segmentation model; see `freerein.data.labels`

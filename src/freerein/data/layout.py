@@ -21,6 +21,8 @@ STATS_FILE = "meta/stats.json"
 INFO_FILE = "meta/info.json"
 TEACHERS_FILE = "teachers.json"
 CAMERA_PREFIX = "observation.images."
+TERMINATED_KEY = "next.terminated"
+"""bool (T,); not LeRobot's `next.done`, which is also true where an episode was truncated."""
 
 _INDEX_COLUMNS = {
     "timestamp": "float32",
@@ -44,6 +46,7 @@ class DatasetSpec:
         robot_type: Name of the robot.
         skills: Skill names; labels are indices into them. May be empty.
         task: Goal text of trajectories without one of their own.
+        has_terminations: Whether every trajectory has `terminated`; otherwise none has.
     """
 
     fps: int
@@ -52,6 +55,7 @@ class DatasetSpec:
     robot_type: str
     skills: tuple[str, ...] = ()
     task: str = ""
+    has_terminations: bool = False
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where a value is out of range."""
@@ -121,6 +125,7 @@ def loads(text: str | bytes) -> DatasetSpec:
             robot_type=str(document["robot_type"]),
             skills=tuple(document["skills"]),
             task=str(document["task"]),
+            has_terminations=bool(document.get("has_terminations", False)),  # missing before there were any
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InvalidInput(
@@ -189,7 +194,7 @@ def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
     }
     names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
     features["action"] = {"dtype": str(spec.action_dtype), "shape": [spec.action.size], "names": names}
-    for name, dtype in _INDEX_COLUMNS.items():
+    for name, dtype in _number_columns(spec).items():
         features[name] = {"dtype": dtype, "shape": [1], "names": None}
     return features
 
@@ -218,5 +223,10 @@ def data_schema(spec: DatasetSpec) -> pa.Schema:
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     number = pa.from_numpy_dtype(spec.action_dtype)
     action = number if spec.action.size == 1 else pa.list_(number, spec.action.size)
-    index_columns = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _INDEX_COLUMNS.items()]
-    return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *index_columns])
+    numbers = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _number_columns(spec).items()]
+    return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *numbers])
+
+
+def _number_columns(spec: DatasetSpec) -> dict[str, str]:
+    """Returns the dtype of every column of one number per timestep, besides the action."""
+    return {TERMINATED_KEY: "bool", **_INDEX_COLUMNS} if spec.has_terminations else _INDEX_COLUMNS

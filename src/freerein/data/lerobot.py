@@ -1,4 +1,8 @@
-"""Reads the metadata of LeRobotDataset v3 datasets of other tools, with images stored as images, and an action."""
+"""Reads the metadata of LeRobotDataset v3 datasets of other tools, with images stored as images, and an action.
+
+Terminations are those of `next.terminated`, else of LeRobot's own `next.done`: true at the end of an episode, for most
+tools that write it also where the episode was truncated.
+"""
 
 import json
 from dataclasses import dataclass
@@ -20,7 +24,7 @@ _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_in
 
 @dataclass(frozen=True)
 class LeRobotMeta:
-    """Metadata of a dataset that another tool wrote, and the column of the frames by camera.
+    """Metadata of a dataset that another tool wrote, the column of the frames by camera, and that of the terminations.
 
     The episodes have one row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks`, `skills`.
     """
@@ -28,6 +32,7 @@ class LeRobotMeta:
     spec: DatasetSpec
     episodes: pa.Table
     camera_keys: dict[str, str]
+    terminated_key: str
 
 
 def read(root: Path) -> LeRobotMeta:
@@ -42,7 +47,7 @@ def read(root: Path) -> LeRobotMeta:
         raise NotFound("There must be a dataset; nothing here looks like one.", hint="List the datasets that exist.")
     try:
         _check_layout(info)
-        keys = _camera_keys(info["features"])
+        keys, terminated_key = _camera_keys(info["features"]), _terminated_key(info["features"])
         episodes = _episodes(root)
         spec = DatasetSpec(
             fps=int(info["fps"]),
@@ -51,13 +56,14 @@ def read(root: Path) -> LeRobotMeta:
             robot_type=str(info.get("robot_type") or ""),
             skills=tuple(sorted({skill for skills in episodes["skills"].to_pylist() for skill in skills})),
             task=_task(root),
+            has_terminations=bool(terminated_key),
         )
     except (KeyError, TypeError, ValueError):
         raise InvalidInput(
             "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
         ) from None
-    return LeRobotMeta(spec, episodes, keys)
+    return LeRobotMeta(spec, episodes, keys, terminated_key)
 
 
 def _check_layout(info: dict[str, Any]) -> None:
@@ -81,6 +87,12 @@ def _camera_keys(features: dict[str, Any]) -> dict[str, str]:
         )
     images = [key for key, feature in features.items() if feature["dtype"] == "image"]
     return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation."): key for key in images}
+
+
+def _terminated_key(features: dict[str, Any]) -> str:
+    """Returns the column of the terminations; empty where there is none."""
+    bools = [key for key, feature in features.items() if feature["dtype"] == "bool" and feature["shape"] == [1]]
+    return next((key for key in (layout.TERMINATED_KEY, "next.done") if key in bools), "")
 
 
 def _frame_size(feature: dict[str, Any]) -> tuple[int, int, int]:

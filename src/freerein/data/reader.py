@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from freerein.data import layout, lerobot, meta
 from freerein.data.cache import StepCache, open_or_build
-from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, read_rows
+from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, decode_terminations, read_rows
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
 
@@ -21,7 +21,8 @@ class Dataset:
     """Read-only sequence of the trajectories that a dataset held when it was opened.
 
     Opening compares `meta/` with `data/` and rewrites it where a crash left it out of date. Also opens any
-    LeRobotDataset v3 with images stored as images, and an action.
+    LeRobotDataset v3 with images stored as images, and an action. Where that has no `next.terminated`, `terminated` is
+    its `next.done`, which most tools also set where an episode was truncated.
 
     Attributes:
         spec: Properties that the trajectories share.
@@ -40,9 +41,11 @@ class Dataset:
         if spec is None:
             foreign = lerobot.read(root)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
+            self._terminated_key = foreign.terminated_key
         else:
             self.spec, table = spec, meta.load_and_repair(root, spec)
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
+            self._terminated_key = layout.TERMINATED_KEY if spec.has_terminations else ""
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
         self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in table["tasks"].to_pylist())
@@ -61,12 +64,14 @@ class Dataset:
             InvalidInput: Its file is corrupt, or does not match the spec.
         """
         index = range(len(self))[index]
-        rows = self._rows(index, [*self._keys.values(), "action"])
+        terminated_keys = [self._terminated_key] if self.spec.has_terminations else []
+        rows = self._rows(index, [*self._keys.values(), "action", *terminated_keys])
         return Trajectory(
             frames={camera: self._frames(rows, camera) for camera in self._keys},
             actions=decode_actions(rows, self.spec),
             skills=self.skills[index],
             goal_text=self.goal_texts[index],
+            terminated=self._terminations(rows) if self.spec.has_terminations else None,
         )
 
     def __iter__(self) -> Iterator[Trajectory]:
@@ -114,6 +119,19 @@ class Dataset:
         cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
         return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 
+    def cached_terminations(self) -> StepCache[np.bool_] | None:
+        """Returns `terminated` of all trajectories, read once and mapped into memory; None where it is unknown.
+
+        Raises:
+            InvalidInput: The dataset is empty; or as `dataset[i]`.
+            FailedPrecondition: The disk is full.
+        """
+        if not self.spec.has_terminations:
+            return None
+        parts = (self._terminations(self._rows(index, [self._terminated_key])) for index in range(len(self)))
+        path = self._cache_file("terminations")
+        return open_or_build(path, dtype=np.dtype(np.bool_), shape=(), lengths=self.lengths, parts=parts)
+
     def _rows(self, index: int, columns: list[str]) -> pa.Table:
         rows = read_rows(self._path(self._places[index]), index=index, columns=columns)
         if len(rows) != self.lengths[index]:
@@ -126,6 +144,9 @@ class Dataset:
 
     def _frames(self, rows: pa.Table, camera: str) -> npt.NDArray[np.uint8]:
         return decode_frames(rows, camera_key=self._keys[camera], size=self.spec.cameras[camera])
+
+    def _terminations(self, rows: pa.Table) -> npt.NDArray[np.bool_]:
+        return decode_terminations(rows, key=self._terminated_key)
 
     def _path(self, place: tuple[int, int]) -> Path:
         return layout.numbered(self._root / "data", chunk=place[0], file=place[1])

@@ -98,7 +98,8 @@ def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
     with corrupt_as_invalid(f"Trajectory {index}"), path.open("rb") as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
         groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
-        table = parquet.read_row_groups(groups, columns=[*columns, "episode_index"], use_threads=False)
+        names = list(dict.fromkeys([*columns, "episode_index"]))
+        table = parquet.read_row_groups(groups, columns=names, use_threads=False).select(names)
         return table.filter(pc.equal(table["episode_index"], index)).combine_chunks()
 
 
@@ -123,8 +124,7 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
 
 def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
     """Returns the actions, float32 (T, A) or int64 (T, 1)."""
-    column = pa.concat_arrays(rows["action"].chunks) if rows["action"].num_chunks else pa.array([], pa.float32())
-    flat = column.flatten() if pa.types.is_nested(column.type) else column
+    flat = _flat(rows["action"])
     if flat.null_count or len(flat) != len(rows) * spec.action.size:
         raise InvalidInput(
             f"Every timestep must have an action of {spec.action.size} numbers; the data file holds "
@@ -133,6 +133,19 @@ def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
         )
     actions: Actions = flat.to_numpy(zero_copy_only=False).astype(spec.action_dtype)
     return actions.reshape(len(rows), spec.action.size)
+
+
+def decode_terminations(rows: pa.Table, *, key: str) -> npt.NDArray[np.bool_]:
+    """Returns whether the episode terminated after each action, bool (T,), from its column."""
+    flat = _flat(rows[key])
+    if flat.type != pa.bool_() or flat.null_count or len(flat) != len(rows):
+        raise InvalidInput(
+            f"`{key}` must have one bool for each of the {len(rows)} timesteps; it has {len(flat) - flat.null_count} "
+            "values, or others than bools.",
+            hint="Record the trajectory again.",
+        )
+    terminated: npt.NDArray[np.bool_] = flat.to_numpy(zero_copy_only=False)
+    return terminated
 
 
 def write_labels(path: Path, labels: npt.NDArray[np.int64]) -> None:
@@ -163,6 +176,12 @@ def corrupt_as_invalid(subject: str) -> Iterator[None]:
         ) from None
 
 
+def _flat(column: pa.ChunkedArray) -> pa.Array:
+    """Returns the numbers of a column, of lists or of numbers, as one array."""
+    joined = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    return joined.flatten() if pa.types.is_nested(joined.type) else joined
+
+
 def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
     """Returns whether a row group may hold rows of a trajectory, by its statistics where it has them."""
     position = parquet.schema.names.index("episode_index")
@@ -173,9 +192,11 @@ def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
 def _numbers(
     trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int, task_index: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Returns every column but the images: actions (T, A), and LeRobot's index columns (T, 1)."""
+    """Returns every column but the images: actions (T, A); terminations, and LeRobot's index columns, (T, 1)."""
     t = np.arange(len(trajectory.actions))
+    terminated = {} if trajectory.terminated is None else {layout.TERMINATED_KEY: trajectory.terminated}
     columns: dict[str, npt.NDArray[Any]] = {
+        **terminated,
         "timestamp": (t / spec.fps).astype(np.float32),
         "frame_index": t,
         "episode_index": np.full_like(t, index),

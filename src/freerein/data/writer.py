@@ -92,7 +92,7 @@ class Writer:
         """Writes one trajectory durably.
 
         Args:
-            trajectory: Matches the spec: every camera, T >= 1 timesteps.
+            trajectory: Matches the spec: every camera, T >= 1 timesteps, `terminated` if the spec has terminations.
             labels: Ground truth for evaluation, int64 (T,), indices into the spec's skills; stored in `truth/`.
 
         Returns:
@@ -160,6 +160,7 @@ def _repaired(root: Path, spec: DatasetSpec) -> pa.Table:
 
 def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
     _check_actions(trajectory.actions, spec)
+    _check_terminations(trajectory.terminated, spec, length=len(trajectory.actions))
     if set(trajectory.frames) != set(spec.cameras):
         raise InvalidInput(
             f"A trajectory must have frames of exactly the cameras {', '.join(sorted(spec.cameras))}; "
@@ -200,6 +201,22 @@ def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
             f"Actions must be finite and in [{low}, {high}]; some are not.",
             field="actions",
             hint="Scale continuous actions by the world's action spec.",
+        )
+
+
+def _check_terminations(terminated: npt.NDArray[np.bool_] | None, spec: DatasetSpec, *, length: int) -> None:
+    if (terminated is not None) != spec.has_terminations:
+        expected, found = ("`terminated`", "none") if spec.has_terminations else ("no `terminated`", "one")
+        raise InvalidInput(
+            f"A trajectory of this dataset must have {expected}, like all others of it; got {found}.",
+            field="terminated",
+            hint="Give it for all trajectories of a dataset made with `has_terminations`, and for none of another.",
+        )
+    if terminated is not None and (terminated.dtype != np.bool_ or terminated.shape != (length,)):
+        raise InvalidInput(
+            f"`terminated` must be bool ({length},), one per action; got {terminated.dtype} {terminated.shape}.",
+            field="terminated",
+            hint="Say for each action whether the episode terminated after it.",
         )
 
 

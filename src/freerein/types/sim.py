@@ -37,7 +37,7 @@ class Task:
     Attributes:
         goal_text: Goal in words; empty for a task without a goal.
         control_dt_s: Time between two actions, in seconds.
-        skills: Skills that the expert can execute.
+        skills: Skills that the expert can execute; empty without an expert.
         max_episode_steps: Steps after which an episode is truncated.
         predicates: What a privileged session can check.
         has_expert: Whether the task has a scripted expert.
@@ -323,16 +323,16 @@ class CheckResponse:
 class Recipe:
     """Skills in order."""
 
-    skills: tuple[str, ...]
+    skills: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class ExpertActionsRequest:
-    """Asks a privileged session for the scripted expert's next actions.
+    """Asks a privileged session for the scripted expert's next actions; to be called once before each step.
 
     Attributes:
-        recipes: Recipe of each environment, read by the first call after its reset; empty for the task's skills in
-            order.
+        recipes: Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty
+            recipe: the one that the world displays, or all of the task's skills in order if it displays none.
     """
 
     session: str

@@ -30,12 +30,14 @@ class Episode:
     Attributes:
         frames: uint8 (T, H, W, C), frame t before action t; (T, 0, 0, 3) without a camera.
         actions: As executed, float32 (T, A) or int64 (T, 1).
+        terminated: bool (T,), whether the episode terminated after action t; not where a time limit ended it.
         rewards: The oracle's, float32 (T,); empty unless the session was privileged.
         success: Whether the goal holds at the end; False unless the session was privileged.
     """
 
     frames: Frames
     actions: Actions
+    terminated: npt.NDArray[np.bool_]
     rewards: npt.NDArray[np.float32]
     success: bool
 
@@ -88,6 +90,7 @@ def _episode(steps: list[tuple[Frames, Actions, StepResponse]], env: int) -> Epi
     return Episode(
         frames=np.stack([frames[env] for frames, _, _ in steps]),
         actions=np.stack([actions[env] for _, actions, _ in steps]),
+        terminated=np.array([reply.terminated[env] for _, _, reply in steps], np.bool_),
         rewards=np.array([truth.reward[env] for truth in truths], np.float32),
         success=bool(truths and truths[-1].success[env]),
     )

@@ -29,6 +29,7 @@ class RolloutBuffer:
         values: float32 (T, N).
         rewards: Those of the environments, float32 (T, N).
         dones: Whether an episode ended, bool (T, N).
+        terminated: Whether it ended in a terminal state, not by a time limit alone, bool (T, N).
         truncated_values: Value of the final observation of a truncated episode, 0 elsewhere, float32 (T, N).
         final_observations: Final observations of the K episodes that ended, by time and environment, (K, ...).
         last_observations: Those after the last timestep, (N, ...).
@@ -43,6 +44,7 @@ class RolloutBuffer:
     values: Tensor
     rewards: Tensor
     dones: Tensor
+    terminated: Tensor
     truncated_values: Tensor
     final_observations: Tensor
     last_observations: Tensor
@@ -139,7 +141,7 @@ def collect(
         actions = outputs.actions.sample(generator)
         step = envs.step(env_actions(actions[0]))
         following, final = step_observations(step, network.spec, num_envs)
-        dones = torch.from_numpy(step.terminated | step.truncated)
+        terminated, dones = torch.tensor(step.terminated), torch.from_numpy(step.terminated | step.truncated)
         recurrent_state = outputs.recurrent_state.cpu()
         row = {
             "observations": observations,
@@ -148,9 +150,8 @@ def collect(
             "log_probs": outputs.actions.log_prob(actions)[0].cpu(),
             "values": outputs.values[0].cpu(),
             "dones": dones,
-            "truncated_values": _truncated_values(
-                network, final, dones, torch.from_numpy(step.truncated & ~step.terminated), recurrent_state
-            ),
+            "terminated": terminated,
+            "truncated_values": _truncated_values(network, final, dones, dones & ~terminated, recurrent_state),
         }
         for name, value in row.items():
             columns[name].append(value)
@@ -168,7 +169,16 @@ def collect(
     return rollout, CollectorState(observations, starts, recurrent_state, generator.get_state(), envs.snapshots())
 
 
-_COLUMNS = ("observations", "episode_starts", "actions", "log_probs", "values", "dones", "truncated_values")
+_COLUMNS = (
+    "observations",
+    "episode_starts",
+    "actions",
+    "log_probs",
+    "values",
+    "dones",
+    "terminated",
+    "truncated_values",
+)
 
 
 def _values(network: ActorCritic, observations: Tensor, starts: Tensor, recurrent_state: Tensor) -> Tensor:

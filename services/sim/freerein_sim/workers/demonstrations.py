@@ -7,10 +7,10 @@ import numpy as np
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera, Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
-from freerein_sim.workers.snapshots import generator
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
-from freerein_sim.worlds.world import World, WorldSpec, sized_cameras, skill_indices
+from freerein_sim.worlds.world import World, WorldSpec, expert_of, no_expert, sized_cameras, skill_indices
 
 _MAX_TRIES = 10
 
@@ -44,7 +44,7 @@ def _act(
         number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
         world.reset(rng, recipe=chosen)
-        policy = world.expert(chosen, rng)
+        policy = expert_of(world)(chosen, rng)
     else:
         world.reset(rng)
         policy = SmoothRandomPolicy(world.spec.action, rng)
@@ -53,7 +53,8 @@ def _act(
 
 def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:
     executed = made.labels[made.labels >= 0]
-    trajectory = Trajectory(made.frames, made.actions, tuple(sorted(spec.skills[i] for i in set(executed.tolist()))))
+    skills = tuple(sorted(spec.skills[i] for i in set(executed.tolist())))
+    trajectory = Trajectory(made.frames, made.actions, skills, terminated=made.terminated)
     if request.privileged and len(executed) == len(made.labels):
         return DemonstrateResponse(request.first, trajectory, made.labels)
     return DemonstrateResponse(request.first, trajectory)
@@ -69,6 +70,8 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
                 hint="Random actions execute no skills: leave them out, or ask for the expert.",
             )
         return ()
+    if not spec.has_expert:
+        raise no_expert()
     skills = request.skills or spec.skills
     if len(set(skill_indices(spec, skills))) != len(skills):
         raise InvalidInput("`skills` must name each skill once; got one twice.", field="skills")

@@ -8,6 +8,7 @@ from uuid import uuid4
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
 from freerein_sim.workers import demonstrations, protocol
+from freerein_sim.workers.checks import check
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.world import TaskDefinition, World
 
@@ -51,20 +52,6 @@ class RequestHandler:
                 response = sim.ListTasksResponse(tuple(task.describe() for task in self._tasks.values()))
             case sim.CreateSessionRequest():
                 response = self._create_session(request)
-            case sim.ResetRequest():
-                response = self._envs(request.session).reset(request.envs, request.seed, cameras=request.cameras)
-            case sim.StepRequest():
-                response = self._envs(request.session).step(request.actions, request.cameras)
-            case sim.RenderRequest():
-                response = self._envs(request.session).render(
-                    request.cameras, height=request.height, width=request.width
-                )
-            case sim.SnapshotRequest():
-                response = sim.SnapshotResponse(self._envs(request.session).snapshot())
-            case sim.RestoreRequest():
-                envs = self._envs(request.session)
-                envs.restore(request.snapshot)
-                response = sim.RestoreResponse(envs.step_id)
             case sim.DemonstrateRequest():
                 if request.task not in self._demonstration_worlds:
                     self._demonstration_worlds[request.task] = self._task(request.task).make()
@@ -73,7 +60,7 @@ class RequestHandler:
                 self._discard(request.session)
                 response = sim.CloseSessionResponse()
             case _:
-                raise TypeError(f"no answer to {type(request).__name__}")
+                response = _answer_in_session(self._envs(getattr(request, "session", "")), request)
         return response
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
@@ -102,6 +89,29 @@ class RequestHandler:
     def _discard(self, session: str) -> None:
         if (envs := self._sessions.pop(session, None)) is not None:
             envs.close()
+
+
+def _answer_in_session(envs: VectorEnv, request: object) -> object:
+    response: object
+    match request:
+        case sim.ResetRequest():
+            response = envs.reset(request.envs, request.seed, cameras=request.cameras)
+        case sim.StepRequest():
+            response = envs.step(request.actions, request.cameras)
+        case sim.RenderRequest():
+            response = envs.render(request.cameras, height=request.height, width=request.width)
+        case sim.SnapshotRequest():
+            response = sim.SnapshotResponse(envs.snapshot())
+        case sim.RestoreRequest():
+            envs.restore(request.snapshot)
+            response = sim.RestoreResponse(envs.step_id)
+        case sim.CheckRequest():
+            response = check(envs.task, request)
+        case sim.ExpertActionsRequest():
+            response = envs.expert_actions(request.recipes)
+        case _:
+            raise TypeError(f"no answer to {type(request).__name__}")
+    return response
 
 
 def serve(connection: socket.socket, handler: RequestHandler) -> None:

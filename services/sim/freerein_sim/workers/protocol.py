@@ -32,6 +32,8 @@ CALLS: tuple[type[Any], ...] = (
     sim.SnapshotRequest,
     sim.RestoreRequest,
     sim.DemonstrateRequest,  # one trajectory: the one at `first`
+    sim.CheckRequest,
+    sim.ExpertActionsRequest,
     sim.CloseSessionRequest,
 )
 """Request of each call."""

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein_sim.worlds import generators
 
 FORMAT = 1
 
 _SHA256_BYTES = 32
 _LENGTH = struct.Struct("<I")
-_ENV = struct.Struct("<II16s16sBI")  # steps, length of the world's part; PCG64: state, inc, has_uint32, uinteger
+_ENV = struct.Struct(f"<II{generators.PACKED_BYTES}s")  # steps, length of the world's part, generator
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,6 @@ class Snapshot:
     fingerprint: str
     step_id: int
     envs: tuple[EnvState, ...]
-
-
-def generator(seed: np.random.SeedSequence) -> np.random.Generator:
-    """Returns a generator of the kind that snapshots can hold."""
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def encode(snapshot: Snapshot) -> bytes:
@@ -85,26 +81,17 @@ def decode(data: bytes) -> Snapshot:
 
 
 def _encode_env(env: EnvState) -> bytes:
-    rng = env.rng.bit_generator.state
-    state, inc = (rng["state"][key].to_bytes(16, "little") for key in ("state", "inc"))
-    return _ENV.pack(env.steps, len(env.world), state, inc, rng["has_uint32"], rng["uinteger"]) + env.world
+    return _ENV.pack(env.steps, len(env.world), generators.pack(env.rng)) + env.world
 
 
 def _decode_envs(data: bytes) -> Iterator[EnvState]:
     at = 0
     while at < len(data):
-        steps, length, state, inc, has_uint32, uinteger = _ENV.unpack_from(data, at)
+        steps, length, rng = _ENV.unpack_from(data, at)
         at += _ENV.size + length
-        if at > len(data) or has_uint32 > 1:
-            raise ValueError("a length or flag out of bounds")
-        bits = np.random.PCG64(0)
-        bits.state = {
-            "bit_generator": "PCG64",
-            "state": {"state": int.from_bytes(state, "little"), "inc": int.from_bytes(inc, "little")},
-            "has_uint32": has_uint32,
-            "uinteger": uinteger,
-        }
-        yield EnvState(steps, np.random.Generator(bits), data[at - length : at])
+        if at > len(data):
+            raise ValueError("a length out of bounds")
+        yield EnvState(steps, generators.unpack(rng), data[at - length : at])
 
 
 def _not_a_snapshot(got: str) -> InvalidInput:

@@ -6,11 +6,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera
-from freerein.types.sim import Frames, RenderResponse, ResetResponse, StepResponse, Truth
+from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
-from freerein_sim.worlds.world import TaskDefinition, check_actions, sized_cameras
+from freerein_sim.worlds import generators
+from freerein_sim.worlds.world import (
+    NO_SKILL,
+    LabelledAction,
+    ScriptedPolicy,
+    TaskDefinition,
+    action_dtype,
+    check_actions,
+    expert_of,
+    sized_cameras,
+    skill_indices,
+)
 
 
 class VectorEnv:
@@ -49,6 +60,7 @@ class VectorEnv:
         self._worlds = [task.make() for _ in range(num_envs)]
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
+        self._experts: dict[int, ScriptedPolicy] = {}  # by environment, of the current episode
         self._is_reset = False
         self._tried_views: set[Camera] = set()
 
@@ -108,9 +120,29 @@ class VectorEnv:
         names = cameras or [camera.name for camera in self.task.spec.cameras]
         return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
 
+    def expert_actions(self, recipes: Sequence[Recipe] = ()) -> ExpertActionsResponse:
+        """Returns the scripted expert's next actions; to be called once before each step.
+
+        The first call after an environment's reset or restore makes its expert, which draws from a jump of the
+        environment's generator: later episodes do not depend on it.
+
+        Args:
+            recipes: Recipe of each environment, read when its expert is made. None, or an empty one, means the recipe
+                that the world displays, or all of the task's skills in order if it displays none.
+        """
+        self._check_reset("ExpertActions")
+        for i, recipe in enumerate(self._recipes(recipes)):
+            if i not in self._experts:
+                self._experts[i] = expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
+        chosen = [self._experts[i].act() for i in range(self.num_envs)]
+        nothing = LabelledAction(np.zeros(self.task.spec.action.size, action_dtype(self.task.spec.action)), NO_SKILL)
+        return ExpertActionsResponse(
+            actions=np.stack([(each or nothing).action for each in chosen]),
+            finished=np.array([each is None for each in chosen]),
+        )
+
     def snapshot(self) -> bytes:
         """Returns the complete state; after `restore` the same actions give the same bits."""
-        self._check_snapshots()
         self._check_reset("Snapshot")
         states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
         envs = tuple(snapshots.EnvState(steps, rng, world.snapshot()) for steps, rng, world in states)
@@ -118,7 +150,6 @@ class VectorEnv:
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot of the same task, build and number of environments."""
-        self._check_snapshots()
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
         if any(env.steps >= self.task.spec.max_episode_steps for env in state.envs):
@@ -127,6 +158,7 @@ class VectorEnv:
         self._rngs = [env.rng for env in state.envs]
         self._steps = np.array([env.steps for env in state.envs], np.int64)
         self.step_id = state.step_id
+        self._experts.clear()
         self._is_reset = True
 
     def close(self) -> None:
@@ -137,6 +169,7 @@ class VectorEnv:
     def _begin(self, env: int) -> None:
         self._worlds[env].reset(self._rngs[env])
         self._steps[env] = 0
+        self._experts.pop(env, None)
 
     def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> Frames:
         frames = {view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views}
@@ -193,15 +226,21 @@ class VectorEnv:
             )
         return envs or range(self.num_envs)
 
+    def _recipes(self, recipes: Sequence[Recipe]) -> Sequence[Recipe]:
+        """Returns a recipe for each environment."""
+        if recipes and len(recipes) != self.num_envs:
+            raise InvalidInput(
+                f"`recipes` must be one for each of the {self.num_envs} environments, or none; got {len(recipes)}.",
+                field="recipes",
+                hint="Leave it empty for the task's own.",
+            )
+        for recipe in recipes:
+            skill_indices(self.task.spec, recipe.skills, field="recipes")
+        return recipes or (Recipe(),) * self.num_envs
+
     def _check_reset(self, call: str) -> None:
         if not self._is_reset:
             raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call Reset first.")
-
-    def _check_snapshots(self) -> None:
-        if not self.task.spec.exact_snapshots:
-            raise Unimplemented(
-                "This task's worlds have no exact snapshots.", hint="Replay seed and actions from the last reset."
-            )
 
     def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
         if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
@@ -218,4 +257,4 @@ class VectorEnv:
 
 
 def _generators(seed: int, num_envs: int) -> list[np.random.Generator]:
-    return [snapshots.generator(child) for child in np.random.SeedSequence(seed).spawn(num_envs)]
+    return [generators.generator(child) for child in np.random.SeedSequence(seed).spawn(num_envs)]

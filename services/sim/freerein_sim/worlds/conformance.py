@@ -18,7 +18,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.episodes import record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
-from freerein_sim.worlds.world import Action, Frame, TaskDefinition, World
+from freerein_sim.worlds.world import Action, Frame, TaskDefinition, World, expert_of
 
 _SEED = 7
 _STEPS = 12
@@ -83,8 +83,6 @@ def resets_to_the_same_start(task: TaskDefinition) -> None:
 
 def restores_bit_for_bit(task: TaskDefinition) -> None:
     """A snapshot continued in another world gives the same states and frames."""
-    if not task.spec.exact_snapshots:
-        return
     with closing(_begin(task)) as world, closing(_begin(task, seed=_SEED + 1)) as other:
         _continued(world)
         snapshot = world.snapshot()
@@ -96,8 +94,6 @@ def restores_bit_for_bit(task: TaskDefinition) -> None:
 
 def refuses_broken_snapshots(task: TaskDefinition) -> None:
     """Invalid snapshots are refused and change nothing."""
-    if not task.spec.exact_snapshots:
-        return
     with closing(_begin(task)) as world:
         snapshot = world.snapshot()
         for broken in (b"", snapshot[:-1], snapshot + b"\0", bytes(len(snapshot)), b"\xff" * len(snapshot)):
@@ -151,17 +147,20 @@ def refuses_unknown_skills(task: TaskDefinition) -> None:
     """Skills that the world does not have are refused."""
     with closing(_begin(task)) as world:
         rng = np.random.default_rng(_SEED)
-        _refuses(partial(world.expert, ("no-such-skill",), rng), "An unknown skill has no expert.")
+        if task.spec.has_expert:
+            _refuses(partial(expert_of(world), ("no-such-skill",), rng), "An unknown skill has no expert.")
         _refuses(partial(world.reset, rng, recipe=("no-such-skill",)), "An unknown skill is in no recipe.")
 
 
 def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
     """The expert executes every skill in order and in time, and the oracle agrees that the goal, if any, holds."""
     spec = task.spec
+    if not spec.has_expert:
+        return
     with closing(task.make()) as world:
         rng = np.random.default_rng(_SEED)
         world.reset(rng, recipe=spec.skills)
-        expert = world.expert(spec.skills, rng)
+        expert = expert_of(world)(spec.skills, rng)
         shown = record_episode(world, expert, cameras=(), max_steps=spec.max_episode_steps)
         _require(shown.success, "The expert succeeds.")
         order = shown.labels[np.flatnonzero(np.diff(shown.labels, prepend=-2))]
@@ -171,12 +170,38 @@ def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
 
 def has_an_expert_that_survives_any_state(task: TaskDefinition) -> None:
     """The expert acts within the spec from a random state, too."""
+    if not task.spec.has_expert:
+        return
     with closing(_begin(task)) as world:
         for _ in _act_randomly(world):
             pass
-        expert = world.expert(task.spec.skills, np.random.default_rng(_SEED))
+        expert = expert_of(world)(task.spec.skills, np.random.default_rng(_SEED))
         record_episode(world, expert, cameras=(), max_steps=5 * _STEPS)
-        _require(world.expert((), np.random.default_rng(_SEED)).act() is None, "Nothing asked, nothing done.")
+
+
+def has_an_expert_of_its_own_recipe(task: TaskDefinition) -> None:
+    """An expert without skills executes what the episode requires."""
+    if not task.spec.has_expert:
+        return
+    with closing(task.make()) as world:
+        rng = np.random.default_rng(_SEED)
+        world.reset(rng)
+        shown = record_episode(world, expert_of(world)((), rng), cameras=(), max_steps=task.spec.max_episode_steps)
+        _require(shown.success, "The expert succeeds at the recipe of the episode.")
+
+
+def judges_its_states(task: TaskDefinition) -> None:
+    """Every predicate has a name of its own, and judges each state given those before it."""
+    names = [predicate.name for predicate in task.predicates]
+    _require(len(set(names)) == len(names), "Predicates have names of their own.")
+    with closing(_begin(task)) as world:
+        states = np.stack([world.truth().state for _ in _act_randomly(world)])[None]
+    for predicate in task.predicates:
+        references = (states[:, ::-1],) if predicate.needs_reference else ()
+        holds = predicate.holds(states, *references)
+        _require(holds.dtype == np.bool_ and holds.shape == states.shape[:2], "A predicate judges each timestep.")
+        shorter = predicate.holds(states[:, :-1], *(each[:, :-1] for each in references))
+        _require(np.array_equal(shorter, holds[:, :-1]), "A predicate does not look ahead.")
 
 
 CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
@@ -193,6 +218,8 @@ CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     refuses_unknown_skills,
     has_an_expert_that_succeeds,
     has_an_expert_that_survives_any_state,
+    has_an_expert_of_its_own_recipe,
+    judges_its_states,
 )
 """All checks, simplest first."""
 

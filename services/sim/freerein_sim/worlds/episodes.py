@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import Camera
-from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
+from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World, action_dtype
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,12 +18,14 @@ class RecordedEpisode:
         frames: By camera, uint8 (T, H, W, C); frame t precedes action t.
         actions: float32 (T, A) in [-1, 1], or int64 (T, 1) for discrete actions.
         labels: int64 (T,), index of the skill at each timestep, -1 for none.
+        terminated: bool (T,), whether the action of each timestep terminated the episode.
         success: Whether the policy succeeded without divergence.
     """
 
     frames: dict[str, npt.NDArray[np.uint8]]
     actions: Action
     labels: npt.NDArray[np.int64]
+    terminated: npt.NDArray[np.bool_]
     success: bool
 
 
@@ -42,6 +44,7 @@ def record_episode(
     frames: dict[Camera, list[Frame]] = {camera: [] for camera in cameras}
     actions: list[Action] = []
     labels: list[int] = []
+    terminated: list[bool] = []
     diverged = False
     while len(actions) < max_steps and (chosen := policy.act()) is not None:
         for camera, seen in frames.items():
@@ -49,16 +52,17 @@ def record_episode(
         actions.append(chosen.action)
         labels.append(chosen.skill)
         result = world.step(chosen.action)
+        terminated.append(result.terminated)
         diverged = result.diverged
         if result.terminated:
             break
-    joined = np.array(actions, np.int64) if action.choices else np.array(actions, np.float32)
     return RecordedEpisode(
         frames={
             camera.name: np.array(seen, np.uint8).reshape(-1, camera.height, camera.width, camera.channels)
             for camera, seen in frames.items()
         },
-        actions=joined.reshape(-1, action.size),
+        actions=np.array(actions, action_dtype(action)).reshape(-1, action.size),
         labels=np.array(labels, np.int64),
+        terminated=np.array(terminated, np.bool_),
         success=policy.succeeded() and not diverged,
     )

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.predicates import AT_LANDMARK, OBJECT_MOVES, Flags, StatePredicate, States
 from freerein_sim.worlds.world import (
     Action,
     Frame,
@@ -161,7 +162,7 @@ class GridWorld:
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> "GridExpert":
         """Returns an expert that walks to each object by a shortest path and picks it up."""
-        return GridExpert(self, skill_indices(SPEC, skills), rng)
+        return GridExpert(self, skill_indices(SPEC, skills) or self._recipe, rng)
 
     def close(self) -> None:
         """Does nothing."""
@@ -194,6 +195,21 @@ class GridExpert:
         return self._world.picked == self._skills
 
 
+def _is_at(states: States, references: States) -> Flags:
+    return np.asarray((states == references).all(axis=-1))
+
+
+def _object_moves(states: States, references: States) -> Flags:
+    first = SPEC.state_names.index("red.row")
+    return ~_is_at(states[..., first:], references[..., first:])
+
+
+def _is_picked(colour: str, states: States) -> Flags:
+    """The object lay on the field in the first state, and does not any more."""
+    row = states[..., SPEC.state_names.index(f"{colour}.row")]  # (N, T)
+    return np.asarray((row[:, :1] != _NOWHERE) & (row == _NOWHERE))
+
+
 def _cell(image: Frame, row: int, column: int) -> Frame:
     """Returns a view of one cell's pixels."""
     return image[row * CELL_PX : (row + 1) * CELL_PX, column * CELL_PX : (column + 1) * CELL_PX]
@@ -222,7 +238,13 @@ def _check_state(
         )
 
 
+PREDICATES = (
+    StatePredicate(AT_LANDMARK, _is_at, needs_reference=True),
+    StatePredicate(OBJECT_MOVES, _object_moves, needs_reference=True),
+    *(StatePredicate(f"completed/pick-{colour}", partial(_is_picked, colour)) for colour in COLOURS),
+)
+
 TASKS = (
-    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True)),
-    TaskDefinition("grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False)),
+    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True), PREDICATES),
+    TaskDefinition("grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False), PREDICATES),
 )

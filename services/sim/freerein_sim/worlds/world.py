@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 import freerein.types.sim
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, Unimplemented
 from freerein.types.common import ActionSpec, Camera, check_name
+from freerein_sim.worlds.predicates import StatePredicate
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (A,) in [-1, 1] for continuous actions, int64 (1,) for discrete ones; (T, A) for T timesteps."""
@@ -29,10 +30,9 @@ class WorldSpec:
         cameras: Cameras with their default frame size; the first is the default camera.
         action: Action spec.
         control_dt_s: Time between two actions, in seconds.
-        skills: Skills that the expert can execute; labels are indices into them.
+        skills: Skills that the expert can execute; labels are indices into them. Empty for a task without an expert.
         max_episode_steps: Steps after which the caller truncates an episode.
         state_names: Name of each number of the true state.
-        exact_snapshots: Whether `snapshot` and `restore` work, bit for bit.
         max_size: Greatest frame height and width, in pixels.
     """
 
@@ -42,8 +42,12 @@ class WorldSpec:
     skills: tuple[str, ...]
     max_episode_steps: int
     state_names: tuple[str, ...]
-    exact_snapshots: bool = True
     max_size: int = 256
+
+    @property
+    def has_expert(self) -> bool:
+        """Whether worlds of this spec have a scripted expert."""
+        return bool(self.skills)
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,26 @@ class ScriptedPolicy(Protocol):
         """Returns whether all skills were executed successfully."""
 
 
-class World(Protocol):
-    """One environment. Not thread-safe; `render` and `close` must be called from the same thread."""
+class MakeExpert(Protocol):
+    """A world's method that makes scripted experts."""
+
+    def __call__(self, skills: Sequence[str], rng: np.random.Generator) -> ScriptedPolicy:
+        """Returns an expert that executes the skills in order, starting from the current state.
+
+        Args:
+            skills: Empty means the recipe that the world displays, or all of the spec's if it displays none.
+            rng: Draws what the expert chooses freely.
+
+        Raises:
+            InvalidInput: Unknown skill.
+        """
+
+
+class UnsavedWorld(Protocol):
+    """One environment that may be unable to save its state; `worlds.replay` makes it a `World`.
+
+    Not thread-safe; `render` and `close` must be called from the same thread.
+    """
 
     @property
     def spec(self) -> WorldSpec:
@@ -124,6 +146,20 @@ class World(Protocol):
             Unimplemented: This machine cannot render.
         """
 
+    def truth(self) -> GroundTruth:
+        """Returns true state and oracle reward."""
+
+    @property
+    def expert(self) -> "MakeExpert | None":
+        """Makes scripted experts; None in a world without."""
+
+    def close(self) -> None:
+        """Frees resources; may be called twice."""
+
+
+class World(UnsavedWorld, Protocol):
+    """One environment that saves and restores its state."""
+
     def snapshot(self) -> bytes:
         """Returns the complete state; after `restore` the same actions give the same bits."""
 
@@ -133,19 +169,6 @@ class World(Protocol):
         Raises:
             InvalidInput: The bytes are not a snapshot of this world; the state is unchanged.
         """
-
-    def truth(self) -> GroundTruth:
-        """Returns true state and oracle reward."""
-
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> ScriptedPolicy:
-        """Returns a scripted expert that executes the skills in order, starting from the current state.
-
-        Raises:
-            InvalidInput: Unknown skill.
-        """
-
-    def close(self) -> None:
-        """Frees resources; may be called twice."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +181,7 @@ class TaskDefinition:
         goal_text: Goal in words; empty for a task without a goal.
         spec: The world's spec, available without building it.
         make: Builds a world; it must be reset before use.
+        predicates: What can be checked on true states.
     """
 
     name: str
@@ -165,6 +189,7 @@ class TaskDefinition:
     goal_text: str
     spec: WorldSpec
     make: Callable[[], World]
+    predicates: tuple[StatePredicate, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")
@@ -181,13 +206,19 @@ class TaskDefinition:
             control_dt_s=self.spec.control_dt_s,
             skills=self.spec.skills,
             max_episode_steps=self.spec.max_episode_steps,
-            snapshots=self.spec.exact_snapshots,
+            predicates=tuple(predicate.describe() for predicate in self.predicates),
+            has_expert=self.spec.has_expert,
         )
+
+
+def action_dtype(spec: ActionSpec) -> np.dtype[Any]:
+    """Returns the dtype of actions: int64 for discrete ones, float32 for continuous ones."""
+    return np.dtype(np.int64 if spec.choices else np.float32)
 
 
 def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
     """Raises InvalidInput where one action, or a batch of shape (*batch, A), does not match the spec."""
-    dtype = np.dtype(np.int64 if spec.choices else np.float32)
+    dtype = action_dtype(spec)
     low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
     shape = (*batch, spec.size)
     if not isinstance(actions, np.ndarray) or actions.dtype != dtype or actions.shape != shape:
@@ -229,11 +260,28 @@ def sized_cameras(spec: WorldSpec, names: Iterable[str], *, height: int, width: 
     return tuple(sized)
 
 
-def skill_indices(spec: WorldSpec, skills: Sequence[str]) -> tuple[int, ...]:
+def expert_of(world: UnsavedWorld) -> MakeExpert:
+    """Returns what makes the world's experts. Raises Unimplemented in a world without."""
+    if world.expert is None or not world.spec.has_expert:
+        raise no_expert()
+    return world.expert
+
+
+def no_expert() -> Unimplemented:
+    """Returns the error for a task without an expert."""
+    return Unimplemented(
+        "The task must have a scripted expert; this one has none.",
+        hint="Choose a task whose `has_expert` is true in ListTasks.",
+    )
+
+
+def skill_indices(spec: WorldSpec, skills: Sequence[str], *, field: str = "skills") -> tuple[int, ...]:
     """Returns the indices of skills in the spec. Raises InvalidInput where one is unknown."""
     missing = sum(skill not in spec.skills for skill in skills)
     if missing:
         raise InvalidInput(
-            f"Expected skills among {', '.join(spec.skills)}; {missing} of {len(skills)} are others.", field="skills"
+            f"Expected skills among {', '.join(spec.skills)}; {missing} of {len(skills)} are others.",
+            field=field,
+            hint="See the task's `skills` in ListTasks.",
         )
     return tuple(spec.skills.index(skill) for skill in skills)

@@ -119,6 +119,7 @@ def _rows(name: str, summary: DatasetSummary) -> list[tuple[str, str]]:
         ("cameras", cameras),
         ("action", action),
         ("skills", ", ".join(f"{skill} ({count})" for skill, count in summary.skill_counts.items()) or "none"),
+        ("terminations", "known" if spec.has_terminations else "unknown"),
         ("untagged", str(summary.untagged)),
         ("true labels", str(summary.labelled)),
         ("size", f"{summary.data_bytes / 1e6:.1f} MB"),

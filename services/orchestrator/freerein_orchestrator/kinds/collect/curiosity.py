@@ -20,7 +20,7 @@ from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
-from freerein.types.sim import CreateSessionRequest, Task
+from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
@@ -44,13 +44,12 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
 
     Raises:
         Stopped: The run is to stop.
-        FailedPrecondition: The dataset holds something else, the task has no snapshots, or three iterations in a row
-            were rejected.
+        FailedPrecondition: The dataset holds something else, or three iterations in a row were rejected.
         ServiceError: The sim service refuses.
     """
     retry, device = context.retry(), choose_device(context.device)
     sims = context.replicas("sim")[: config.num_envs]
-    task = retry.call(lambda: _snapshot_task(find_task(sims[0], config.task)))
+    task = retry.call(lambda: find_task(sims[0], config.task))
     spec = dataset_spec(task, cameras=config.cameras, height=config.height, width=config.width)
     ((camera, frame),) = spec.cameras.items()
     inputs: dict[str, JSON] = {**json.loads(json.dumps(asdict(config))), "sims": len(sims)}
@@ -119,8 +118,9 @@ class TrajectoryRecorder:
 def trajectories(rollout: RolloutBuffer, camera: str) -> list[Trajectory]:
     """Returns a rollout as trajectories within episodes, in order of their last timestep."""
     frames, actions = rollout.observations.numpy(), rollout.executed_actions.numpy()
+    terminated = rollout.terminated.numpy()
     return [
-        Trajectory({camera: frames[start:end, env]}, actions[start:end, env])
+        Trajectory({camera: frames[start:end, env]}, actions[start:end, env], terminated=terminated[start:end, env])
         for end, env, start in episode_slices(rollout)
     ]
 
@@ -132,15 +132,6 @@ def episode_slices(rollout: RolloutBuffer) -> list[tuple[int, int, int]]:
         cuts = [0, *(dones[:-1].nonzero()[:, 0] + 1).tolist(), len(dones)]
         slices += [(end, env, start) for start, end in pairwise(cuts)]
     return sorted(slices)
-
-
-def _snapshot_task(task: Task) -> Task:
-    if not task.snapshots:
-        raise FailedPrecondition(
-            "Curiosity needs a task with snapshots, so that a run can resume; this one has none.",
-            hint="Collect random behaviour.",
-        )
-    return task
 
 
 def _make_icm(config: CollectConfig, policy: ActorCritic) -> ICMRewards:

@@ -99,7 +99,13 @@ class _Recording:
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
         frame = (self._spec.height, self._spec.width, self._spec.channels)
-        spec = DatasetSpec(integer_fps(control_dt_s), {self._spec.camera: frame}, action, self._tasks[0].world)
+        spec = DatasetSpec(
+            fps=integer_fps(control_dt_s),
+            cameras={self._spec.camera: frame},
+            action=action,
+            robot_type=self._tasks[0].world,
+            has_terminations=True,
+        )
         return open_writer(self._root) if self._root.is_dir() else create(self._root, spec)
 
     def record(self, writer: Writer, number: int, each: _Round) -> None:
@@ -115,8 +121,14 @@ class _Recording:
                 hint="Start a new run.",
             )
         for episode in kept[recorded:]:
-            frames = {self._spec.camera: episode.frames}
-            writer.append(Trajectory(frames, episode.actions, goal_text=str(policy.card["goal_text"])))
+            writer.append(
+                Trajectory(
+                    frames={self._spec.camera: episode.frames},
+                    actions=episode.actions,
+                    goal_text=str(policy.card["goal_text"]),
+                    terminated=episode.terminated,
+                )
+            )
         self._finish(each, kept)
 
     def _run(self, each: _Round) -> Sequence[Episode]:

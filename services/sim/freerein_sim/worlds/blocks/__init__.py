@@ -4,11 +4,13 @@
 `blocks.scatter` shows two of the four at random poses: images to train reward models from (dissertation, 4.2).
 """
 
+from collections.abc import Callable
 from functools import partial
 from itertools import permutations
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation
+from freerein_sim.worlds.blocks.predicates import BlockPredicates
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
@@ -60,16 +62,21 @@ def _make(
 def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefinition:
     goal = BlockGoal(first, relation, second)
     spec = _spec((first, second), (first,), _GOAL_STEPS)
-    return TaskDefinition(
-        f"blocks.{goal.name}", "blocks", goal.text, spec, partial(_make, spec, (first, second), "pair", goal=goal)
-    )
+    make = partial(_make, spec, (first, second), "pair", goal=goal)
+    predicates = BlockPredicates(spec).landmarks_and_skills()
+    return TaskDefinition(f"blocks.{goal.name}", "blocks", goal.text, spec, make, predicates)
+
+
+def _free_task(name: str, spec: WorldSpec, make: Callable[[], World]) -> TaskDefinition:
+    predicates = BlockPredicates(spec)
+    return TaskDefinition(name, "blocks", "", spec, make, predicates.landmarks_and_skills() + predicates.relations())
 
 
 _FREE_PLAY = _spec(COLOURS, COLOURS, _DEMONSTRATION_STEPS)
 _SCATTER = _spec(COLOURS, (), _SCATTER_STEPS)
 
 TASKS = (
-    TaskDefinition("blocks", "blocks", "", _FREE_PLAY, partial(_make, _FREE_PLAY, COLOURS, "line")),
-    TaskDefinition("blocks.scatter", "blocks", "", _SCATTER, partial(_make, _SCATTER, COLOURS, "scatter", pad=True)),
+    _free_task("blocks", _FREE_PLAY, partial(_make, _FREE_PLAY, COLOURS, "line")),
+    _free_task("blocks.scatter", _SCATTER, partial(_make, _SCATTER, COLOURS, "scatter", pad=True)),
     *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in BlockRelation),
 )

@@ -134,7 +134,7 @@ class BlocksWorld:
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
         """Returns an expert that picks up each named block and places it elsewhere, or at the goal if there is one."""
         skill_indices(self.spec, skills)
-        return BlocksExpert(self, tuple(skills), self.goal, rng)
+        return BlocksExpert(self, tuple(skills) or self.spec.skills, self.goal, rng)
 
     def close(self) -> None:
         """Frees the OpenGL context, on the thread that rendered."""

@@ -58,7 +58,7 @@ class Task(_message.Message):
 
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Skills that the expert can execute."""
+        """Skills that the expert can execute; empty without an expert."""
 
     @_builtins.property
     def predicates(self) -> _containers.RepeatedCompositeFieldContainer[Global___Predicate]:
@@ -976,7 +976,9 @@ class ExpertActionsRequest(_message.Message):
     """A privileged session."""
     @_builtins.property
     def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
-        """Recipe of each environment, read by the first call after its reset; empty for the task's skills in order."""
+        """Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty recipe: the one
+        that the world displays, or all of the task's skills in order if it displays none.
+        """
 
     def __init__(
         self,

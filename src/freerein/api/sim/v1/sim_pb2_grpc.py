@@ -173,7 +173,7 @@ class SimServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def ExpertActions(self, request, context):
-        """Returns the scripted expert's next actions. Privileged sessions only.
+        """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

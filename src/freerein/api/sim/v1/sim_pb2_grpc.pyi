@@ -56,7 +56,7 @@ class SimServiceStub:
     Check: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]
     """Judges true states by a predicate of the task. Privileged sessions only."""
     ExpertActions: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]
-    """Returns the scripted expert's next actions. Privileged sessions only."""
+    """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
     CloseSession: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]
     """Closes a session."""
 
@@ -88,7 +88,7 @@ class SimServiceAsyncStub(SimServiceStub):
     Check: _aio.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]  # type: ignore[assignment]
     """Judges true states by a predicate of the task. Privileged sessions only."""
     ExpertActions: _aio.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]  # type: ignore[assignment]
-    """Returns the scripted expert's next actions. Privileged sessions only."""
+    """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
     CloseSession: _aio.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]  # type: ignore[assignment]
     """Closes a session."""
 
@@ -183,7 +183,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.ExpertActionsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.ExpertActionsResponse, _abc.Awaitable[_sim_pb2.ExpertActionsResponse]]:
-        """Returns the scripted expert's next actions. Privileged sessions only."""
+        """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
 
     @_abc_1.abstractmethod
     def CloseSession(

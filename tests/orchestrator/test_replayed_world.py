@@ -1,0 +1,117 @@
+"""Runs in a world that cannot save its state, as of another package: the same as in one that can, failures or not."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from freerein.data import Dataset, dataset_path
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+MODULE = """
+from dataclasses import replace
+
+from freerein_sim.worlds import grid
+from freerein_sim.worlds.replay import ReplayedWorld
+
+
+class Unsaved(grid.GridWorld):
+    snapshot = restore = None
+
+
+TASKS = (replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(Unsaved(indicator=True))),)
+"""
+PPO = {
+    "reward": "oracle",
+    "iterations": 3,
+    "num_envs": 2,
+    "num_steps": 20,
+    "epochs": 1,
+    "batch_size": 20,
+    "hidden_size": 8,
+    "feature_size": 8,
+}
+RANDOM = {"dataset": "random", "behaviour": "random", "count": 4}
+CURIOSITY = {"dataset": "curious", "behaviour": "curiosity", "count": 10, "num_envs": 2, "length": 15}
+EVALUATE = {"policy": "random", "episodes": 4, "num_envs": 2, "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A folder with a package that offers the task `replayed`."""
+    folder = tmp_path_factory.mktemp("packages")
+    (folder / "unsaved_world.py").write_text(MODULE)
+    info = folder / "unsaved_world-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: unsaved_world\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[freerein.worlds]\nunsaved_world = unsaved_world:TASKS\n")
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def steady(start_module_service: Callable[..., Any]) -> str:
+    """The address of a sim that is never replaced."""
+    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+
+
+@pytest.fixture
+def expect(new_run: Callable[..., Any], steady: str, tmp_path: Path) -> Callable[..., Any]:
+    """A function that finishes a run in the world `grid`."""
+
+    def finish_run(kind: str, config: dict[str, Any]) -> Any:
+        run = new_run(tmp_path / "expected", kind, {**config, "task": "grid"}, FREEREIN_SIM_ADDRESS=steady)
+        assert run.do()
+        return run
+
+    return finish_run
+
+
+@pytest.fixture
+def finish(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], packages: str, tmp_path: Path
+) -> Callable[..., Any]:
+    """A function that finishes a run in the world `replayed`, whose sim is replaced at the `replaced_at`th call."""
+
+    def finish_run(kind: str, config: dict[str, Any], *, replaced_at: int) -> Any:
+        environ = {"FREEREIN_SIM_WORKERS": "1", "PYTHONPATH": packages}
+        sim, asked = start_service("freerein_sim", **environ), list[None]()
+
+        def replace_the_sim() -> bool:
+            asked.append(None)
+            if len(asked) == replaced_at:
+                sim.process.kill()
+                sim.process.wait()
+                start_service("freerein_sim", FREEREIN_GRPC_PORT=sim.address.rpartition(":")[2], **environ)
+            return False
+
+        run = new_run(tmp_path, kind, {**config, "task": "replayed"}, FREEREIN_SIM_ADDRESS=sim.address)
+        assert run.do(stop=replace_the_sim)
+        assert len(asked) > replaced_at
+        return run
+
+    return finish_run
+
+
+def trajectories(data_dir: Path, dataset: str) -> list[tuple[bytes, bytes]]:
+    found = Dataset(dataset_path(data_dir, dataset))
+    return [(each.frames["top"].tobytes(), each.actions.tobytes()) for each in found]
+
+
+@pytest.mark.parametrize(("config", "replaced_at"), [(RANDOM, 4), (CURIOSITY, 30)], ids=["random", "curiosity"])
+def test_a_dataset_holds_the_same(
+    finish: Callable[..., Any], expect: Callable[..., Any], config: dict[str, Any], replaced_at: int
+) -> None:
+    found = trajectories(finish("collect", config, replaced_at=replaced_at).data_dir, config["dataset"])
+    assert len(found) == config["count"]
+    assert found == trajectories(expect("collect", config).data_dir, config["dataset"])
+
+
+def test_ppo_ends_with_the_same_weights(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
+    found = finish("ppo", PPO, replaced_at=90)
+    assert sum(row["recoveries"] for row in found.rows) > 0
+    assert found.artifact("policy.json")["sha256"] == expect("ppo", PPO).artifact("policy.json")["sha256"]
+
+
+def test_an_evaluation_comes_to_the_same(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
+    assert finish("evaluate", EVALUATE, replaced_at=70).rows == expect("evaluate", EVALUATE).rows

@@ -1,0 +1,100 @@
+"""A grid world whose snapshots are replays."""
+
+import struct
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from freerein.errors import InvalidInput
+from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds import grid
+from freerein_sim.worlds.grid import PICK_UP, GridWorld
+from freerein_sim.worlds.replay import ReplayedWorld
+
+TASK = replace(grid.TASKS[0], make=lambda: ReplayedWorld(GridWorld(indicator=True)))
+DOWN = np.array([1])
+HEADER = struct.Struct("<BHI37s")
+
+
+def begin(seed: int, *recipe: str) -> ReplayedWorld:
+    world = ReplayedWorld(GridWorld(indicator=True))
+    world.reset(np.random.default_rng(seed), recipe=recipe)
+    return world
+
+
+def observe(world: ReplayedWorld) -> tuple[bytes, bytes]:
+    return world.truth().state.tobytes(), world.render("top", height=33, width=30).tobytes()
+
+
+def change(snapshot: bytes, place: int, value: object) -> bytes:
+    """Returns a snapshot with another field of the header."""
+    fields = list(HEADER.unpack_from(snapshot))
+    fields[place] = value
+    return HEADER.pack(*fields) + snapshot[HEADER.size :]
+
+
+def walk_to_the_end(world: ReplayedWorld) -> bytes:
+    """Returns a snapshot with one action after the end of its episode."""
+    expert = world.expert((), np.random.default_rng(0))
+    while (chosen := expert.act()) is not None:
+        world.step(chosen.action)
+    world.step(DOWN)
+    return world.snapshot()
+
+
+def test_a_snapshot_holds_the_recipe_and_the_actions_since_the_reset() -> None:
+    world = begin(0, "pick-blue")
+    for _ in range(3):
+        world.step(DOWN)
+    other = begin(1)
+
+    other.restore(world.snapshot())
+
+    assert observe(other) == observe(world)
+    assert other.snapshot() == world.snapshot()
+    world.reset(np.random.default_rng(2))
+    assert len(world.snapshot()) == HEADER.size
+
+
+@pytest.mark.fault("M10")
+@pytest.mark.parametrize(
+    "forge",
+    [
+        lambda snapshot: change(snapshot, 0, 2),
+        lambda snapshot: change(snapshot, 1, 2),
+        lambda snapshot: change(snapshot, 2, 2),
+        lambda snapshot: change(snapshot, 3, bytes(37)),
+        lambda snapshot: snapshot[: HEADER.size] + b"\xff\0" + snapshot[HEADER.size + 2 :],
+        lambda snapshot: snapshot[:-8] + np.array([PICK_UP + 1], "<i8").tobytes(),
+        lambda snapshot: change(snapshot, 2, 51) + np.ones(48, "<i8").tobytes(),
+        lambda _: walk_to_the_end(begin(5)),
+    ],
+    ids=["version", "recipe", "length", "generator", "skill", "action", "too long", "over"],
+)
+def test_a_forged_snapshot_is_refused_and_changes_nothing(forge: Callable[[bytes], bytes]) -> None:
+    world = begin(0, "pick-red")
+    for _ in range(3):
+        world.step(DOWN)
+    before = observe(world), world.snapshot()
+
+    with pytest.raises(InvalidInput) as caught:
+        world.restore(forge(world.snapshot()))
+
+    assert caught.value.field == "snapshot"
+    assert (observe(world), world.snapshot()) == before
+
+
+def test_clients_see_no_difference() -> None:
+    actions = np.random.default_rng(0).integers(5, size=(120, 3, 1))
+    with closing(VectorEnv(TASK, num_envs=3, seed=1)) as envs, closing(VectorEnv(TASK, num_envs=3, seed=2)) as others:
+        envs.reset()
+        for action in actions[:70]:  # beyond the first episodes
+            envs.step(action)
+        others.restore(envs.snapshot())
+        for action in actions[70:]:
+            ours, theirs = envs.step(action, ("top",)), others.step(action, ("top",))
+            assert ours.frames["top"].tobytes() == theirs.frames["top"].tobytes()
+            assert (ours.terminated | ours.truncated).tolist() == (theirs.terminated | theirs.truncated).tolist()
