@@ -19,7 +19,7 @@ import numpy.typing as npt
 from freerein.jobs.child import die_with_parent
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.world import TaskDefinition, World
+from freerein_sim.worlds.world import TaskDefinition, UnsavedWorld, expert_of
 
 FILES = ("frames", "actions", "lengths", "tags", "labels")
 """frames uint8 (N, H, W, C); actions float32 (N, A) or int64 (N, 1); lengths int64 (n,), with sum N; tags bool (n, K);
@@ -83,15 +83,16 @@ def _demonstrations(part: Part) -> Iterator[dict[str, npt.NDArray[Any]]]:
 
 
 def _demonstration(
-    task: TaskDefinition, world: World, skill_count: int, rng: np.random.Generator
+    task: TaskDefinition, world: UnsavedWorld, skill_count: int, rng: np.random.Generator
 ) -> dict[str, npt.NDArray[Any]]:
     """Returns a successful demonstration of `skill_count` different skills in random order."""
     skills, camera = task.spec.skills, task.spec.cameras[0]
     while True:
         recipe = [skills[index] for index in rng.permutation(len(skills))[:skill_count]]
         world.reset(rng, recipe=recipe)
-        expert = world.expert(recipe, rng)
-        episode = record_episode(world, expert, cameras=(camera,), max_steps=task.spec.max_episode_steps)
+        episode = record_episode(
+            world, expert_of(world)(recipe, rng), cameras=(camera,), max_steps=task.spec.max_episode_steps
+        )
         if episode.success:
             return _arrays(episode, tags=[skill in recipe for skill in skills])
 
