@@ -19,7 +19,7 @@ import numpy.typing as npt
 from freerein.jobs.child import die_with_parent
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.tasks import tasks
-from freerein_sim.worlds.world import TaskDefinition, UnsavedWorld, expert_of
+from freerein_sim.worlds.world import TaskDefinition, World, expert_of
 
 FILES = ("frames", "actions", "lengths", "tags", "labels")
 """frames uint8 (N, H, W, C); actions float32 (N, A) or int64 (N, 1); lengths int64 (n,), with sum N; tags bool (n, K);
@@ -83,7 +83,7 @@ def _demonstrations(part: Part) -> Iterator[dict[str, npt.NDArray[Any]]]:
 
 
 def _demonstration(
-    task: TaskDefinition, world: UnsavedWorld, skill_count: int, rng: np.random.Generator
+    task: TaskDefinition, world: World, skill_count: int, rng: np.random.Generator
 ) -> dict[str, npt.NDArray[Any]]:
     """Returns a successful demonstration of `skill_count` different skills in random order."""
     skills, camera = task.spec.skills, task.spec.cameras[0]
