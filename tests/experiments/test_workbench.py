@@ -101,4 +101,4 @@ def test_the_time_of_an_arm_includes_earlier_attempts(tmp_path: Path) -> None:
 
 def test_a_table_of_two_generators_is_refused() -> None:
     with pytest.raises(FailedPrecondition, match="one world"):
-        registry.load("grid").table([RESULT, replace(RESULT, seed=2, world_hash="cd")])
+        registry.load("grid").table([RESULT, replace(RESULT, name="grid-lse-causal-seed2", world_hash="cd")])
