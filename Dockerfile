@@ -61,7 +61,7 @@ FROM common AS sim
 RUN apt-get update && apt-get install -y --no-install-recommends libegl1 libgl1 \
  && apt-get clean && rm -rf /var/lib/apt/lists/*
 COPY assets.txt ./
-RUN pip install --no-deps -c assets.txt gymnasium-robotics
+RUN pip install --no-deps -c assets.txt gymnasium gymnasium-robotics
 
 FROM common AS cli
 RUN pip install -c constraints.txt '.[cli]' && pip uninstall -y freerein

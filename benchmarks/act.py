@@ -35,7 +35,7 @@ from benchmarks.timing import Call, Effort, Latencies, measure_latencies
 from freerein import wire
 from freerein.clients import Channel, ImitationClient
 from freerein.types.imitation import ActRequest
-from freerein_imitation import model
+from freerein_imitation.methods import METHODS
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
@@ -129,9 +129,10 @@ async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> N
 
 def _torch(scene: Scene) -> Act:
     """Returns the model call as the service's core makes it, with the memory passed on."""
-    policy = model.load(scene.folder, "cpu")
-    frames, goals = scene.frame[None], policy.encode_goals(scene.goal[None])
-    previous, recurrent = policy.spec.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
+    policy = METHODS.load(scene.folder, "cpu")
+    (camera,) = policy.spec.cameras
+    frames, goals = {camera.name: scene.frame[None]}, policy.encode_goals({camera.name: scene.goal[None]})
+    previous, recurrent = policy.spec.action.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
 
     async def act() -> Actions:
         nonlocal recurrent

@@ -28,7 +28,7 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from benchmarks.servers import serve_until_stdin_closes
 from benchmarks.timing import Call
-from freerein_imitation import model
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import Policy, PolicyOutput
 
 STREAM = "/bare.Bare/Stream"
@@ -109,7 +109,7 @@ async def _serve_stream(reply_bytes: str) -> None:
 
 
 async def _serve_policy(folder: str) -> None:
-    policy = model.load(Path(folder), "cpu")
+    policy = METHODS.load(Path(folder), "cpu")
 
     async def step(*arguments: Any) -> PolicyOutput:
         return policy.step(*arguments)
@@ -118,7 +118,7 @@ async def _serve_policy(folder: str) -> None:
 
 
 async def _serve_policy_on_thread(folder: str) -> None:
-    policy = model.load(Path(folder), "cpu")
+    policy = METHODS.load(Path(folder), "cpu")
     with ThreadPoolExecutor(1) as thread:
 
         async def step(*arguments: Any) -> PolicyOutput:
@@ -145,11 +145,12 @@ async def _act(
     context: _Context,
 ) -> None:
     """Answers each message by its number, an action and the memory; the first message is the goal."""
-    shape = (1, policy.spec.height, policy.spec.width, policy.spec.channels)
-    goal = policy.encode_goals(np.frombuffer(await anext(messages), np.uint8).reshape(shape))
-    previous, recurrent = policy.spec.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
+    (camera,) = policy.spec.cameras
+    shape = (1, camera.height, camera.width, camera.channels)
+    goal = policy.encode_goals({camera.name: np.frombuffer(await anext(messages), np.uint8).reshape(shape)})
+    previous, recurrent = policy.spec.action.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
     async for message in messages:
-        frames = np.frombuffer(message, np.uint8, offset=SEQ_BYTES).reshape(shape)
+        frames = {camera.name: np.frombuffer(message, np.uint8, offset=SEQ_BYTES).reshape(shape)}
         answer = await step(frames, goal, previous, recurrent)
         recurrent = answer.recurrent
         await context.write(message[:SEQ_BYTES] + answer.actions.tobytes() + recurrent.tobytes())

@@ -24,7 +24,7 @@ from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_server, run_service
 from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat_function, repeat_together
 from freerein.clients import Channel, ImitationClient
-from freerein_imitation import model
+from freerein_imitation.methods import METHODS
 
 _SIDE_PX = 64
 _WAITING_ROBOTS, _MEASURED_BATCH = 16, 8
@@ -67,9 +67,10 @@ async def _measure_batching(effort: Effort) -> Results:
 
 
 def _model(name: str, scene: Scene, size: int) -> Workload:
-    policy = model.load(scene.folder, "cpu")
-    frames = np.repeat(scene.frame[None], size, axis=0)
-    goals = np.repeat(policy.encode_goals(scene.goal[None]), size, axis=0)
+    policy = METHODS.load(scene.folder, "cpu")
+    (camera,) = policy.spec.cameras
+    frames = {camera.name: np.repeat(scene.frame[None], size, axis=0)}
+    goals = np.repeat(policy.encode_goals({camera.name: scene.goal[None]}), size, axis=0)
     previous = np.zeros((size, policy.spec.action.size), np.float32)
     recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
     call = partial(policy.step, frames, goals, previous, recurrent)

@@ -16,7 +16,7 @@ from freerein.api.imitation.v1 import imitation_pb2
 from freerein.clients import ImitationClient
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedPolicy, GoalConditionedSpec
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec
 
 CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
@@ -90,14 +90,13 @@ def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene
     `width` is the number of image features, and of units of the LSTM.
     """
     frames = np.random.default_rng(0).integers(256, size=(_CALIBRATION_FRAMES, side_px, side_px, 3), dtype=np.uint8)
-    spec = GoalConditionedSpec(
-        camera=_CAMERA, action_size=_ACTION.size, height=side_px, width=side_px, features=width, hidden_size=width
-    )
+    camera = Camera(_CAMERA, side_px, side_px, 3)
+    spec = GoalConditionedSpec(cameras=(camera,), action=_ACTION, features=width, hidden_size=width)
     network = GoalConditionedNetwork(spec)
     initialise(network)
-    network.fit_normalisation(torch.from_numpy(frames))
-    control = ControlSpec(_ACTION, _CONTROL_DT_S, reached_threshold=1.0, max_steps_per_goal=NEVER_STEPS)
-    card = {"kind": GoalConditionedPolicy.kind, **control.to_card()}
+    network.fit_normalisation({_CAMERA: torch.from_numpy(frames)}, generator=torch.Generator())
+    control = ControlSpec(_CONTROL_DT_S, reached_threshold=1.0, max_steps_per_goal=NEVER_STEPS)
+    card = {"method": "goal_conditioned", **control.to_card()}
     ref = publish(network, data_dir, "imitation", name=f"{side_px}px", card=card)
     return Scene(ref, data_dir / "models" / "imitation" / ref.name / ref.version, frames[0], frames[1])
 

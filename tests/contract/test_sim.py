@@ -41,6 +41,7 @@ CASES = [
     ("Check", "0" * 32, {"predicate": "completed/pick-red", "states": STATES}, "session_not_found"),
     ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("pick-red",)),)}, "invalid_input"),
     ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("no-such",)),) * 2}, "invalid_input"),
+    ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("pick-red",) * 257),) * 2}, "invalid_input"),
     ("ExpertActions", UNPRIVILEGED, {}, "failed_precondition"),
     ("ExpertActions", "0" * 32, {}, "session_not_found"),
     ("Step", PRIVILEGED, {"step_id": 5, "actions": ACTIONS}, "step_out_of_order"),

@@ -16,7 +16,7 @@ from freerein.clients import Channel, ImitationClient, SimClient
 from freerein.errors import InvalidInput, Unauthenticated
 from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore
-from freerein.types.common import ActionSpec, Goal, Image
+from freerein.types.common import ActionSpec, Camera, Goal, Image
 from freerein.types.imitation import ControlResponse
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec
@@ -40,11 +40,13 @@ def example() -> Any:
 def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
     """Puts an untrained policy in the store: it moves somehow, and is soon or never content."""
     torch.manual_seed(0)
-    spec = GoalConditionedSpec(camera="front", action_size=3, features=8, hidden_size=8, embedding_size=4)
-    control = ControlSpec(ACTION, 0.04, reached_threshold, 100_000)
+    cameras = (Camera("front", 64, 64, 3),)
+    spec = GoalConditionedSpec(cameras=cameras, action=ACTION, features=8, hidden_size=8, embedding_size=4)
+    control = ControlSpec(0.04, reached_threshold, 100_000)
     network = GoalConditionedNetwork(spec)
-    network.fit_normalisation(torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8))
-    save_model(network, data_dir / "new", card={"kind": "goal_conditioned", **control.to_card()})
+    frames = {"front": torch.randint(0, 256, (16, 64, 64, 3), dtype=torch.uint8)}
+    network.fit_normalisation(frames, generator=torch.Generator())
+    save_model(network, data_dir / "new", card={"method": "goal_conditioned", **control.to_card()})
     store = ModelStore(data_dir / "models" / "imitation")
     store.activate(store.publish("", data_dir / "new"))
 

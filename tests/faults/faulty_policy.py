@@ -19,9 +19,9 @@ from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
-from freerein.types.common import ActionSpec, ModelRef
+from freerein.types.common import ActionSpec, Camera, ModelRef
 from freerein_imitation.__main__ import NAME, build
-from freerein_imitation.model.policy import PolicyOutput, PolicySpec
+from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
 SEEDS = (7, 8)  # of the versions that are published; the first is active
@@ -37,10 +37,7 @@ class FaultyPolicy:
         reached_threshold=0.5,
         max_steps_per_goal=1000,
         goal_form="images",
-        camera="front",
-        height=4,
-        width=4,
-        channels=3,
+        cameras=(Camera("front", 4, 4, 3),),
         horizon=3,
         recurrent_size=5,
     )
@@ -48,16 +45,17 @@ class FaultyPolicy:
     def __init__(self, seed: int, *, sleep: Callable[[float], None] = lambda _seconds: None) -> None:
         self._sleep = sleep
         rng = np.random.default_rng(seed)
-        pixels, size = self.spec.height * self.spec.width * self.spec.channels, self.spec.recurrent_size
+        pixels, size = 4 * 4 * 3, self.spec.recurrent_size
         self._seen = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
         self._wanted = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
         self._done = rng.normal(0, 1, (self.spec.action.size, size)).astype(np.float32)
         self._act = rng.normal(0, 1, (size, self.spec.horizon * self.spec.action.size)).astype(np.float32)
 
-    def encode_goals(self, goals: npt.NDArray[np.uint8]) -> Floats:
-        return (goals.reshape(len(goals), -1) / 255.0).astype(np.float32)
+    def encode_goals(self, goals: CameraFrames) -> Floats:
+        return (goals["front"].reshape(len(goals["front"]), -1) / 255.0).astype(np.float32)
 
-    def step(self, frames: npt.NDArray[np.uint8], goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+    def step(self, images: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+        frames = images["front"]
         faults = frames[:, 0, 0, 0]
         self._sleep(frames[:, 0, 0, 1].max() / 100)
         if RAISES in faults:

@@ -36,3 +36,16 @@ def test_every_benchmark_runs_and_what_is_promised_has_a_bar(tmp_path: Path) -> 
     assert {name.partition(".")[0] for name in summary["ratios"]} == KINDS
     assert all(math.isfinite(ratio["value"]) for ratio in summary["ratios"].values())
     assert {name for name, ratio in summary["ratios"].items() if ratio["bar"] is not None} == PROMISED
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(240)
+def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -> None:
+    out = tmp_path / "summary.json"
+
+    command = [sys.executable, "-m", "benchmarks", "--quick", "--only", "training", "--out", out]
+    subprocess.run(command, cwd=ROOT, check=True)
+
+    ratios = json.loads(out.read_bytes())["ratios"]
+    assert "training.segmentation_33x30x3.glibc_allocator_vs_shipped" in ratios
+    assert all(math.isfinite(ratio["value"]) for ratio in ratios.values())

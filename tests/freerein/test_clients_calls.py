@@ -27,7 +27,7 @@ from freerein.types.common import ModelRef, Timing, Trajectory
 
 SESSION = "0" * 32
 SKILLS = segmentation.ListSkillsRequest()
-TASK = sim.Task("push", "table", "", (), sim.ActionSpec(2, 0, ("x", "y")), 0.1, (), 50, True)
+TASK = sim.Task("push", "table", "", (), sim.ActionSpec(2, 0, ("x", "y")), 0.1, (), 50)
 FIT = learning.Fit(SESSION, "queued", {}, dataset="demos", model_name="default")
 
 

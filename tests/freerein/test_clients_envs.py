@@ -35,7 +35,7 @@ from freerein.types.sim import (
 STEPS = 4
 CAMERAS = (Camera("front", 40, 44, 3), Camera("wrist", 36, 36, 1))
 TASKS = {
-    name: Task(name, "line", "", CAMERAS, action, 0.1, (), STEPS, False)
+    name: Task(name, "line", "", CAMERAS, action, 0.1, (), STEPS)
     for name, action in (
         ("slide", ActionSpec(2, 0, ("along", "stop"))),
         ("hop", ActionSpec(1, 3, ("stay", "go", "stop"))),

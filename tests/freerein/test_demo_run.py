@@ -5,12 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from freerein.cli.demo.language_policies import Student
+from freerein.cli.demo.figures import Student
 from freerein.cli.demo.output_folder import MARKER, prepare
-from freerein.cli.demo.pipeline import isolated_environ, run
+from freerein.cli.demo.pipeline import pipeline
 from freerein.cli.demo.report import Figure, Reporter, Returns, summary, write
+from freerein.cli.demo.results import noun_phrases
+from freerein.cli.demo.run import isolated_environ, run
 from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein_orchestrator.__main__ import resolve
 
 
 def test_services_that_run_are_where_the_environment_says_and_else_on_loopback() -> None:
@@ -97,7 +100,17 @@ def test_the_word_blind_student_is_told_the_better_sentence_everywhere() -> None
         ("right", "left"): Returns((20.0, 30.0)),
         ("right", "right"): Returns((35.0, 25.0)),
     }
-    student = Student(returns, training_s=1.0)
+    student = Student(returns)
     assert student.own_sentence.episodes == (30.0, 40.0, 35.0, 25.0)
     assert student.word_blind.episodes == (30.0, 40.0, 20.0, 30.0)
     assert (student.own_sentence - student.word_blind).mean == 2.5
+
+
+def test_the_pipeline_is_one_that_the_orchestrator_takes(tmp_path: Path) -> None:
+    resolved = resolve("pipeline", pipeline(3), tmp_path)
+    assert [step["name"] for step in resolved.config["steps"]] == [step["name"] for step in pipeline(3)["steps"]]
+
+
+def test_the_noun_phrases_of_a_pair_are_what_its_captions_share() -> None:
+    captions = [f"a red block {words} a blue block" for words in ("to the left of", "on top of", "below")]
+    assert noun_phrases(captions) == ("a red block", "a blue block")

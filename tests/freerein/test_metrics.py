@@ -97,3 +97,21 @@ def test_the_interval_of_a_mean_covers_it_and_shrinks_with_the_sample() -> None:
     assert metrics.mean_interval([2.0] * 5, rng=rng, resamples=10) == (2.0, 2.0)
     with pytest.raises(InvalidInput):
         metrics.mean_interval([], rng=rng)
+
+
+def test_the_interval_of_ratios_surrounds_the_mean_over_classes_and_needs_trials() -> None:
+    rng = np.random.default_rng(0)
+    whole = rng.integers(1, 9, (200, 2))
+    part = rng.binomial(whole, [0.2, 0.6])
+    low, high = metrics.ratio_interval(part, whole, rng=rng)
+    value = (part.sum(axis=0) / whole.sum(axis=0)).mean()
+    assert low < value < high
+    assert high - low == pytest.approx(2 * 1.96 * np.sqrt((0.16 + 0.24) / 900) / 2, rel=0.15)
+    assert metrics.ratio_interval(whole, whole, rng=rng) == (1.0, 1.0)
+    with pytest.raises(InvalidInput):
+        metrics.ratio_interval(np.zeros((0, 1)), np.zeros((0, 1)), rng=rng)
+
+
+def test_a_class_absent_from_a_resample_does_not_count_in_it() -> None:
+    part, whole = np.array([[1, 0], [1, 0], [0, 1]]), np.array([[1, 0], [1, 0], [0, 1]])
+    assert metrics.ratio_interval(part, whole, rng=np.random.default_rng(1)) == (1.0, 1.0)

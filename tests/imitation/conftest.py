@@ -18,8 +18,8 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_imitation import fit
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model import text_encoder
 from freerein_imitation.model.wordpiece import MAX_TOKENS
 
@@ -50,13 +50,14 @@ def robots() -> Any:
 
 @dataclass(frozen=True)
 class Core:
-    """The core of the service around the faulty policy, and its versions, of which the first is active."""
+    """The core of the service around the faulty policy, its versions, of which the first is active, and other cores."""
 
     act: ActService
     control: ControlService
     models: Any
     health: Health
     versions: list[ModelRef]
+    around: Callable[[Any], ControlService]
 
 
 @pytest.fixture
@@ -64,10 +65,15 @@ async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
     versions = policies.publish_policies(tmp_path)
     store = ModelStore(tmp_path / "models" / policies.NAME)
     models: Any = ModelCache(store, lambda folder: policies.load(folder, "cpu"), fit_command="none")
+
+    def around(policy: Any) -> ControlService:
+        cache: Any = ModelCache(store, lambda _folder: policy, fit_command="none")
+        return ControlService(cache, batcher, health=health, drain_s=5.0)
+
     batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=Metrics())
     health = Health()
     control = ControlService(models, batcher, health=health, drain_s=5.0)
-    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions)
+    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions, around)
     batcher.close()
 
 
@@ -78,7 +84,7 @@ def run_fit() -> Callable[..., Path]:
     def run(data_dir: Path, dataset: str, values: dict[str, Any]) -> Path:
         folder = data_dir / "fit"
         folder.mkdir()
-        config = fit.resolve(data_dir, dataset, values, threads=1)
+        config = METHODS.resolve(data_dir, dataset, values, threads=1)
         (folder / "config.json").write_text(json.dumps({"dataset": dataset, "config": config}))
         command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:

@@ -9,10 +9,10 @@ import PIL.Image
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
-from freerein.types.common import Goal, Image, ModelRef, Observation
+from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.learning import ActivateModelRequest
-from freerein_imitation.core.inputs import parse_goal
+from freerein_imitation.core.inputs import parse_frames, parse_goal
 
 
 def encoded(image: Image, format_: str = "PNG", mode: str = "RGB") -> Image:
@@ -140,3 +140,55 @@ async def test_a_recipe_is_of_skills_that_the_model_knows(policies: Any, robots:
     for wrong in (Goal(recipe=recipe), robots.goal(1)):
         with pytest.raises(InvalidInput):
             await parse_goal(spec, wrong)
+
+
+FRONT, WRIST = Camera("front", 4, 4, 3), Camera("wrist", 2, 3, 1)
+
+
+def front(value: int) -> Image:
+    return Image("raw_rgb8", 4, 4, bytes([value] * 48), "front")
+
+
+def wrist(value: int) -> Image:
+    return Image("raw_gray8", 2, 3, bytes([value] * 6), "wrist")
+
+
+@pytest.fixture
+def two_cameras(policies: Any) -> Any:
+    """The spec of a policy with two cameras of different sizes."""
+    return replace(policies.FaultyPolicy.spec, cameras=(FRONT, WRIST))
+
+
+async def test_an_observation_has_an_image_of_each_camera_in_any_order(two_cameras: Any) -> None:
+    for seen in ((front(3), wrist(5)), (wrist(5), front(3))):
+        frames = await parse_frames(two_cameras, Observation(seen))
+        assert [(name, each.shape, int(each.max())) for name, each in frames.items()] == [
+            ("front", (4, 4, 3), 3),
+            ("wrist", (2, 3, 1), 5),
+        ]
+
+
+async def test_a_goal_is_a_run_of_one_image_of_each_camera(two_cameras: Any) -> None:
+    goals = await parse_goal(two_cameras, Goal((front(1), wrist(2), wrist(4), front(3))))
+    seen = [[int(each.max()) for each in goal.content.values()] for goal in goals if isinstance(goal.content, dict)]
+    assert seen == [[1, 2], [3, 4]]
+    again = await parse_goal(two_cameras, Goal((wrist(2), front(1), front(3), wrist(5))))
+    assert [a.digest == b.digest for a, b in zip(goals, again, strict=True)] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("goal", "field", "detail"),
+    [
+        ((front(1),), "goal.images", "2 images, one of each camera: front, wrist, for this model"),
+        ((front(1), wrist(1)) * 257, "goal.images", "got 514"),
+        ((front(1), front(2), wrist(1), wrist(2)), "goal.images.1.camera", "got front again"),
+        ((front(1), wrist(1), front(1), replace(wrist(1), camera="")), "goal.images.3.camera", "one of front, wrist"),
+        ((front(1), replace(front(1), camera="wrist")), "goal.images.1", r"\(2, 3, 1\)"),
+    ],
+)
+async def test_goal_images_of_wrong_cameras_are_refused_by_name(
+    two_cameras: Any, goal: tuple[Image, ...], field: str, detail: str
+) -> None:
+    with pytest.raises(InvalidInput, match=detail) as error:
+        await parse_goal(two_cameras, Goal(goal))
+    assert error.value.field == field

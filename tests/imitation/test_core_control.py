@@ -10,7 +10,7 @@ import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest, ServiceError
 from freerein.serving.methods import InvalidMessage
-from freerein.types.common import ActionSpec, Camera, Observation
+from freerein.types.common import ActionSpec, Camera, Goal, Image, Observation
 from freerein.types.imitation import ControlRequest
 
 LAST_NS = 2**64 - 1
@@ -54,6 +54,19 @@ async def test_a_robot_that_means_something_else_is_refused_with_both_said(
         await open_stream().ask(robots.hello(**change))
     assert said in error.value.detail
     assert error.value.field == "hello"
+
+
+async def test_a_robot_lists_several_cameras_in_any_order(core: Any, robots: Any, policies: Any) -> None:
+    cameras = (*robots.CAMERAS, Camera("wrist", 2, 3, 1))
+    wrist = Image("raw_gray8", 2, 3, bytes(6), "wrist")
+    policy = policies.FaultyPolicy(policies.SEEDS[0])
+    policy.spec = replace(policy.spec, cameras=cameras)
+    stream = robots.Stream(core.around(policy).control)
+    hello = robots.hello(cameras=cameras[::-1], goal=Goal((robots.picture(3), wrist)))
+    assert (await stream.ask(hello)).spec.cameras == cameras
+    assert (await stream.ask(robots.seen(0))).error.field == "observation.images"
+    both = replace(robots.seen(1).observed, observation=Observation((wrist, robots.picture(3))))
+    assert (await stream.ask(ControlRequest(observed=both))).chunk.goal_reached
 
 
 async def test_what_is_meant_alike_is_agreed(open_stream: Any, robots: Any) -> None:

@@ -8,11 +8,11 @@ import numpy.typing as npt
 import pytest
 
 from freerein.errors import OutputNotFinite
-from freerein.types.common import ActionSpec
+from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult, PolicyRunner
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import PolicyOutput, PolicySpec
+from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
 
 Floats = npt.NDArray[np.float32]
 
@@ -27,10 +27,7 @@ class Summing:
             reached_threshold=0.5,
             max_steps_per_goal=3,
             goal_form="recipe",
-            camera="front",
-            height=1,
-            width=1,
-            channels=1,
+            cameras=(Camera("front", 1, 1, 1),),
             horizon=horizon,
             skills=("a", "bb", "ccc"),
             recurrent_size=2,
@@ -42,9 +39,9 @@ class Summing:
         self.encoded.append(list(goals))
         return np.array([[len(goal)] for goal in goals], np.float32)
 
-    def step(self, frames: npt.NDArray[np.uint8], goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
-        self.batches.append(len(frames))
-        bright = frames[:, 0, 0, 0].astype(np.float32)
+    def step(self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+        bright = frames["front"][:, 0, 0, 0].astype(np.float32)
+        self.batches.append(len(bright))
         after = recurrent + np.stack([bright, previous[:, 0]], axis=1)
         after[bright == 255] = np.nan
         reached = (bright == goals[:, 0]).astype(np.float32)
@@ -58,7 +55,7 @@ def item(
         policy=policy,
         version="v",
         goals=tuple(Subgoal(name.encode(), name) for name in names or ("a", "bb")),
-        frame=np.full((1, 1, 1), bright, np.uint8),
+        frames={"front": np.full((1, 1, 1), bright, np.uint8)},
         previous=np.zeros(1, np.float32),
         state=state or PolicyState(np.zeros(2, np.float32)),
         elapsed=elapsed,

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,11 @@ import pytest
 from freerein.data import DatasetSpec, create, dataset_path, labels
 from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput
-from freerein.types.common import ActionSpec, ModelRef, Trajectory
-from freerein_imitation import fit, model
+from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
+from freerein_imitation.methods import METHODS
 
 TINY = {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4}
+LEFT: dict[str, Any] = {"cameras": ["left"]}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
@@ -18,7 +20,7 @@ ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 def data_dir(tmp_path: Path) -> Path:
     """A data directory with a dataset of exploration, seen by two cameras."""
     rng = np.random.default_rng(0)
-    cameras = {"front": (12, 12, 3), "left": (12, 12, 3)}
+    cameras = {"front": (12, 12, 3), "left": (10, 14, 1)}
     spec = DatasetSpec(fps=25, cameras=cameras, action=ACTION, robot_type="test")
     with create(dataset_path(tmp_path, "play"), spec) as writer:
         for _ in range(4):
@@ -28,9 +30,28 @@ def data_dir(tmp_path: Path) -> Path:
 
 
 def test_a_fit_leaves_a_policy_that_knows_what_its_actions_mean(data_dir: Path, run_fit: Any) -> None:
-    policy = model.load(run_fit(data_dir, "play", {"camera": "front", **TINY}), "cpu")
-    assert (policy.spec.goal_form, policy.spec.camera, policy.spec.action) == ("images", "front", ACTION)
+    policy = METHODS.load(run_fit(data_dir, "play", {"cameras": ["front"], **TINY}), "cpu")
+    assert (policy.spec.goal_form, policy.spec.action) == ("images", ACTION)
+    assert policy.spec.cameras == (Camera("front", 12, 12, 3),)
     assert (policy.spec.control_dt_s, policy.spec.max_steps_per_goal) == (0.04, 30)
+
+
+def test_a_policy_learns_from_all_cameras_that_are_asked_for(data_dir: Path, run_fit: Any) -> None:
+    folder = run_fit(data_dir, "play", {"cameras": ["left", "front"], "encoder": "convolutional", **TINY})
+    policy = METHODS.load(folder, "cpu")
+    assert policy.spec.cameras == (Camera("left", 10, 14, 1), Camera("front", 12, 12, 3))
+    frames = {
+        camera.name: np.zeros((2, camera.height, camera.width, camera.channels), np.uint8)
+        for camera in policy.spec.cameras
+    }
+    goals, recurrent = policy.encode_goals(frames), np.zeros((2, policy.spec.recurrent_size), np.float32)
+    before = policy.step(frames, goals, np.zeros((2, 2), np.float32), recurrent)
+    frames["left"] = frames["left"] + np.uint8(200)
+    after = policy.step(frames, goals, np.zeros((2, 2), np.float32), recurrent)
+    assert not np.allclose(before.actions, after.actions)
+    assert not np.allclose(before.reached, after.reached)
+    card = json.loads((folder / "card.json").read_text())
+    assert (card["method"], card["config"]["cameras"]) == ("goal_conditioned", ["left", "front"])
 
 
 def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_dir: Path) -> None:
@@ -40,20 +61,20 @@ def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_
         writer.append(Trajectory({"front": np.zeros((2, 8, 1280, 3), np.uint8)}, np.zeros((2, 2), np.float32)), None)
     labels.save(root, 0, np.zeros(2, np.int64))
     labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
-    for policy in ("goal_conditioned", "skills"):
-        with pytest.raises(InvalidInput, match=r"`width` must be in .4, 1024.; got 1280"):
-            fit.resolve(data_dir, "wide", {"policy": policy}, threads=1)
+    for method in ("goal_conditioned", "skills"):
+        with pytest.raises(InvalidInput, match=r"4 to 1024 pixels high and wide.*; got 8 x 1280 x 3"):
+            METHODS.resolve(data_dir, "wide", {"method": method}, threads=1)
 
 
 def test_a_fit_is_asked_for_precisely(data_dir: Path) -> None:
-    assert fit.resolve(data_dir, "play", {"camera": "left"}, threads=3)["threads"] == 3
-    for wrong in ({}, {"camera": "right"}, {"camera": "left", "policy": "pilot"}, {"camera": "left", "tags": True}):
+    assert METHODS.resolve(data_dir, "play", LEFT, threads=3)["threads"] == 3
+    for wrong in ({}, {"cameras": ["right"]}, LEFT | {"method": "pilot"}, LEFT | {"tags": True}):
         with pytest.raises(InvalidInput):
-            fit.resolve(data_dir, "play", wrong, threads=1)
+            METHODS.resolve(data_dir, "play", wrong, threads=1)
 
 
-@pytest.mark.parametrize("policy", [["skills"], {}, None, 1, "pilot"])
-def test_a_kind_of_policy_that_there_is_not_is_refused_by_name(data_dir: Path, policy: object) -> None:
+@pytest.mark.parametrize("method", [["skills"], {}, None, 1, "pilot"])
+def test_a_method_that_there_is_not_is_refused_by_name(data_dir: Path, method: object) -> None:
     with pytest.raises(InvalidInput) as error:
-        fit.resolve(data_dir, "play", {"camera": "left", "policy": policy}, threads=1)
-    assert error.value.field == "config.policy"
+        METHODS.resolve(data_dir, "play", LEFT | {"method": method}, threads=1)
+    assert error.value.field == "config.method"

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,23 +11,21 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
-from freerein.types.common import ActionSpec
-from freerein_imitation.model.goal_conditioned import GoalConditionedPolicy
-from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec
-from freerein_imitation.training.goal_conditioned import (
-    GoalConditionedConfig,
-    GoalConditionedLearner,
-    reached_threshold,
-)
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork
+from freerein_imitation.model.goal_images import GoalImagesPolicy
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, network_spec, policy_losses
+from freerein_imitation.training.goal_images import GoalImagesLearner, reached_threshold
 from freerein_imitation.training.goal_relabelling import RecognizerBatch, sample_slices
-from freerein_imitation.training.trajectories import TrajectoryDataset, split_trajectories
 
 SIDE = 16
 STEP = 1.0
 CPU = torch.device("cpu")
-SIZES = PolicyNetworkSpec(camera="front", height=SIDE, width=SIDE, channels=1, action_size=2)
+CAMERAS = (Camera("front", SIDE, SIDE, 1),)
+ACTION = ActionSpec(2, 0, ("down", "right"))
 FAST = GoalConditionedConfig(
-    camera="front",
     steps=200,
     batch_size=4,
     lr=1e-2,
@@ -47,7 +46,7 @@ def picture(places: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     return (255 * rows * columns).astype(np.uint8)[..., None]
 
 
-def explore(count: int, *, seed: int, length: int = 40) -> TrajectoryDataset:
+def explore(count: int, *, seed: int, length: int = 40) -> Trajectories:
     """Returns trajectories of a dot that wanders about: an action is how far it moves along each axis."""
     rng = np.random.default_rng(seed)
     frames, actions = [], []
@@ -59,26 +58,38 @@ def explore(count: int, *, seed: int, length: int = 40) -> TrajectoryDataset:
             place = np.clip(place + STEP * action, 0, SIDE - 1)
         frames.append(picture(np.array(places)))
         actions.append(done)
-    return TrajectoryDataset(frames, actions)
+    return Trajectories({"front": frames}, actions)
 
 
-def learner(config: GoalConditionedConfig = FAST) -> GoalConditionedLearner:
-    training, validation = explore(40, seed=0), explore(6, seed=1)
-    return GoalConditionedLearner(config, config.network_spec(SIZES), training, validation, "fingerprint", CPU)
+def learner(
+    config: GoalConditionedConfig = FAST,
+    data: tuple[Trajectories, Trajectories] | None = None,
+    *,
+    cameras: tuple[Camera, ...] = CAMERAS,
+    action: ActionSpec = ACTION,
+) -> GoalImagesLearner[GoalConditionedNetwork]:
+    return GoalImagesLearner(
+        config,
+        partial(GoalConditionedNetwork, network_spec(config, cameras=cameras, action=action)),
+        partial(policy_losses, consistency_weight=config.forward_consistency_weight),
+        *(data or (explore(40, seed=0), explore(6, seed=1))),
+        "fingerprint",
+        CPU,
+    )
 
 
 def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
     fitted = fit(learner(), tmp_path)
     assert fitted is not None
-    threshold = reached_threshold(fitted.network, learner().validation)
-    policy = GoalConditionedPolicy(fitted.network, ControlSpec(ActionSpec(2, 0, ("down", "right")), 0.1, threshold, 30))
+    threshold = reached_threshold(fitted.network.recognizer, learner().validation)
+    policy = GoalImagesPolicy(fitted.network, ControlSpec(0.1, threshold, 30))
     rng = np.random.default_rng(2)
     here, there = rng.uniform(4, 11, (2, 32, 2))
-    goals, before = policy.encode_goals(picture(there)), np.linalg.norm(here - there, axis=1)
+    goals, before = policy.encode_goals({"front": picture(there)}), np.linalg.norm(here - there, axis=1)
     previous, memory = np.zeros((32, 2), np.float32), np.zeros((32, policy.spec.recurrent_size), np.float32)
     reached, distances = [], []
     for _ in range(12):
-        step = policy.step(picture(here), goals, previous, memory)
+        step = policy.step({"front": picture(here)}, goals, previous, memory)
         reached.append(step.reached)
         distances.append(np.linalg.norm(here - there, axis=1))
         previous, memory = step.actions[:, 0], step.recurrent
@@ -92,13 +103,12 @@ def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
 def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_can_be_learned_from() -> None:
     learnt = explore(8, seed=0)
     turns = [(learnt.actions[item][:, :1] > 0).astype(np.int64) for item in range(len(learnt))]
-    discrete = TrajectoryDataset(learnt.frames, turns)
-    for data, choices in ((learnt, 0), (discrete, 2)):
+    discrete = Trajectories(learnt.frames, turns)
+    for data, action in ((learnt, ACTION), (discrete, ActionSpec(1, 2, ("up", "down")))):
         digests = set()
         for weight in (0.0, 1.0, 10.0):
             config = replace(FAST, forward_consistency_weight=weight)
-            spec = config.network_spec(replace(SIZES, action_size=1 if choices else 2, action_choices=choices))
-            whole = GoalConditionedLearner(config, spec, data, data, "fingerprint", CPU)
+            whole = learner(config, (data, data), action=action)
             state = whole.init(torch.Generator().manual_seed(0))
             for _ in range(2):
                 state, figures = whole.update(state, np.arange(8))
@@ -121,9 +131,9 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 def test_a_slice_is_a_stretch_of_one_trajectory_that_ends_in_its_goal() -> None:
     exploration = explore(3, seed=0, length=30)
     clock = np.arange(30, dtype=np.uint8)[:, None, None, None] + np.zeros((4, 4, 1), np.uint8)
-    numbered = TrajectoryDataset([clock, clock + 40, clock + 80], exploration.actions)
+    numbered = Trajectories({"front": [clock, clock + 40, clock + 80]}, exploration.actions)
     slices = sample_slices(numbered, [0, 2, 2] * 6, np.random.default_rng(0), steps=(5, 15), device=CPU)
-    seen = slices.frames[:, 0, 0, 0].long()
+    seen = slices.frames["front"][:, 0, 0, 0].long()
     assert (seen[slices.goals] - seen[slices.starts] == slices.lengths).all()
     assert sorted(set(slices.lengths.tolist())) == list(range(5, 16))
     assert (slices.timesteps[slices.mask] < slices.goals.repeat_interleave(slices.lengths)).all()
@@ -142,7 +152,7 @@ def test_slices_of_a_short_trajectory_are_as_long_as_it_allows() -> None:
 
 
 def test_pairs_are_close_far_or_from_elsewhere_and_those_in_between_count_for_nothing() -> None:
-    batch = RecognizerBatch(torch.zeros(4, 1, 1, 1), torch.tensor([0, 2, 10, 20]), torch.tensor([0, 0, 0, 1]))
+    batch = RecognizerBatch({}, torch.tensor([0, 2, 10, 20]), torch.tensor([0, 0, 0, 1]))
     close, far, elsewhere = batch.pairs(close_steps=2, far_steps=9)
     assert close.int().tolist() == [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]]
     assert far.int().tolist() == [[0, 0, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0]]
@@ -151,21 +161,47 @@ def test_pairs_are_close_far_or_from_elsewhere_and_those_in_between_count_for_no
 
 def test_trajectories_too_short_to_learn_from_are_left_out() -> None:
     long, short = explore(4, seed=0), explore(1, seed=1, length=5)
-    mixed = TrajectoryDataset(
-        [*(long.frames[item] for item in range(4)), short.frames[0]],
+    frames = [*(long.frames["front"][item] for item in range(4)), short.frames["front"][0]]
+    mixed = Trajectories(
+        {"front": frames},
         [*(np.asarray(long.actions[item], np.float32) for item in range(4)), np.asarray(short.actions[0], np.float32)],
     )
-    training, validation = split_trajectories(mixed, fraction=0.25, seed=0, min_length=6)
+    training, validation = mixed.split(fraction=0.25, seed=0, min_length=6)
     assert (len(training), len(validation)) == (3, 1)
     with pytest.raises(InvalidInput, match="at least 2"):
-        split_trajectories(short, fraction=0.25, seed=0, min_length=6)
+        short.split(fraction=0.25, seed=0, min_length=6)
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
-    config = GoalConditionedConfig.from_mapping(
-        {"steps": 20.0, "forward_consistency_weight": 1.0, "policy": "goal_conditioned"}
-    )
-    assert config == GoalConditionedConfig(steps=20, forward_consistency_weight=1.0)
-    for wrong in ({"labels": True}, {"policy": "skills"}, {"min_goal_steps": 16}, {"close_steps": 16}):
+    config = GoalConditionedConfig.from_mapping({"steps": 20.0, "forward_consistency_weight": 1.0, "encoder": "patch"})
+    assert config == GoalConditionedConfig(steps=20, forward_consistency_weight=1.0, encoder="patch")
+    for wrong in ({"labels": True}, {"encoder": "eye"}, {"min_goal_steps": 16}, {"close_steps": 16}):
         with pytest.raises(InvalidInput):
             GoalConditionedConfig.from_mapping(wrong)
+
+
+@pytest.mark.parametrize("encoder", ["spatial", "colour_codebook"])
+def test_two_cameras_of_different_sizes_are_both_learned_from(encoder: str) -> None:
+    """The front camera shows rows alone, and the side camera, which is larger, columns alone."""
+    both, config = explore(8, seed=0), replace(FAST, encoder=encoder, features=30, embedding_size=15, lr=3e-3)
+    front = [each.mean(axis=2, keepdims=True).astype(np.uint8).repeat(SIDE, axis=2) for each in frames_of(both)]
+    side = [
+        np.pad(each.max(axis=1, keepdims=True), ((0, 0), (0, 19), (2, 2), (0, 0)), "edge") for each in frames_of(both)
+    ]
+    cameras = (Camera("front", SIDE, SIDE, 1), Camera("side", 20, 20, 1))
+    data = Trajectories({"front": front, "side": side}, both.actions)
+    made = learner(config, (data, data), cameras=cameras)
+    state = made.init(torch.Generator().manual_seed(0))
+    before = made.evaluate(state)
+    for _ in range(20):
+        state, _ = made.update(state, np.arange(8))
+    assert made.evaluate(state) < before
+    policy = GoalImagesPolicy(state.network, ControlSpec(0.1, 0.9, 30))
+    frames = {"front": front[0][:3], "side": side[0][:3]}
+    for camera, seen in frames.items():
+        other = frames | {camera: 255 - seen}
+        assert not np.allclose(policy.encode_goals(frames), policy.encode_goals(other))
+
+
+def frames_of(trajectories: Trajectories) -> list[npt.NDArray[np.uint8]]:
+    return [trajectories.frames["front"][item] for item in range(len(trajectories))]

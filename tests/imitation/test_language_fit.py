@@ -17,14 +17,13 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
-from freerein_imitation import fit, model
 from freerein_imitation.core import ActService, PolicyRunner
-from freerein_imitation.fit import language
+from freerein_imitation.methods import METHODS, language
 from freerein_imitation.training import minilm
 
 TEXTS = ("open the gripper", "close the gripper")
 ACTION = ActionSpec(1, 0, ("gripper",), "m", (0.02,))
-FAST = {"policy": "language", "steps": 40, "batch_size": 16, "lr": 1e-2, "warmup_steps": 3, "hidden_size": 16}
+FAST = {"method": "language", "steps": 40, "batch_size": 16, "lr": 1e-2, "warmup_steps": 3, "hidden_size": 16}
 
 
 def record(data_dir: Path, name: str, *, texts: tuple[str, ...] = TEXTS) -> None:
@@ -50,7 +49,7 @@ async def act(folder: Path, tmp_path: Path) -> AsyncIterator[ActService]:
     """The core of the service around a copy of the fit's model."""
     store = ModelStore(tmp_path / "models")
     store.activate(store.publish("", shutil.copytree(folder, tmp_path / "copy")))
-    models: Any = ModelCache(store, lambda path: model.load(path, "cpu"), fit_command="none")
+    models: Any = ModelCache(store, lambda path: METHODS.load(path, "cpu"), fit_command="none")
     batcher = Batcher(PolicyRunner().run_batch, queue=4, batch=4, metrics=Metrics())
     yield ActService(models, batcher, timeout_s=10.0)
     batcher.close()
@@ -122,18 +121,20 @@ async def test_a_goal_is_one_sentence_of_a_bounded_length(act: ActService, goal:
 def test_a_dataset_that_does_not_say_what_was_to_be_done_is_refused(tmp_path: Path) -> None:
     record(tmp_path, "untold", texts=("open the gripper", ""))
     with pytest.raises(InvalidInput, match="4 of 8 have none"):
-        fit.resolve(tmp_path, "untold", FAST, threads=1)
+        METHODS.resolve(tmp_path, "untold", FAST, threads=1)
 
 
 def test_without_the_wheel_a_fit_is_refused_before_it_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record(tmp_path, "play")
     monkeypatch.setattr(minilm, "_PACKAGE", "no_such_package")
     with pytest.raises(FailedPrecondition) as error:
-        fit.resolve(tmp_path, "play", FAST, threads=1)
+        METHODS.resolve(tmp_path, "play", FAST, threads=1)
     assert error.value.hint == "pip install --no-deps -r assets.txt"
 
 
 def test_a_goal_is_given_up_after_as_many_steps_as_were_ever_seen_unless_told_otherwise(tmp_path: Path) -> None:
     record(tmp_path, "play")
-    resolved = [fit.resolve(tmp_path, "play", {**FAST, **more}, threads=1) for more in ({}, {"max_steps_per_goal": 7})]
+    resolved = [
+        METHODS.resolve(tmp_path, "play", {**FAST, **more}, threads=1) for more in ({}, {"max_steps_per_goal": 7})
+    ]
     assert [each["max_steps_per_goal"] for each in resolved] == [10, 7]

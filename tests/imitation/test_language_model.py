@@ -10,17 +10,23 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import weights
-from freerein.types.common import ActionSpec
-from freerein_imitation import model
-from freerein_imitation.model import language
-from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
+from freerein.learning import model_files, weights
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.methods import METHODS
+from freerein_imitation.model.language import (
+    TEXT_ENCODER_FILE,
+    LanguageNetwork,
+    LanguageSpec,
+    principal_components,
+    text_encoder_entry,
+)
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.model.wordpiece import MAX_TOKENS, WordPieceTokenizer
 from freerein_imitation.training import minilm
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "all_minilm_l6_v2.json").read_text())
+CAMERAS = (Camera("front", 8, 8, 3),)
 ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.1, 0.1))
 PIECES = ("[UNK]", "[CLS]", "[SEP]", "red", "block", "##s", "left", ".", "日")
 
@@ -80,17 +86,19 @@ def test_one_goal_text_has_no_differences(codes: torch.Tensor) -> None:
 
 
 def network(codes: torch.Tensor, **spec: Any) -> LanguageNetwork:
-    sizes = {"text_size": 32, "height": 8, "width": 8, "features": 8, "hidden_size": 8, "action_size": 2, **spec}
-    made = LanguageNetwork(LanguageSpec(camera="front", text_components=principal_components(codes).shape[1], **sizes))
+    sizes = {"text_size": 32, "features": 8, "hidden_size": 8, **spec}
+    components = principal_components(codes).shape[1]
+    made = LanguageNetwork(LanguageSpec(cameras=CAMERAS, action=ACTION, text_components=components, **sizes))
     generator = torch.Generator().manual_seed(0)
     weights.initialise(made, generator=generator)
-    made.fit_normalisation(torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator), codes)
+    frames = torch.randint(256, (4, 8, 8, 3), dtype=torch.uint8, generator=generator)
+    made.fit_normalisation({"front": frames}, codes, generator=generator)
     return made
 
 
 def test_what_goal_texts_do_not_differ_in_does_not_matter() -> None:
     codes = torch.eye(32)[:3]
-    made, frame = network(codes), torch.zeros(1, 8, 8, 3, dtype=torch.uint8)
+    made, frame = network(codes), {"front": torch.zeros(1, 8, 8, 3, dtype=torch.uint8)}
     first = made(frame, codes[:1])
     torch.testing.assert_close(made(frame, codes[:1] + torch.eye(32)[9:10]), first)
     assert not torch.allclose(made(frame, codes[1:2]), first)
@@ -100,16 +108,18 @@ def test_what_goal_texts_do_not_differ_in_does_not_matter() -> None:
 def folder(text_encoder_file: bytes, tmp_path: Path) -> Path:
     """The folder of an untrained policy."""
     codes = torch.from_numpy(TextEncoder(text_encoder_file)(["red", "left", "red block"]))
-    card = ControlSpec(ACTION, 0.04, 1.0, 9).to_card()
-    language.save(network(codes), text_encoder_file, tmp_path / "model", name="tiny", card={"kind": "language", **card})
+    card = {"method": "language", **ControlSpec(0.04, 1.0, 9).to_card()}
+    card |= text_encoder_entry("tiny", text_encoder_file)
+    model_files.save_model(network(codes), tmp_path / "model", card=card)
+    (tmp_path / "model" / TEXT_ENCODER_FILE).write_bytes(text_encoder_file)
     return tmp_path / "model"
 
 
 def test_a_policy_on_disk_has_its_text_encoder_and_acts_as_it_did(folder: Path, text_encoder_file: bytes) -> None:
-    policy = model.load(folder, "cpu")
+    policy = METHODS.load(folder, "cpu")
     spec = policy.spec
     assert (spec.goal_form, spec.action, spec.max_steps_per_goal, spec.recurrent_size) == ("text", ACTION, 9, 0)
-    frames = np.zeros((2, 8, 8, 3), np.uint8)
+    frames = {"front": np.zeros((2, 8, 8, 3), np.uint8)}
     codes = policy.encode_goals(["red", "left"])
     step = policy.step(frames, codes, np.zeros((2, 2), np.float32), np.zeros((2, 0), np.float32))
     assert (step.actions.shape, step.actions.dtype, step.recurrent.shape) == ((2, 1, 2), np.float32, (2, 0))
@@ -126,9 +136,9 @@ def change_one_bit(path: Path) -> None:
 
 @pytest.mark.parametrize("tamper", [change_one_bit, Path.unlink])
 def test_a_text_encoder_that_is_not_the_card_s_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
-    tamper(folder / "text_encoder.safetensors")
+    tamper(folder / TEXT_ENCODER_FILE)
     with pytest.raises(InvalidInput, match="text encoder whose sha256 its card names"):
-        model.load(folder, "cpu")
+        METHODS.load(folder, "cpu")
 
 
 def test_a_file_that_is_no_text_encoder_is_refused(text_encoder_file: bytes) -> None:

@@ -11,21 +11,20 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
-from freerein_imitation.model.policy import PolicyNetworkSpec
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.training.goal_texts import GoalTextDataset, random_crop, split_by_text
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner
-from freerein_imitation.training.trajectories import TrajectoryDataset
 
 CPU = torch.device("cpu")
-SIZES = PolicyNetworkSpec(camera="front", height=12, width=12, channels=3, action_size=2)
-FAST = LanguageConfig(
-    camera="front", steps=60, batch_size=32, lr=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25
-)
+CAMERAS = (Camera("front", 12, 12, 3),)
+ACTION = ActionSpec(2, 0, ("right", "up"))
+FAST = LanguageConfig(steps=60, batch_size=32, lr=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25)
 TEXTS = ("red left", "left red")  # to the right, and to the left
 
 
-def roll_out(count: int, *, seed: int = 0) -> TrajectoryDataset:
-    """Trajectory i has goal text `TEXTS[i % 2]`: a bright column, moved to the right or to the left."""
+def roll_out(count: int, *, texts: Sequence[str] = TEXTS, seed: int = 0) -> Trajectories:
+    """Trajectory i is of `TEXTS[i % 2]`: a bright column, moved to the right or to the left."""
     rng = np.random.default_rng(seed)
     frames, actions = [], []
     for item in range(count):
@@ -34,16 +33,16 @@ def roll_out(count: int, *, seed: int = 0) -> TrajectoryDataset:
         seen[np.arange(8), :, columns] = 200
         frames.append(seen)
         actions.append(np.stack([np.full(8, 1 - 2 * (item % 2)), columns / 11], axis=1).astype(np.float32))
-    return TrajectoryDataset(frames, actions)
+    return Trajectories({"front": frames}, actions, goal_texts=[texts[item % len(texts)] for item in range(count)])
 
 
 def prepare(text_encoder_file: bytes, *, texts: Sequence[str] = TEXTS, count: int = 12) -> LanguageLearner:
     return LanguageLearner.prepare(
         FAST,
-        SIZES,
-        roll_out(count),
-        [texts[item % len(texts)] for item in range(count)],
+        roll_out(count, texts=texts),
         text_encoder_file,
+        cameras=CAMERAS,
+        action=ACTION,
         fingerprint="fingerprint",
         device=CPU,
     )
@@ -56,8 +55,8 @@ def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: P
     assert untold is not None
     assert told.validation_loss < 0.05 < 0.4 < untold.validation_loss  # the mean of opposites is no use
 
-    frames = torch.from_numpy(learner.validation.trajectories.frames[0])
-    right, left = (torch.from_numpy(learner.training.embeddings[text]).expand(len(frames), -1) for text in TEXTS)
+    frames = {"front": torch.from_numpy(learner.validation.trajectories.frames["front"][0])}
+    right, left = (torch.from_numpy(learner.training.embeddings[text]).expand(8, -1) for text in TEXTS)
     with torch.no_grad():
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()
@@ -73,12 +72,34 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(text_encoder_file: bytes
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
+def test_two_cameras_of_different_sizes_are_both_learned_from(text_encoder_file: bytes) -> None:
+    """The front camera is black in all frames: what the hand must do is seen by the wrist camera alone."""
+    moves = roll_out(12)
+    wrist = [moves.frames["front"][item][:, :8] for item in range(12)]
+    black = [np.zeros((8, 12, 12, 3), np.uint8)] * 12
+    cameras, config = (*CAMERAS, Camera("wrist", 8, 12, 3)), replace(FAST, encoder="convolutional")
+    learner = LanguageLearner.prepare(
+        config,
+        replace(moves, frames={"front": black, "wrist": wrist}),
+        text_encoder_file,
+        cameras=cameras,
+        action=ACTION,
+        fingerprint="fingerprint",
+        device=CPU,
+    )
+    state = learner.init(torch.Generator().manual_seed(0))
+    before = learner.evaluate(state)
+    for _ in range(40):
+        state, _ = learner.update(state, np.arange(learner.size))
+    assert learner.evaluate(state) < before / 4
+
+
 def test_discrete_actions_are_learned_too(text_encoder_file: bytes) -> None:
     moves = roll_out(4)
-    choices = TrajectoryDataset(moves.frames, [(done[:, :1] > 0).astype(np.int64) for done in moves.actions])
-    sizes = replace(SIZES, action_size=1, action_choices=2)
+    choices = replace(moves, actions=[(done[:, :1] > 0).astype(np.int64) for done in moves.actions])
+    action = ActionSpec(1, 2, ("left", "right"))
     learner = LanguageLearner.prepare(
-        FAST, sizes, choices, TEXTS * 2, text_encoder_file, fingerprint="fingerprint", device=CPU
+        FAST, choices, text_encoder_file, cameras=CAMERAS, action=action, fingerprint="fingerprint", device=CPU
     )
     state = learner.init(torch.Generator().manual_seed(0))
     before = learner.evaluate(state)
@@ -93,14 +114,14 @@ def numbered(lengths: Sequence[int], texts: Sequence[str]) -> GoalTextDataset:
     frames = [np.broadcast_to(each[:, None, None, None], (len(each), 4, 4, 1)).astype(np.uint8) for each in numbers]
     actions = [each[:, None].astype(np.float32) for each in numbers]
     codes = {text: np.array([place], np.float32) for place, text in enumerate(sorted(set(texts)))}
-    return GoalTextDataset(TrajectoryDataset(frames, actions), tuple(texts), codes)
+    return GoalTextDataset(Trajectories({"front": frames}, actions, goal_texts=texts), codes)
 
 
 def test_a_batch_has_frame_text_and_action_of_each_timestep() -> None:
     dataset = numbered((3, 1, 4), ("b", "a", "b"))
     assert len(dataset) == 8
     batch = dataset.collate(np.array([7, 0, 3, 2, 4]), device=CPU)
-    assert batch.frames[:, 0, 0, 0].tolist() == batch.actions[:, 0].tolist() == [7, 0, 3, 2, 4]
+    assert batch.frames["front"][:, 0, 0, 0].tolist() == batch.actions[:, 0].tolist() == [7, 0, 3, 2, 4]
     assert batch.texts[:, 0].tolist() == [1, 1, 0, 1, 1]
 
 
@@ -108,7 +129,7 @@ def test_a_batch_has_frame_text_and_action_of_each_timestep() -> None:
 def test_some_of_every_goal_text_is_for_validation(seed: int) -> None:
     texts = ("a",) * 6 + ("b",) * 2 + ("c",)
     training, validation = split_by_text(numbered((2,) * 9, texts), fraction=0.3, seed=seed)
-    assert (validation.texts, training.texts) == (("a", "a", "b"), ("a",) * 4 + ("b", "c"))
+    assert [list(part.trajectories.goal_texts) for part in (validation, training)] == [["a", "a", "b"], [*"aaaabc"]]
     shown = [int(each[0, 0]) for part in (training, validation) for each in part.trajectories.actions]
     assert sorted(shown) == list(range(0, 18, 2))
 

@@ -10,51 +10,59 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from freerein_imitation.model.colour_codebook import ColourCodebook, shift_horizontally
 from torch import nn
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
-from freerein.types.common import ActionSpec
-from freerein_imitation import model
+from freerein.learning.encoders import ColourCodebook
+from freerein.learning.encoders.colour_codebook import MOMENTS, shift_horizontally
+from freerein.learning.inputs import InputSpec
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.goal_conditioned import (
-    GoalConditionedNetwork,
-    GoalConditionedPolicy,
-    GoalConditionedSpec,
-)
-from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec
+from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.model.goal_images import GoalImagesPolicy
+from freerein_imitation.model.policy import CameraFrames, ControlSpec
 from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsSpec
 
-GOALS = GoalConditionedSpec(camera="front", height=24, width=20, action_size=2, features=16, hidden_size=12)
-SKILLS = SkillsSpec(skills=("pick", "push"), camera="front", height=24, width=20, action_size=2, codebook_size=4)
-DISCRETE: dict[str, Any] = {"channels": 1, "action_size": 1, "action_choices": 4}
+INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
+GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)
+SKILLS = SkillsSpec(**INPUTS, skills=("pick", "push"), features=20)
+DISCRETE: dict[str, Any] = {
+    "cameras": (Camera("front", 24, 20, 1),),
+    "action": ActionSpec(1, 4, ("up", "down", "left", "right")),
+}
+TWO: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3), Camera("wrist", 12, 16, 1))}
+CONTROL = ControlSpec(0.04, 0.9, 30)
 
 
-def images(spec: PolicyNetworkSpec, count: int, *, seed: int = 0) -> npt.NDArray[np.uint8]:
-    shape = (count, spec.height, spec.width, spec.channels)
-    return np.random.default_rng(seed).integers(0, 256, shape, np.uint8)
+def images(spec: InputSpec, count: int, *, seed: int = 0) -> dict[str, npt.NDArray[np.uint8]]:
+    rng = np.random.default_rng(seed)
+    return {
+        camera.name: rng.integers(0, 256, (count, camera.height, camera.width, camera.channels), np.uint8)
+        for camera in spec.cameras
+    }
+
+
+def tensors(frames: CameraFrames) -> dict[str, torch.Tensor]:
+    return {camera: torch.from_numpy(each) for camera, each in frames.items()}
 
 
 def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
-    made = GoalConditionedNetwork(spec)
-    weights.initialise(made, generator=torch.Generator().manual_seed(0))
-    made.fit_normalisation(torch.from_numpy(images(spec, 8)))
+    made, generator = GoalConditionedNetwork(spec), torch.Generator().manual_seed(0)
+    weights.initialise(made, generator=generator)
+    made.fit_normalisation(tensors(images(spec, 8)), generator=generator)
     return made
 
 
 def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     made, generator = SkillsNetwork(spec), torch.Generator().manual_seed(0)
     weights.initialise(made, generator=generator)
-    frames = torch.from_numpy(images(spec, 8))
-    made.codebook.fit(frames, generator=generator)
-    made.fit_normalisation(made.codebook(frames), generator=generator)
+    frames = tensors(images(spec, 8))
+    made.encoder.fit_normalisation(frames, generator=generator)
+    with torch.no_grad():
+        made.fit_feature_normalisation(made.encoder(frames), generator=generator)
     return made
-
-
-def control(spec: PolicyNetworkSpec) -> ControlSpec:
-    action = ActionSpec(spec.action_size, spec.action_choices, ("dy", "dz")[: spec.action_size])
-    return ControlSpec(action, 0.04, 0.9, 30)
 
 
 @dataclass(frozen=True)
@@ -65,19 +73,21 @@ class Case:
         spec: Spec of the network.
         make_network: Makes a network of a spec.
         make_policy: Makes a policy of a network and a control spec.
+        method: Name of its method.
         goals: Returns `count` goals, different ones for different seeds.
     """
 
     spec: Any
     make_network: Callable[[Any], nn.Module]
     make_policy: Any
+    method: str
     goals: Callable[[Any, int, int], Any]
 
     def network(self) -> Any:
         return self.make_network(self.spec)
 
     def policy(self) -> Any:
-        return self.make_policy(self.network(), control(self.spec))
+        return self.make_policy(self.network(), CONTROL)
 
 
 def goal_images(spec: Any, count: int, seed: int) -> Any:
@@ -88,11 +98,22 @@ def skill_names(spec: Any, count: int, seed: int) -> Any:
     return [spec.skills[(item + seed) % 2] for item in range(count)]
 
 
+def goal_case(spec: GoalConditionedSpec) -> Case:
+    return Case(spec, goal_network, GoalImagesPolicy, "goal_conditioned", goal_images)
+
+
+def skills_case(spec: SkillsSpec) -> Case:
+    return Case(spec, skills_network, SkillsPolicy, "skills", skill_names)
+
+
 CASES = {
-    "goals": Case(GOALS, goal_network, GoalConditionedPolicy, goal_images),
-    "goals-discrete": Case(replace(GOALS, **DISCRETE), goal_network, GoalConditionedPolicy, goal_images),
-    "skills": Case(SKILLS, skills_network, SkillsPolicy, skill_names),
-    "skills-discrete": Case(replace(SKILLS, **DISCRETE, codebook_size=3), skills_network, SkillsPolicy, skill_names),
+    "goals": goal_case(GOALS),
+    "goals-discrete": goal_case(replace(GOALS, **DISCRETE)),
+    "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional")),
+    "skills": skills_case(SKILLS),
+    "skills-discrete": skills_case(replace(SKILLS, **DISCRETE, features=17)),
+    "skills-spatial": skills_case(replace(SKILLS, encoder="spatial")),
+    "skills-two-cameras": skills_case(replace(SKILLS, **TWO)),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 CONTINUOUS = pytest.mark.parametrize("case", [CASES["goals"], CASES["skills"]], ids=["goals", "skills"])
@@ -101,8 +122,13 @@ CONTINUOUS = pytest.mark.parametrize("case", [CASES["goals"], CASES["skills"]], 
 def inputs(case: Case, policy: Any, count: int) -> list[Any]:
     """Returns frames, goal embeddings, no previous actions and random recurrent states."""
     recurrent = np.random.default_rng(1).standard_normal((count, policy.spec.recurrent_size)).astype(np.float32)
-    previous = np.repeat(policy.spec.no_action()[None], count, axis=0)
+    previous = np.repeat(policy.spec.action.no_action()[None], count, axis=0)
     return [images(case.spec, count, seed=2), policy.encode_goals(case.goals(case.spec, count, 0)), previous, recurrent]
+
+
+def part(arrays: Any, rows: slice) -> Any:
+    """Returns some rows of an array, or of each camera's."""
+    return {camera: each[rows] for camera, each in arrays.items()} if isinstance(arrays, dict) else arrays[rows]
 
 
 @ALL
@@ -111,7 +137,7 @@ def test_a_step_alone_is_the_same_as_in_a_batch(case: Case) -> None:
     arrays = inputs(case, policy, 5)
     together = policy.step(*arrays)
     for one in (slice(i, i + 1) for i in range(5)):
-        alone = policy.step(*(array[one] for array in arrays))
+        alone = policy.step(*(part(array, one) for array in arrays))
         for name in ("actions", "reached", "recurrent"):
             np.testing.assert_allclose(getattr(alone, name), getattr(together, name)[one], atol=1e-5)
 
@@ -119,7 +145,7 @@ def test_a_step_alone_is_the_same_as_in_a_batch(case: Case) -> None:
 @ALL
 def test_outputs_are_what_the_spec_says(case: Case) -> None:
     policy = case.policy()
-    spec, choices = policy.spec, case.spec.action_choices
+    spec, choices = policy.spec, case.spec.action.choices
     output = policy.step(*inputs(case, policy, 3))
     assert output.actions.shape == (3, spec.horizon, spec.action.size)
     assert output.actions.dtype == (np.int64 if choices else np.float32)
@@ -132,8 +158,10 @@ def test_outputs_are_what_the_spec_says(case: Case) -> None:
 @ALL
 def test_read_only_arrays_are_accepted(case: Case) -> None:
     policy = case.policy()
-    arrays = [np.frombuffer(each.tobytes(), each.dtype).reshape(each.shape) for each in inputs(case, policy, 2)]
-    assert np.isfinite(policy.step(*arrays).recurrent).all()
+    frames, *arrays = inputs(case, policy, 2)
+    for array in (*frames.values(), *arrays):
+        array.flags.writeable = False
+    assert np.isfinite(policy.step(frames, *arrays).recurrent).all()
 
 
 @CONTINUOUS
@@ -151,7 +179,7 @@ def test_goal_previous_action_and_recurrent_state_all_count(case: Case) -> None:
 
 def test_the_previous_action_can_be_ignored() -> None:
     spec = replace(GOALS, use_previous_action=False)
-    policy = GoalConditionedPolicy(goal_network(spec), control(spec))
+    policy = GoalImagesPolicy(goal_network(spec), CONTROL)
     frame, goal, previous, recurrent = inputs(CASES["goals"], policy, 1)
     moved = policy.step(frame, goal, previous + 1, recurrent)
     np.testing.assert_array_equal(policy.step(frame, goal, previous, recurrent).actions, moved.actions)
@@ -164,9 +192,9 @@ def test_an_unknown_skill_is_refused() -> None:
 
 @ALL
 def test_a_model_on_disk_acts_as_it_did(case: Case, tmp_path: Path) -> None:
-    network, kind = case.network(), case.make_policy.kind
-    model_files.save_model(network, tmp_path, card={"kind": kind, **control(case.spec).to_card()})
-    before, after = case.make_policy(network, control(case.spec)), model.load(tmp_path, "cpu")
+    network = case.network()
+    model_files.save_model(network, tmp_path, card={"method": case.method, **CONTROL.to_card()})
+    before, after = case.make_policy(network, CONTROL), METHODS.load(tmp_path, "cpu")
     assert type(after) is type(before)
     assert after.spec == before.spec
     outputs = [each.step(*inputs(case, each, 2)) for each in (before, after)]
@@ -174,36 +202,31 @@ def test_a_model_on_disk_acts_as_it_did(case: Case, tmp_path: Path) -> None:
     np.testing.assert_array_equal(outputs[0].reached, outputs[1].reached)
 
 
-OTHER_ACTIONS = ControlSpec(ActionSpec(3, 0, ("x", "y", "z")), 0.04, 0.9, 30).to_card()
-
-
 @pytest.mark.parametrize(
     ("case", "change"),
     [
-        ("goals", {"kind": "pilot"}),
-        ("goals", {"kind": None}),
+        ("goals", {"method": "pilot"}),
+        ("goals", {"method": None}),
         ("goals", {"control": {}}),
-        ("goals", OTHER_ACTIONS),
+        ("goals", {"control": {"control_dt_s": "soon", "reached_threshold": 0.9, "max_steps_per_goal": 30}}),
         ("goals", {"spec": {}}),
-        ("goals", {"spec": {"camera": "front", "channels": 2}}),
+        ("goals", {"spec": {"cameras": [], "action": {"size": 1, "choices": 0, "names": ["x"]}}}),
         ("skills", {"spec": {}}),
-        ("skills", {"spec": {"skills": [], "camera": "front"}}),
-        ("skills", {"spec": {"skills": ["a"], "camera": "", "channels": 2}}),
+        ("skills", {"spec": {"skills": ["a"], "cameras": [{"name": "front"}]}}),
     ],
 )
 def test_a_malformed_card_is_refused(case: str, change: dict[str, object], tmp_path: Path) -> None:
     made = CASES[case]
-    card = {"kind": made.make_policy.kind, **control(made.spec).to_card()}
-    model_files.save_model(made.network(), tmp_path, card=card)
+    model_files.save_model(made.network(), tmp_path, card={"method": made.method, **CONTROL.to_card()})
     path = tmp_path / model_files.MODEL.card
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(InvalidInput):
-        model.load(tmp_path, "cpu")
+        METHODS.load(tmp_path, "cpu")
 
 
 @pytest.mark.parametrize("number", ["control_dt_s", "reached_threshold", "max_steps_per_goal"])
 def test_a_control_spec_out_of_range_is_refused(number: str) -> None:
-    card: Any = control(GOALS).to_card()
+    card: Any = CONTROL.to_card()
     card["control"][number] = -1
     with pytest.raises(InvalidInput):
         ControlSpec.from_card(card)
@@ -243,27 +266,28 @@ RED, BLUE = (220, 30, 30), (30, 30, 220)
 @pytest.fixture
 def codebook() -> ColourCodebook:
     """A codebook of red and blue."""
-    made = ColourCodebook(height=21, width=41, channels=3, size=2)
+    made = ColourCodebook(height=21, width=41, channels=3, features=2 * MOMENTS)
     frames = [picture((4, 3 * i + 2, RED), (15, 38 - 3 * i, BLUE)) for i in range(12)]
-    made.fit(torch.cat(frames), generator=torch.Generator().manual_seed(0))
+    made.fit_normalisation(torch.cat(frames), generator=torch.Generator().manual_seed(0))
     return made
 
 
 def test_a_codebook_finds_foreground_colours_and_their_positions(codebook: ColourCodebook) -> None:
     assert {tuple(colour) for colour in codebook.colours.round().int().tolist()} == {RED, BLUE}
     red = int(codebook.colours[:, 0].argmax())
-    moments = codebook(picture((5, 30, RED)))[0]
+    moments = codebook(picture((5, 30, RED)))[0].view(2, MOMENTS)
     expected = np.array([30 / 20 - 1, 5 / 10 - 1]) * 9 / 9.5  # shrunk to the centre by half a pixel in nine
     np.testing.assert_allclose(moments[red, 1:3], expected, atol=1e-3)
     np.testing.assert_allclose(moments[1 - red], 0, atol=1e-3)
 
 
 def test_shifted_moments_are_those_of_a_shifted_frame(codebook: ColourCodebook) -> None:
-    here, there = codebook(picture((5, 12, RED), (9, 20, BLUE))), codebook(picture((5, 18, RED), (9, 26, BLUE)))
+    pictures = picture((5, 12, RED), (9, 20, BLUE)), picture((5, 18, RED), (9, 26, BLUE))
+    here, there = (codebook(each).view(1, 2, MOMENTS) for each in pictures)
     np.testing.assert_allclose(shift_horizontally(here, torch.tensor([6 / 20])), there, atol=2e-3)
 
 
 def test_a_codebook_of_frames_without_foreground_is_no_error() -> None:
-    made = ColourCodebook(height=21, width=41, channels=3, size=4)
-    made.fit(torch.cat([picture()] * 3), generator=torch.Generator().manual_seed(0))
-    assert torch.equal(made(picture()), torch.zeros(1, 4, 5))
+    made = ColourCodebook(height=21, width=41, channels=3, features=4 * MOMENTS)
+    made.fit_normalisation(torch.cat([picture()] * 3), generator=torch.Generator().manual_seed(0))
+    assert torch.equal(made(picture()), torch.zeros(1, 4 * MOMENTS))

@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
 from freerein_imitation.model.goal_conditioned import GoalConditionedSpec
 from freerein_imitation.model.skills import SkillsSpec
 
+INPUTS: dict[str, Any] = {"cameras": (Camera("front", 64, 64, 3),), "action": ActionSpec(1, 0, ("x",))}
 VERSION, OTHER = "0123456789ab", "ba9876543210"
 GOAL = bytes(range(16))
 MAX_STATE_BYTES = 64 * 1024
@@ -33,8 +35,8 @@ def test_a_state_survives_its_encoding() -> None:
 @pytest.mark.parametrize(
     ("spec", "units"),
     [
-        (GoalConditionedSpec(camera="front"), "hidden_size"),
-        (SkillsSpec(skills=("pick",), camera="front"), "recurrent_size"),
+        (GoalConditionedSpec(**INPUTS), "hidden_size"),
+        (SkillsSpec(**INPUTS, skills=("pick",)), "recurrent_size"),
     ],
 )
 def test_a_policy_whose_state_would_be_longer_than_64_kib_cannot_be_made(spec: Any, units: str) -> None:

@@ -9,10 +9,10 @@ from freerein.data import DatasetSpec, create, dataset_path, labels
 from freerein.data.labels import LabelsInfo
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
-from freerein_imitation import fit, model
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model.skills import SkillsPolicy
 
-ASKED = {"policy": "skills", "steps": 2, "batch_size": 2, "codebook_size": 2, "hidden_size": 8, "recurrent_size": 8}
+ASKED = {"method": "skills", "steps": 2, "batch_size": 2, "features": 10, "hidden_size": 8, "recurrent_size": 8}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
@@ -39,18 +39,18 @@ def label(data_dir: Path) -> None:
 
 def test_demonstrations_must_be_labelled_before_skills_are_learned(data_dir: Path) -> None:
     with pytest.raises(FailedPrecondition, match="skill for every timestep"):
-        fit.resolve(data_dir, "demos", ASKED, threads=1)
+        METHODS.resolve(data_dir, "demos", ASKED, threads=1)
     label(data_dir)
-    config = fit.resolve(data_dir, "demos", ASKED, threads=3)
-    assert (config["policy"], config["camera"], config["threads"]) == ("skills", "front", 3)
+    config = METHODS.resolve(data_dir, "demos", ASKED, threads=3)
+    assert (config["method"], config["cameras"], config["threads"]) == ("skills", ("front",), 3)
     with pytest.raises(InvalidInput):
-        fit.resolve(data_dir, "demos", {**ASKED, "truth": True}, threads=1)
+        METHODS.resolve(data_dir, "demos", {**ASKED, "truth": True}, threads=1)
 
 
 def test_a_fit_leaves_skills_that_tell_whose_labels_they_are_from(data_dir: Path, run_fit: Any) -> None:
     label(data_dir)
     folder = run_fit(data_dir, "demos", ASKED)
-    policy = model.load(folder, "cpu")
+    policy = METHODS.load(folder, "cpu")
     assert isinstance(policy, SkillsPolicy)
     assert (policy.spec.skills, policy.spec.action, policy.spec.max_steps_per_goal) == (("pick", "push"), ACTION, 18)
     card = json.loads((folder / "card.json").read_text())

@@ -9,8 +9,9 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
-from freerein.types.common import ActionSpec
-from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skills import SkillsPolicy
 from freerein_imitation.training.skill_segments import (
     SegmentDataset,
@@ -19,22 +20,22 @@ from freerein_imitation.training.skill_segments import (
     find_segments,
     split_segments,
 )
-from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner
-from freerein_imitation.training.trajectories import TrajectoryDataset
+from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
 
 SKILLS = ("to-red", "to-blue")
+MORE_SKILLS = ("wave", *SKILLS, "jump")
 SIDE, STEP = 24, 2.0
 HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
 CPU = torch.device("cpu")
-SIZES = PolicyNetworkSpec(camera="front", height=8, width=SIDE, channels=3)
+CAMERAS = (Camera("front", 8, SIDE, 3),)
+ACTION = ActionSpec(1, 0, ("right",))
 FAST = SkillsConfig(
-    camera="front",
     steps=250,
     batch_size=8,
     lr=5e-3,
     min_segment_steps=2,
     start_jitter=1,
-    codebook_size=3,
+    features=15,
     hidden_size=32,
     recurrent_size=16,
     evaluate_every=125,
@@ -55,7 +56,7 @@ def towards(hand: float, goal: float) -> float:
     return float(np.clip((goal - hand) / STEP, -1, 1))
 
 
-def demonstrate(count: int, *, seed: int) -> tuple[TrajectoryDataset, list[npt.NDArray[np.int64]]]:
+def demonstrate(count: int, *, seed: int) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:
     """Returns trajectories in which a hand goes above one block and then above the other, and which skill that is."""
     rng = np.random.default_rng(seed)
     frames, actions, labels = [], [], []
@@ -75,33 +76,76 @@ def demonstrate(count: int, *, seed: int) -> tuple[TrajectoryDataset, list[npt.N
         frames.append(np.array(seen))
         actions.append(np.array(done, np.float32))
         labels.append(np.array(told, np.int64))
-    return TrajectoryDataset(frames, actions), labels
+    return Trajectories({"front": frames}, actions), labels
+
+
+def prepare(
+    demonstrations: Trajectories,
+    labels: list[npt.NDArray[np.int64]],
+    *,
+    config: SkillsConfig = FAST,
+    cameras: tuple[Camera, ...] = CAMERAS,
+    action: ActionSpec = ACTION,
+    skills: tuple[str, ...] = SKILLS,
+) -> SkillsLearner:
+    spec = network_spec(config, cameras=cameras, action=action, skills=skills)
+    return SkillsLearner.prepare(config, spec, demonstrations, labels, fingerprint="fingerprint", device=CPU)
 
 
 def learner(config: SkillsConfig = FAST) -> SkillsLearner:
     demonstrations, labels = demonstrate(60, seed=0)
-    return SkillsLearner.prepare(
-        config, SIZES, demonstrations, labels, skills=SKILLS, fingerprint="fingerprint", device=CPU
-    )
+    return prepare(demonstrations, labels, config=config)
 
 
 def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
     cloned = learner()
     fitted = fit(cloned, tmp_path)
     assert fitted is not None
-    handshake = ControlSpec(ActionSpec(1, 0, ("right",)), 0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill)
-    policy = SkillsPolicy(fitted.network, handshake)
+    policy = SkillsPolicy(fitted.network, ControlSpec(0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill))
     hand, red, blue = 20.0, 5.0, 17.0
     previous = np.zeros((1, 1), np.float32)
     for skill, goal in (("to-red", red), ("to-blue", blue), ("to-red", red)):
         recurrent, steps, ended = np.zeros((1, policy.spec.recurrent_size), np.float32), 0, False
         while not ended and steps < policy.spec.max_steps_per_goal:
-            step = policy.step(picture(hand, red, blue)[None], policy.encode_goals([skill]), previous, recurrent)
+            seen = {"front": picture(hand, red, blue)[None]}
+            step = policy.step(seen, policy.encode_goals([skill]), previous, recurrent)
             previous, recurrent = step.actions[:, 0], step.recurrent
             ended = step.reached[0] >= policy.spec.reached_threshold
             hand, steps = hand + STEP * float(previous[0, 0]) * (not ended), steps + 1
         assert ended
         assert abs(hand - goal) < 1.5
+
+
+@pytest.mark.parametrize("encoder", ["spatial", "convolutional"])
+def test_skills_are_learned_by_an_encoder_that_is_trained_with_them(encoder: str, tmp_path: Path) -> None:
+    demonstrations, labels = demonstrate(12, seed=0)
+    config = replace(FAST, encoder=encoder, features=16, steps=60, lr=3e-3, evaluate_every=60)
+    cloned = prepare(demonstrations, labels, config=config)
+    before = cloned.init(torch.Generator().manual_seed(0))
+    fitted = fit(cloned, tmp_path)
+    assert fitted is not None
+    assert fitted.network.attention is None
+    assert fitted.validation_loss < 0.8 * cloned.evaluate(before)
+    assert not torch.equal(*(next(each.encoder.parameters()) for each in (fitted.network, before.network)))
+
+
+@pytest.mark.parametrize("encoder", ["colour_codebook", "spatial"])
+def test_two_cameras_of_different_sizes_are_both_learned_from(encoder: str) -> None:
+    demonstrations, labels = demonstrate(6, seed=0)
+    front = [demonstrations.frames["front"][item] for item in range(6)]
+    wrist = [each[:, ::2, :16, :1] for each in front]
+    cameras = (*CAMERAS, Camera("wrist", 4, 16, 1))
+    both = Trajectories({"front": front, "wrist": wrist}, demonstrations.actions)
+    cloned = prepare(both, labels, config=replace(FAST, encoder=encoder, features=17), cameras=cameras)
+    state, figures = cloned.update(cloned.init(torch.Generator().manual_seed(0)), np.arange(4))
+    assert np.isfinite(list(figures.values())).all()
+    assert np.isfinite(cloned.evaluate(state))
+    policy = SkillsPolicy(state.network, ControlSpec(0.1, 0.5, 30))
+    previous, recurrent = np.zeros((2, 1), np.float32), np.zeros((2, policy.spec.recurrent_size), np.float32)
+    frames, goals = {"front": front[0][:2], "wrist": wrist[0][:2]}, policy.encode_goals(["to-red", "to-blue"])
+    for camera, seen in frames.items():
+        steps = [policy.step(each, goals, previous, recurrent) for each in (frames, frames | {camera: 255 - seen})]
+        assert not np.allclose(steps[0].actions, steps[1].actions)
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
@@ -125,15 +169,17 @@ def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
 
 def segments(*items: SkillSegment) -> SegmentDataset:
     """Returns segments of one trajectory of 6 timesteps in which action t is t / 10."""
-    moments = torch.arange(6.0)[:, None, None].expand(6, 2, 5)
-    return SegmentDataset(items, [moments], [np.arange(6, dtype=np.float32)[:, None] / 10])
+    actions = np.arange(6, dtype=np.float32)[:, None] / 10
+    frames = np.arange(6, dtype=np.uint8)[:, None, None, None]
+    return SegmentDataset(items, Trajectories({"front": [frames]}, [actions]), {0: torch.arange(6.0)[:, None]})
 
 
 def test_a_segment_is_followed_by_timesteps_that_only_the_end_head_learns_from() -> None:
     some = segments(SkillSegment(0, 1, 4, 1), SkillSegment(0, 4, 6, 0))
     batch = collate(some, some.segments, [2, 4], steps_after=1, device=CPU)
     assert batch.skills.tolist() == [1, 0]
-    assert batch.moments[:, :, 0, 0].tolist() == [[2, 3, 4], [4, 5, 0]]
+    assert isinstance(batch.images, torch.Tensor)
+    assert (batch.images[:, 0].tolist(), batch.lengths) == ([2, 3, 4, 4, 5], [3, 2])
     assert batch.previous[0, :, 0].tolist() == pytest.approx([0.1, 0.2, 0.3])
     assert batch.actions[0, :, 0].tolist() == pytest.approx([0.2, 0.3, 0.4])
     assert batch.inside.tolist() == [[True, True, False], [True, True, False]]
@@ -143,13 +189,14 @@ def test_a_segment_is_followed_by_timesteps_that_only_the_end_head_learns_from()
 def test_before_the_first_timestep_nothing_was_executed() -> None:
     some = segments(SkillSegment(0, 0, 3, 0))
     assert collate(some, some.segments, [0], steps_after=0, device=CPU).previous[0, 0].tolist() == [0]
-    discrete = SegmentDataset(some.segments, some.moments, [np.arange(6)[:, None]])
+    chosen = Trajectories(some.trajectories.frames, [np.arange(6)[:, None]])
+    discrete = SegmentDataset(some.segments, chosen, some.features)
     assert collate(discrete, some.segments, [0], steps_after=0, device=CPU).previous[0, :, 0].tolist() == [-1, 0, 1]
 
 
 def test_whole_trajectories_are_for_validation() -> None:
     demonstrations, labels = demonstrate(20, seed=0)
-    found = SegmentDataset(find_segments(labels, min_steps=1), [torch.zeros(1)] * 20, demonstrations.actions)
+    found = SegmentDataset(find_segments(labels, min_steps=1), demonstrations)
     training, validation = split_segments(found, fraction=0.2, seed=0)
     parts = [{item.trajectory for item in part.segments} for part in (training, validation)]
     assert (len(parts[0]), len(parts[1]), parts[0] & parts[1]) == (16, 4, set())
@@ -161,9 +208,12 @@ def test_whole_trajectories_are_for_validation() -> None:
 def test_only_skills_that_were_learned_are_offered(seed: int) -> None:
     demonstrations, labels = demonstrate(6, seed=0)
     told = [each + 1 for each in labels]  # "wave" is never shown
-    held_out = set(range(6)) - {item.trajectory for item in prepare(demonstrations, told, seed=seed).training.segments}
+    held_out = set(range(6)) - {
+        item.trajectory
+        for item in prepare(demonstrations, told, config=replace(FAST, seed=seed), skills=MORE_SKILLS).training.segments
+    }
     told[held_out.pop()][:6] = 3  # "jump" is shown once, by the trajectory that is held out
-    cloned = prepare(demonstrations, told, seed=seed)
+    cloned = prepare(demonstrations, told, config=replace(FAST, seed=seed), skills=MORE_SKILLS)
     assert cloned.spec.skills == SKILLS
     for part in (cloned.training, cloned.validation):
         assert part.segments
@@ -174,28 +224,13 @@ def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by
     demonstrations, _ = demonstrate(2, seed=0)
     told = [np.full(len(done), skill) for skill, done in enumerate(demonstrations.actions)]
     with pytest.raises(InvalidInput, match="must show a skill"):
-        prepare(demonstrations, told, seed=0)
-
-
-def prepare(demonstrations: TrajectoryDataset, labels: list[npt.NDArray[np.int64]], *, seed: int) -> SkillsLearner:
-    return SkillsLearner.prepare(
-        replace(FAST, seed=seed),
-        SIZES,
-        demonstrations,
-        labels,
-        skills=("wave", *SKILLS, "jump"),
-        fingerprint="fingerprint",
-        device=CPU,
-    )
+        prepare(demonstrations, told, skills=MORE_SKILLS)
 
 
 def test_discrete_actions_are_learned_too() -> None:
     demonstrations, labels = demonstrate(6, seed=0)
-    moves = TrajectoryDataset(
-        demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions]
-    )
-    sizes = replace(SIZES, action_choices=3)
-    discrete = SkillsLearner.prepare(FAST, sizes, moves, labels, skills=SKILLS, fingerprint="fingerprint", device=CPU)
+    moves = Trajectories(demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions])
+    discrete = prepare(moves, labels, action=ActionSpec(1, 3, ("left", "hold", "right")))
     state, figures = discrete.update(discrete.init(torch.Generator().manual_seed(0)), np.arange(4))
     assert state.step == 1
     assert np.isfinite(list(figures.values())).all()
@@ -203,7 +238,7 @@ def test_discrete_actions_are_learned_too() -> None:
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
-    assert SkillsConfig.from_mapping({"steps": 20.0, "policy": "skills"}) == SkillsConfig(steps=20)
-    for wrong in ({"labels": True}, {"steps": 0}, {"policy": "goal_conditioned"}, {"random_start_fraction": 1.5}):
+    assert SkillsConfig.from_mapping({"steps": 20.0, "encoder": "spatial"}) == SkillsConfig(steps=20, encoder="spatial")
+    for wrong in ({"labels": True}, {"steps": 0}, {"encoder": "eye"}, {"random_start_fraction": 1.5}):
         with pytest.raises(InvalidInput):
             SkillsConfig.from_mapping(wrong)

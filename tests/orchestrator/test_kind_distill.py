@@ -118,7 +118,7 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
                 refused()
         assert not (run.folder / "rollouts").exists()
     with pytest.raises(InvalidInput, match="student must have"):
-        distillation(config={"camera": "front"}).check()
+        distillation(config={"cameras": ["front"]}).check()
 
 
 def test_a_name_that_a_dataset_has_already_is_refused(distillation: Callable[..., Any], data_dir: Path) -> None:
@@ -147,7 +147,7 @@ def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_tak
         {"teachers": []},
         {"teachers": ["../a"]},
         {"rollouts": 0},
-        {"config": {"policy": "skills"}},
+        {"config": {"method": "skills"}},
         {"config": {"steps": -5}},
         {"task": "a"},
     ],

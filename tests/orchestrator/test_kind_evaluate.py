@@ -38,10 +38,11 @@ def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileg
     result = run.artifact("result.json")
     assert (result["privileged"], result["policy"], result["episodes"]) == (True, "random", 6)
     assert [len(result[name]) for name in ("returns", "lengths", "successes")] == [6, 6, 6]
-    assert result["return_mean"] == pytest.approx(np.mean(result["returns"]))
-    assert result["return_low"] <= result["return_mean"] <= result["return_high"]
+    assert result["figures"]["return_mean"]["value"] == pytest.approx(np.mean(result["returns"]))
+    mean = result["figures"]["return_mean"]
+    assert mean["low"] <= mean["value"] <= mean["high"]
     assert [row["step"] for row in run.rows] == [1, 2, 3, 4, 5, 6]
-    assert run.rows[-1]["success_rate"] == result["success_rate"]
+    assert run.rows[-1]["success_rate"] == result["figures"]["success_rate"]["value"]
 
 
 @pytest.mark.fault("O2")
@@ -111,7 +112,7 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
 @pytest.mark.parametrize(
     "policy",
     [
-        "expert",
+        "nobody",
         {},
         {"run": "a", "model": "b"},
         {"run": 3},
@@ -124,6 +125,13 @@ def test_an_invalid_policy_is_refused(policy: Any) -> None:
     with pytest.raises(InvalidInput) as error:
         KINDS["evaluate"].parse(RANDOM | {"policy": policy})
     assert error.value.field.startswith("config")
+
+
+def test_the_scripted_expert_earns_more_than_random_actions(evaluation: Callable[..., Any]) -> None:
+    runs = [evaluation(RANDOM | {"policy": policy, "episodes": 4, "num_envs": 4}) for policy in ("expert", "random")]
+    assert all(run.do() for run in runs)
+    expert, random = (run.artifact("result.json")["figures"]["success_rate"]["value"] for run in runs)
+    assert expert == 1 > random
 
 
 def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable[..., Any]) -> None:

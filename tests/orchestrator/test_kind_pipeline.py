@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 
+from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import InvalidInput, NotFound
+from freerein.types.learning import ListFitsRequest
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
@@ -29,11 +31,11 @@ def sim(start_module_service: Callable[..., Any]) -> str:
 
 @pytest.fixture
 def pipeline(new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path) -> Any:
-    """A run that collects, fits what was collected, and evaluates chance."""
+    """A run that collects, evaluates chance, and fits what was collected, which begins beside."""
     return new_run(
         tmp_path,
         "pipeline",
-        {"steps": [COLLECT, FIT, CHANCE]},
+        {"steps": [COLLECT, CHANCE, FIT | {"after": ["play"]}]},
         FREEREIN_SIM_ADDRESS=sim,
         FREEREIN_IMITATION_ADDRESS=start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address,
     )
@@ -55,8 +57,39 @@ def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one
     assert (steps == sorted(set(steps)), steps[-1], pipeline.kind.steps(pipeline.config)) == (True, 26, 26)
     assert {name.partition("/")[0] for row in pipeline.rows for name in row} == {"step", "play", "fit", "chance"}
     assert pipeline.artifact("play.dataset.json")["fingerprint"] == fingerprint
-    assert pipeline.artifact("chance.result.json")["return_mean"] == pipeline.rows[-1]["chance/return_mean"]
+    (mean,) = [row["chance/return_mean"] for row in pipeline.rows if "chance/return_mean" in row]
+    assert pipeline.artifact("chance.result.json")["figures"]["return_mean"]["value"] == mean
     assert pipeline.model.name == "default"
+    rows = [(row["name"], row["kind"], row["steps"]) for row in pipeline.artifact("steps.json")]
+    assert rows == [("play", "collect", 4), ("chance", "evaluate", 2), ("fit", "fit", 20)]
+
+
+def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancelled_with_the_run(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
+) -> None:
+    imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
+    long = {**FIT, "config": {**FIT["config"], "config": TINY | {"steps": 100_000}}, "after": ["play"]}
+    many = CHANCE | {"config": CHANCE["config"] | {"episodes": 100_000}}
+    run = new_run(
+        tmp_path,
+        "pipeline",
+        {"steps": [COLLECT, many, long]},
+        FREEREIN_SIM_ADDRESS=sim,
+        FREEREIN_IMITATION_ADDRESS=imitation.address,
+    )
+    with SyncClient(FitClient(Channel(imitation.address))) as fits:
+        assert not run.do(stop=lambda: any(fit.state == "running" for fit in fits.list_fits(ListFitsRequest()).fits))
+        assert [each.parent.name for each in run.folder.glob("parts/*/done.json")] == ["play"]
+        assert not run.do(stop=lambda: True, cancelled=True)
+        (fit,) = fits.list_fits(ListFitsRequest()).fits
+        assert fit.state == "cancelled"
+
+
+@pytest.mark.parametrize("steps", [[COLLECT, CHANCE | {"after": ["play"]}], [FIT | {"after": ["play"]}, COLLECT]])
+def test_only_a_fit_may_begin_early_and_only_after_earlier_steps(steps: Any) -> None:
+    with pytest.raises(InvalidInput, match=r"earlier steps|before their turn") as error:
+        KINDS["pipeline"].parse({"steps": steps})
+    assert error.value.field == "config.steps.after"
 
 
 def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(

@@ -15,6 +15,7 @@ FIT = {"service": "imitation", "dataset": "play", "config": {"steps": 30}}
 CONFIGS: dict[RunKind, tuple[dict[str, Any], int]] = {
     "collect": ({"task": "grid", "dataset": "play", "count": 7, "cameras": ["top"]}, 7),
     "fit": (FIT, 30),
+    "label": ({"dataset": "play", "smoothing": 1}, 0),
     "ppo": ({"task": "grid", "iterations": 5.0, "reward": "oracle"}, 5),
     "distill": ({"teachers": ["left", "right"], "rollouts": 4, "config": {"steps": 9}}, 17),
     "evaluate": ({"task": "grid", "policy": {"run": "fit"}, "episodes": 3}, 3),

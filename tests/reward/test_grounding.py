@@ -8,7 +8,8 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, load, load_grounding
+from freerein_reward.methods import load
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
 from freerein_reward.training import synthetic_objects
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
@@ -18,7 +19,9 @@ PHRASES = ("a red block", "a blue block", "a yellow block")
 @pytest.fixture(scope="module")
 def model() -> GradCamModel:
     store = ModelStore(SHIPPED)
-    return load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    model = load(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    assert isinstance(model, GradCamModel)
+    return model
 
 
 def picture(*squares: tuple[int, int, tuple[int, int, int]]) -> npt.NDArray[np.uint8]:
@@ -81,9 +84,9 @@ def test_a_caption_is_true_of_what_it_was_made_from() -> None:
     assert not synthetic_objects.Attributes("blue").describes(shown)
 
 
-def test_a_card_that_names_no_kind_is_refused(tmp_path: Path) -> None:
+def test_a_card_that_names_no_method_is_refused(tmp_path: Path) -> None:
     model_files.save_model(DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a",))), tmp_path, card={})
-    with pytest.raises(InvalidInput, match="kind"):
+    with pytest.raises(InvalidInput, match="method"):
         load(tmp_path, "cpu")
 
 

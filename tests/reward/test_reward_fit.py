@@ -11,11 +11,12 @@ from freerein.data.writer import create
 from freerein.errors import InvalidInput
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
-from freerein_reward import fit
-from freerein_reward.model import DualEncoderModel, GradCamModel, load
+from freerein_reward.methods import METHODS, load
+from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
-FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden_size": 16}
+PHRASES = ["a red block", "a blue block"]
+FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden_size": 16, "phrases": PHRASES}
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     version = store.active_version("grounding")
     folder = data_dir / "work"
     folder.mkdir()
-    config = fit.resolve(data_dir, "squares", FAST, threads=1)
+    config = METHODS.resolve(data_dir, "squares", FAST, threads=1)
     (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
     arguments = [str(folder), str(data_dir), "cpu", str(store.folder(ModelRef("grounding", version)))]
     command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
@@ -52,16 +53,31 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     assert not isinstance(model, GradCamModel)
     assert model.cameras == ("front",)
     card = json.loads((folder / "model" / "card.json").read_bytes())
-    assert (card["kind"], card["grounding"]) == ("reward", version)
+    assert (card["method"], card["grounding"]) == ("relation_captions", version)
+    assert card["command"] == """freerein fit reward DATASET --set 'phrases=["a red block", "a blue block"]'"""
     assert "relation_accuracy" in card["figures"]
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)
 
 
 def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:
-    config = fit.resolve(data_dir, "squares", {}, threads=2)
-    assert (config["cameras"], config["threads"]) == (("front",), 2)
-    assert len(config["phrases"]) == 4
+    config = METHODS.resolve(data_dir, "squares", {"phrases": PHRASES}, threads=2)
+    assert (config["method"], config["cameras"], config["threads"]) == ("relation_captions", ("front",), 2)
+
+
+def test_a_fit_without_phrases_is_told_what_to_give(data_dir: Path) -> None:
+    with pytest.raises(InvalidInput, match="2 to 32 distinct noun phrases") as refused:
+        METHODS.resolve(data_dir, "squares", {}, threads=1)
+    assert refused.value.field == "config.phrases"
+    assert "--set 'phrases=" in refused.value.hint
+
+
+def test_captions_are_not_made_by_a_reward_model() -> None:
+    store = ModelStore(SHIPPED)
+    folder = store.folder(ModelRef("default", store.active_version("default")))
+    assert not isinstance(load(folder, "cpu"), GradCamModel)
+    with pytest.raises(InvalidInput, match="grounding model"):
+        load_grounding(folder, "cpu")
 
 
 @pytest.mark.parametrize(
@@ -70,4 +86,4 @@ def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path)
 )
 def test_phrases_must_be_different_and_name_things_only(data_dir: Path, phrases: list[str]) -> None:
     with pytest.raises(InvalidInput, match="phrases"):
-        fit.resolve(data_dir, "squares", {"phrases": phrases}, threads=1)
+        METHODS.resolve(data_dir, "squares", {"phrases": phrases}, threads=1)

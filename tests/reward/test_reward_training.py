@@ -53,7 +53,7 @@ def learner() -> RewardModelLearner:
     weights.initialise(grounding, generator=torch.Generator().manual_seed(0))
     training, validation = blocks(32, seed=0), blocks(8, seed=1)
     return RewardModelLearner(
-        FAST, network_spec(grounding.spec, FAST), training, validation, GradCamModel(grounding), "", CPU
+        FAST, network_spec(grounding.spec, FAST), training, validation, GradCamModel(grounding), "", "", CPU
     )
 
 

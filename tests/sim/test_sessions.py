@@ -389,6 +389,14 @@ async def test_demonstrations_come_in_order_and_resume_where_they_were_left(sess
     assert [each async for each in sessions.demonstrate(replace(request, first=6))] == []
 
 
+async def test_a_demonstration_says_where_its_episode_terminated(sessions: SimCore) -> None:
+    ended = await anext(sessions.demonstrate(DemonstrateRequest("grid", "expert", max_skills=1)))
+    cut = await anext(sessions.demonstrate(DemonstrateRequest("grid", "random")))
+
+    assert ended.trajectory.terminated.tolist() == [False] * (len(ended.trajectory.actions) - 1) + [True]
+    assert cut.trajectory.terminated.tolist() == [False] * GRID.spec.max_episode_steps
+
+
 async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(sessions: SimCore) -> None:
     stream = sessions.demonstrate(DemonstrateRequest("grid", "random", count=100_000))
     await anext(stream)

@@ -3,15 +3,16 @@ from dataclasses import replace
 
 import pytest
 
-from freerein_sim.worlds import blocks, conformance, grid
+from freerein_sim.worlds import blocks, conformance, grid, pendulum
 from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.world import TaskDefinition
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
-TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, REPLAYED)}
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, REPLAYED)}
 CHECKED = (
     "grid",
     "replayed",
+    "pendulum",
     "grid-no-indicator",
     "blocks",
     "blocks.scatter",

@@ -6,12 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition
 from freerein.serving.lifecycle import CONFIGURATION_ERROR
 from freerein_sim.worlds.blocks import TASKS
+from freerein_sim.worlds.rendering import open_renderer
 from freerein_sim.worlds.world import Frame, World
 
 RENDER = """
@@ -154,6 +156,22 @@ def test_a_world_is_not_closed_from_another_thread() -> None:
         look(world)
         with ThreadPoolExecutor(1) as threads, pytest.raises(FailedPrecondition, match="one thread"):
             threads.submit(world.close).result()
+
+
+def test_every_geom_of_a_large_model_is_drawn() -> None:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_camera(name="front", pos=(0, 0, 3))
+    for _ in range(300):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.1, 0, 0), rgba=(0, 0, 1, 1))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1, 0, 0), rgba=(1, 0, 0, 1))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+
+    with closing(open_renderer(model)) as renderer:
+        middle = renderer.render(data, "front", height=8, width=8)[4, 4].astype(int)
+
+    assert middle[0] > middle[2] + 50
 
 
 def test_closing_twice_is_fine() -> None:

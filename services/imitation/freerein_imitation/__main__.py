@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,8 +14,8 @@ from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein_imitation import fit, model
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import Policy
 
 NAME = "imitation"
@@ -26,7 +27,7 @@ def build(
     metrics: Metrics,
     health: Health,
     *,
-    load: Callable[[Path, str], Policy] = model.load,
+    load: Callable[[Path, str], Policy] = METHODS.load,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # one model thread: more would compete with each other and with a fit
@@ -42,17 +43,17 @@ def build(
         health=health,
         batcher=batcher,
         load=lambda folder: _warm_up(load(folder, settings.device)),
-        resolve=fit.resolve,
+        resolve=METHODS.resolve,
     )
 
 
 def _warm_up(policy: Policy) -> Policy:
     """Returns a policy after its first step, which is slower than later ones."""
     spec = policy.spec
-    frames = np.zeros((1, spec.height, spec.width, spec.channels), np.uint8)
-    goals = {"images": frames, "recipe": spec.skills[:1], "text": ("",)}
+    frames = {each.name: np.zeros((1, each.height, each.width, each.channels), np.uint8) for each in spec.cameras}
+    goals: dict[str, Any] = {"images": frames, "recipe": spec.skills[:1], "text": ("",)}
     recurrent = np.zeros((1, spec.recurrent_size), np.float32)
-    policy.step(frames, policy.encode_goals(goals[spec.goal_form]), spec.no_action()[None], recurrent)
+    policy.step(frames, policy.encode_goals(goals[spec.goal_form]), spec.action.no_action()[None], recurrent)
     return policy
 
 

@@ -17,7 +17,6 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_reward import fit, model
 from freerein_reward.core import (
     GoalCache,
     GroundingCore,
@@ -28,6 +27,8 @@ from freerein_reward.core import (
     RewardCore,
     RewardModel,
 )
+from freerein_reward.methods import METHODS, load
+from freerein_reward.model import GROUNDING
 from freerein_reward.settings import RewardSettings
 
 NAME = "reward"
@@ -40,7 +41,7 @@ def build(
     metrics: Metrics,
     health: Health,
     *,
-    load: Callable[[Path, str], RewardModel | GroundingModel] = model.load,
+    load: Callable[[Path, str], RewardModel | GroundingModel] = load,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
@@ -60,7 +61,7 @@ def build(
         health=health,
         batcher=batcher,
         load=lambda folder: _warm(load(folder, settings.device)),
-        resolve=fit.resolve if grounding else _refuse_without_grounding,
+        resolve=METHODS.resolve if grounding else _refuse_without_grounding,
         fit_arguments=(str(grounding),),
         fit_hint=f"; a grounding model: {_PRETRAIN}",
     )
@@ -68,8 +69,8 @@ def build(
 
 def _grounding_folder(store: ModelStore) -> Path | None:
     """Returns the folder of the grounding model for fits: the version that is active at start."""
-    version = store.active_version(model.GROUNDING)
-    return store.folder(ModelRef(model.GROUNDING, version)) if version else None
+    version = store.active_version(GROUNDING)
+    return store.folder(ModelRef(GROUNDING, version)) if version else None
 
 
 def _refuse_without_grounding(*_arguments: object, **_options: object) -> NoReturn:

@@ -59,7 +59,7 @@ def _setting(text: str) -> tuple[str, object]:
 
 def _card(learner: GroundingLearner, fitted: FitResult[DualEncoder]) -> Mapping[str, Any]:
     return {
-        "kind": GROUNDING,
+        "method": GROUNDING,
         "data": "synthetic images of single objects, freerein_reward.training.synthetic_objects",
         "command": "python -m freerein_reward.pretrain FOLDER",
         "config": asdict(learner.config),

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 from freerein.jobs.child import PERMANENT_FAILURE
@@ -31,6 +32,15 @@ _SIGNALS = {number.value: number.name for number in signal.Signals}
 
 StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
+
+KEEP_FREED_MEMORY = MappingProxyType(
+    {"MALLOC_MMAP_THRESHOLD_": "4000000000", "MALLOC_TRIM_THRESHOLD_": "8000000000"}  # bytes
+)
+"""Settings of glibc's allocator, which reads them when a process starts.
+
+By default it returns arrays above 32 MB to the kernel as soon as they are freed, and each optimiser update pays for new
+pages. A service may override them in its environment.
+"""
 
 CANCELLED_FILE = "cancelled"
 INTERNAL_ERROR = "Internal error; the log of the service has the traceback."
@@ -109,7 +119,7 @@ class AttemptRunner:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
-                env={name: value for name, value in os.environ.items() if name not in self._hidden_env},
+                env=self._child_environ(),
                 pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
                 process_group=0,  # Ctrl-C in a terminal reaches us, and the child in order
             )
@@ -124,6 +134,10 @@ class AttemptRunner:
             raise AttemptStopped
         progressed = self._store.last(job_id).step > done
         return _result(child.returncode, _last_line(folder / "log.txt"), progressed=progressed)
+
+    def _child_environ(self) -> dict[str, str]:
+        visible = {name: value for name, value in os.environ.items() if name not in self._hidden_env}
+        return {**KEEP_FREED_MEMORY, **visible}
 
     def _watch(
         self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]

@@ -23,18 +23,19 @@ from freerein.learning.train_state import N
 
 C = TypeVar("C", bound=DatasetFitConfig)
 L = TypeVar("L", bound=Learner[Any])
-M = TypeVar("M")
+M_co = TypeVar("M_co", covariant=True)
 
 
 @dataclass(frozen=True)
-class Method(Generic[C, L, N, M]):
-    """One way to train a model of class M, with a configuration C, a learner L and a network N.
+class Method(Generic[C, L, N, M_co]):
+    """One way to train a model of class M_co, with a configuration C, a learner L and a network N.
 
     Attributes:
         config: Class of the configuration.
         resolve: Returns the configuration completed by what the dataset decides. Raises InvalidInput where the
             dataset cannot be trained on, before a fit is queued.
-        prepare: Returns the learner of a fit, for a resolved configuration.
+        prepare: Returns the learner of a fit, for a dataset, a resolved configuration and a device; further keyword
+            arguments are the resources of `Methods.run_fit`.
         card: Returns the card's entries of this method, such as `supervision`; they replace the common ones of the
             same name.
         load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
@@ -44,15 +45,15 @@ class Method(Generic[C, L, N, M]):
 
     config: type[C]
     resolve: Callable[[FitDataset, C], C]
-    prepare: Callable[[FitDataset, C, torch.device], L]
+    prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
-    load: Callable[[Path, str], M]
+    load: Callable[[Path, str], M_co]
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
 
 
 @dataclass(frozen=True)
-class Methods(Generic[M]):
-    """The methods of a service, whose models are of class M.
+class Methods(Generic[M_co]):
+    """The methods of a service, whose models are of class M_co.
 
     Attributes:
         service: Name of the service.
@@ -60,7 +61,7 @@ class Methods(Generic[M]):
     """
 
     service: str
-    by_name: Mapping[str, Method[Any, Any, Any, M]]
+    by_name: Mapping[str, Method[Any, Any, Any, M_co]]
 
     def resolve(self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
         """Returns the complete configuration of a fit; `values` override the defaults.
@@ -76,17 +77,18 @@ class Methods(Generic[M]):
         config = method.resolve(source, replace(config, cameras=source.choose_cameras(config.cameras)))
         return {"method": name, **asdict(config)}
 
-    def run_fit(self, folder: Path, data_dir: Path, device: str) -> int:
+    def run_fit(self, folder: Path, data_dir: Path, device: str, **resources: Path) -> int:
         """Runs or resumes the fit in a folder, as its child process; returns the exit code, of `freerein.jobs.child`.
 
-        The folder holds `config.json`; metrics, checkpoints and in the end `model/` are written there.
+        The folder holds `config.json`; metrics, checkpoints and in the end `model/` are written there. `resources` are
+        the files and folders that the service's methods need beside the dataset; `prepare` receives them.
         """
 
         def train(job: Mapping[str, Any]) -> bool:
             name, method, given = self._choose(job["config"])
             source, config = FitDataset.open(data_dir, job["dataset"]), parse(method.config, given)
             torch.set_num_threads(config.threads)
-            learner = method.prepare(source, config, choose_device(device))
+            learner = method.prepare(source, config, choose_device(device), **resources)
 
             def save(fitted: FitResult[Any], model: Path) -> None:
                 for file, data in method.files(learner).items():
@@ -98,7 +100,7 @@ class Methods(Generic[M]):
 
         return run_child(folder, train)
 
-    def load(self, folder: Path, device: str) -> M:
+    def load(self, folder: Path, device: str) -> M_co:
         """Returns the model in a folder, by the method that its card names.
 
         Raises:
@@ -112,7 +114,7 @@ class Methods(Generic[M]):
             )
         return method.load(folder, device)
 
-    def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M], dict[str, Any]]:
+    def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M_co], dict[str, Any]]:
         """Returns the method that a configuration names, and the configuration's other keys."""
         others = dict(values)
         name = others.pop("method", next(iter(self.by_name)))

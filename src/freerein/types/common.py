@@ -139,7 +139,8 @@ class Goal:
     """The goal of a policy: exactly one of the three forms.
 
     Attributes:
-        images: A goal image, or a sequence of landmarks to reach in order.
+        images: A goal image, or a sequence of landmarks to reach in order. For a model with several cameras each goal
+            is a run of one image per camera, in any order, with `camera` set.
         recipe: Skills to execute in order.
         text: The goal in words, 1 to 2000 characters.
     """

@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from freerein.serving.batcher import Batcher, BatchResult
 from freerein.serving.model_cache import ModelCache
-from freerein.types.common import Camera, Goal, ModelRef, Observation, Timing
+from freerein.types.common import Goal, ModelRef, Observation, Timing
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult
 from freerein_imitation.core.inputs import (
     Subgoal,
     elapsed_steps,
     goal_digest,
-    parse_frame,
+    parse_frames,
     parse_goal,
     parse_previous_action,
 )
@@ -146,7 +146,7 @@ class ActContext:
             policy=self.policy,
             version=self.model.version,
             goals=self.goals,
-            frame=await parse_frame(spec, observation),
+            frames=await parse_frames(spec, observation),
             previous=parse_previous_action(spec, executed),
             state=state,
             elapsed=elapsed,
@@ -158,7 +158,7 @@ def spec_response(model: ModelRef, spec: PolicySpec) -> GetSpecResponse:
     """Returns a policy's spec as the API has it."""
     return GetSpecResponse(
         model=model,
-        cameras=(Camera(spec.camera, spec.height, spec.width, spec.channels),),
+        cameras=spec.cameras,
         action=spec.action,
         horizon=spec.horizon,
         control_dt_s=spec.control_dt_s,

@@ -141,7 +141,7 @@ def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
         )
     expected, got = spec.action, hello.action
     compared = (
-        ("cameras", spec.cameras, _with_name(hello.cameras, spec.cameras)),
+        ("cameras", spec.cameras, _in_order(hello.cameras, spec.cameras)),
         ("action.size", expected.size, got.size),
         ("action.choices", expected.choices, got.choices),
         ("action.names", expected.names, got.names),
@@ -162,11 +162,12 @@ def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
         )
 
 
-def _with_name(cameras: tuple[Camera, ...], expected: tuple[Camera, ...]) -> tuple[Camera, ...]:
-    """Returns a robot's cameras; a single one without a name gets the model's."""
+def _in_order(cameras: tuple[Camera, ...], expected: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """Returns a robot's cameras in the order of the model's; a single one without a name gets the model's."""
     if len(cameras) == len(expected) == 1 and not cameras[0].name:
         return (replace(cameras[0], name=expected[0].name),)
-    return cameras
+    order = {camera.name: place for place, camera in enumerate(expected)}
+    return tuple(sorted(cameras, key=lambda camera: order.get(camera.name, len(order))))
 
 
 def _equal(expected: object, got: object) -> bool:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from freerein.errors import OutputNotFinite, ServiceError
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import Policy, PolicyOutput
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput
 
 _CACHE_BYTES = 32 * 2**20
 
@@ -29,7 +29,7 @@ class InferenceRequest:
         policy: The policy.
         version: Version of the model.
         goals: Sequence of goals, at least one.
-        frame: uint8 (H, W, C).
+        frames: By camera, uint8 (H, W, C).
         previous: Last executed action, float32 (A,) or int64 (1,).
         state: Policy state before the observation.
         elapsed: Control steps since the observation of that state.
@@ -39,7 +39,7 @@ class InferenceRequest:
     policy: Policy
     version: str
     goals: tuple[Subgoal, ...]
-    frame: npt.NDArray[np.uint8]
+    frames: CameraFrames
     previous: npt.NDArray[Any]
     state: PolicyState
     elapsed: int
@@ -103,7 +103,7 @@ class PolicyRunner:
         """Returns the policy's output for each request's observation and current goal."""
         policy = requests[0].policy
         output = policy.step(
-            _stack([request.frame for request in requests]),
+            _stack_frames([request.frames for request in requests]),
             self._encode_goals(requests),
             _stack([request.previous for request in requests]),
             _stack([request.state.recurrent for request in requests]),
@@ -122,7 +122,7 @@ class PolicyRunner:
         if missing := [key for key in contents if key not in self._goal_cache]:
             goals: Any = [contents[key] for key in missing]
             texts = isinstance(goals[0], str)
-            embeddings = requests[0].policy.encode_goals(goals if texts else np.stack(goals))
+            embeddings = requests[0].policy.encode_goals(goals if texts else _stack_frames(goals))
             self._goal_cache.update({key: each.copy() for key, each in zip(missing, embeddings, strict=True)})
             self._cached_bytes += embeddings.nbytes
         for key in keys:
@@ -136,6 +136,10 @@ class PolicyRunner:
 def _stack(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
     """Returns arrays along a new first axis; a single one is not copied."""
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
+
+
+def _stack_frames(frames: Sequence[CameraFrames]) -> CameraFrames:
+    return {camera: _stack([each[camera] for each in frames]) for camera in frames[0]}
 
 
 def _check_shapes(policy: Policy, output: PolicyOutput, batch: int) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,13 +11,14 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput
-from freerein.types.common import MAX_TEXT, Goal, Image, Observation
+from freerein.types.common import MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
-from freerein_imitation.model.policy import PolicySpec
+from freerein_imitation.model.policy import CameraFrames, PolicySpec
 
 MAX_GOALS = 256
 _RAW = ("raw_rgb8", "raw_gray8")
 _INLINE_BYTES = 2**19  # hashed within half a millisecond: not worth a thread
+_CAMERAS_HINT = "GetSpec names the cameras of a model."
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,37 +27,30 @@ class Subgoal:
 
     Attributes:
         digest: Digest of its content.
-        content: Image, uint8 (H, W, C), name of a skill, or text.
+        content: Images by camera, uint8 (H, W, C), name of a skill, or text.
     """
 
     digest: bytes
-    content: npt.NDArray[np.uint8] | str
+    content: CameraFrames | str
 
 
-async def parse_frame(spec: PolicySpec, observation: Observation) -> npt.NDArray[np.uint8]:
-    """Returns the frame of the policy's camera, uint8 (H, W, C); encoded images are decoded off the event loop.
+async def parse_frames(spec: PolicySpec, observation: Observation) -> CameraFrames:
+    """Returns the frame of each of the policy's cameras, uint8 (H, W, C); large files are decoded off the event loop.
 
     Raises:
         InvalidInput: The observation does not match the policy's spec.
         UnsupportedMedia: An image is not in the encoding that it names.
     """
-    field = "observation.images"
-    if len(observation.images) != 1:
+    field, given = "observation.images", observation.images
+    if len(given) != len(spec.cameras):
         raise InvalidInput(
-            f"`{field}` must hold one image, of the camera {spec.camera}; got {len(observation.images)}.",
+            f"`{field}` must hold one image of each camera: {_names(spec)}; got {len(given)}.",
             field=field,
-            hint="GetSpec names the cameras of a model.",
+            hint=_CAMERAS_HINT,
         )
-    image = observation.images[0]
-    if image.camera not in ("", spec.camera):
-        raise InvalidInput(
-            f"`{field}.0.camera` must be {spec.camera}, or empty; got the name of another camera.",
-            field=f"{field}.0.camera",
-            hint="GetSpec names the cameras of a model.",
-        )
-    if image.encoding in _RAW:
-        return _decode(spec, image, "observation.images.0")
-    return await asyncio.to_thread(_decode, spec, image, "observation.images.0")
+    if all(image.encoding in _RAW for image in given):
+        return _decode_views(spec, given, field)
+    return await asyncio.to_thread(_decode_views, spec, given, field)
 
 
 async def parse_goal(spec: PolicySpec, goal: Goal) -> tuple[Subgoal, ...]:
@@ -82,7 +77,7 @@ def goal_digest(goals: tuple[Subgoal, ...]) -> bytes:
 
 
 def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
-    """Returns the last executed action, or `PolicySpec.no_action` for none.
+    """Returns the last executed action, or `ActionSpec.no_action` for none.
 
     Args:
         spec: Spec of the policy.
@@ -91,17 +86,18 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
     Raises:
         InvalidInput: The actions do not match the policy's spec.
     """
-    none, action = spec.no_action(), spec.action
+    action = spec.action
+    none = action.no_action()
     if executed is None:
         return none
-    if executed.dtype != none.dtype or executed.ndim != 2 or executed.shape[1] != action.size:
+    if executed.dtype != action.dtype or executed.ndim != 2 or executed.shape[1] != action.size:
         raise InvalidInput(
-            f"`executed_actions` must be {none.dtype} of shape (N, {action.size}); "
+            f"`executed_actions` must be {action.dtype} of shape (N, {action.size}); "
             f"got {executed.dtype} {executed.shape}.",
             field="executed_actions",
             hint="GetSpec describes a model's actions.",
         )
-    low, high = (0, action.choices - 1) if action.choices else (-1.0, 1.0)
+    low, high = action.bounds
     if not ((executed >= low) & (executed <= high)).all():  # False for NaN
         raise InvalidInput(
             f"`executed_actions` must be finite and in [{low:g}, {high:g}]; one is not.",
@@ -119,24 +115,60 @@ def elapsed_steps(executed: npt.NDArray[Any] | None) -> int:
 
 def _check_goal_form(spec: PolicySpec, goal: Goal) -> None:
     """Checks that a goal is given in the policy's form only, and that its length is in bounds."""
-    form = spec.goal_form
+    form, cameras = spec.goal_form, spec.cameras
     given = {"images": len(goal.images), "recipe": len(goal.recipe), "text": len(goal.text)}
     count = given.pop(form)
+    size = len(cameras) if form == "images" else 1
     most, unit = (MAX_TEXT, "characters") if form == "text" else (MAX_GOALS, "goals")
-    if any(given.values()) or not 1 <= count <= most:
+    if size > 1:
+        unit += f" of {size} images, one of each camera: {_names(spec)},"
+    if any(given.values()) or count % size or not 1 <= count // size <= most:
         others = " and ".join(f"{number} of {name}" for name, number in given.items())
         raise InvalidInput(
             f"`goal.{form}` must hold 1 to {most} {unit} for this model, and the other forms none; "
             f"got {count}, {others}.",
             field=f"goal.{form}",
-            hint="GetSpec names the form of a model's goals.",
+            hint="GetSpec names the form of a model's goals, and its cameras.",
         )
 
 
-def _decode(spec: PolicySpec, image: Image, field: str) -> npt.NDArray[np.uint8]:
+def _parse_goal_images(spec: PolicySpec, goal: tuple[Image, ...]) -> tuple[Subgoal, ...]:
+    """Returns goals of one image per camera each."""
+    size = len(spec.cameras)
+    pixels = len(goal) // size * sum(camera.height * camera.width for camera in spec.cameras)
+    images.check_total_pixels(pixels, hint="Send fewer goals.", field="goal.images")
+    parts = [
+        _decode_views(spec, goal[first : first + size], "goal.images", first=first)
+        for first in range(0, len(goal), size)
+    ]
+    return tuple(Subgoal(_digest(*(frame.data for frame in frames.values())), frames) for frames in parts)
+
+
+def _decode_views(spec: PolicySpec, views: Sequence[Image], field: str, *, first: int = 0) -> CameraFrames:
+    """Returns the image of each camera, in the spec's order, of as many images; they are `field` from `first` on."""
+    frames: dict[str, npt.NDArray[np.uint8]] = {}
+    cameras = {camera.name: camera for camera in spec.cameras}
+    if len(cameras) == 1:
+        cameras[""] = spec.cameras[0]
+    for i, image in enumerate(views, start=first):
+        camera = cameras.get(image.camera)
+        if camera is None or camera.name in frames:
+            several = len(spec.cameras) > 1
+            expected = f"one of {_names(spec)}, each once" if several else f"{_names(spec)}, or empty"
+            got = "another name" if camera is None else f"{camera.name} again"
+            raise InvalidInput(
+                f"`{field}.{i}.camera` must be {expected}; got {got}.",
+                field=f"{field}.{i}.camera",
+                hint=_CAMERAS_HINT,
+            )
+        frames[camera.name] = _decode(camera, image, f"{field}.{i}")
+    return {camera.name: frames[camera.name] for camera in spec.cameras}
+
+
+def _decode(camera: Camera, image: Image, field: str) -> npt.NDArray[np.uint8]:
     """Returns an image's pixels; a file whose header names another size is not decoded."""
-    expected = (spec.height, spec.width, spec.channels)
-    if image.encoding in _RAW or images.pixel_count(image, field=field) == spec.height * spec.width:
+    expected = (camera.height, camera.width, camera.channels)
+    if image.encoding in _RAW or images.pixel_count(image, field=field) == camera.height * camera.width:
         pixels = images.decode(image, field=field)
         if pixels.shape == expected:
             return pixels
@@ -144,15 +176,14 @@ def _decode(spec: PolicySpec, image: Image, field: str) -> npt.NDArray[np.uint8]
     else:
         got = "another size"
     raise InvalidInput(
-        f"`{field}` must have height, width and channels {expected}, as the model was trained on; got {got}.",
+        f"`{field}` must have height, width and channels {expected}, as in training; got {got}.",
         field=field,
         hint="Scale it, or name another model.",
     )
 
 
-def _parse_goal_images(spec: PolicySpec, goal: tuple[Image, ...]) -> tuple[Subgoal, ...]:
-    frames = [_decode(spec, image, f"goal.images.{i}") for i, image in enumerate(goal)]
-    return tuple(Subgoal(_digest(frame.data), frame) for frame in frames)
+def _names(spec: PolicySpec) -> str:
+    return ", ".join(camera.name for camera in spec.cameras)
 
 
 def _parse_skill(spec: PolicySpec, name: str, field: str) -> Subgoal:
@@ -165,5 +196,8 @@ def _parse_skill(spec: PolicySpec, name: str, field: str) -> Subgoal:
     return Subgoal(_digest(name.encode()), name)
 
 
-def _digest(content: Any) -> bytes:
-    return hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest()
+def _digest(*parts: Any) -> bytes:
+    digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    for part in parts:
+        digest.update(part)
+    return digest.digest()

@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,37 +16,41 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
-from freerein.learning.config import bounded
-from freerein.learning.encoders import SpatialEncoder
-from freerein_imitation.model.policy import ControlSpec, PolicyNetworkSpec, PolicyOutput, TorchPolicy
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.inputs import InputSpec
+from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
 from freerein_imitation.model.text_encoder import TextEncoder
 
 MAX_COMPONENTS = 64
 NEVER_REACHED = 1.0
 """Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
 
+TEXT_ENCODER_FILE = "text_encoder.safetensors"
+
 _LEAST_SINGULAR_VALUE = 1e-2  # as a share of the largest
-_ENCODER_FILE, _ENCODER_KEY = "text_encoder.safetensors", "text_encoder"
+_ENCODER_KEY = "text_encoder"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LanguageSpec(PolicyNetworkSpec):
+class LanguageSpec(InputSpec):
     """Inputs, outputs and sizes of a network.
 
     Attributes:
         text_size: Size of the text encoder's embeddings.
         text_components: Principal components of the training goal texts.
-        features: Size of the image features.
+        encoder: Image encoder.
+        features: Image features per camera.
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
     """
 
     text_size: int = bounded(384, least=1, most=4096)
     text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
+    encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
@@ -65,42 +69,41 @@ class LanguageNetwork(nn.Module):
     def __init__(self, spec: LanguageSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.encoder = SpatialEncoder(
-            height=spec.height, width=spec.width, channels=spec.channels, features=spec.features
-        )
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
         self.text_layer = nn.Linear(spec.text_components, spec.text_features)
-        self.film = nn.Linear(spec.text_features, 2 * spec.features)
-        self.hidden1 = nn.Linear(spec.features, spec.hidden_size)
+        self.film = nn.Linear(spec.text_features, 2 * self.encoder.size)
+        self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
-        self.action_head = nn.Linear(spec.hidden_size, spec.flat_action_size)
+        self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.register_buffer("text_mean", torch.zeros(spec.text_size))
         self.register_buffer("text_basis", torch.zeros(spec.text_size, spec.text_components))
 
     @torch.no_grad()
-    def fit_normalisation(self, frames: Tensor, texts: Tensor) -> None:
-        """Sets the encoder's mean image, and mean and principal components of the goal texts.
+    def fit_normalisation(self, frames: Frames, texts: Tensor, *, generator: torch.Generator) -> None:
+        """Sets what is not trained of the encoder, and mean and principal components of the goal texts.
 
         Args:
-            frames: Training frames, uint8 (N, H, W, C).
+            frames: Training frames by camera, uint8 (N, H, W, C).
             texts: Embeddings of the distinct goal texts, float32 (n, text_size).
+            generator: On the CPU.
         """
-        self.encoder.fit_normalisation(frames)
+        self.encoder.fit_normalisation(frames, generator=generator)
         self.text_mean.copy_(texts.mean(dim=0))
         self.text_basis.copy_(principal_components(texts))
 
-    def forward(self, frames: Tensor, texts: Tensor) -> Tensor:
+    def forward(self, frames: Frames, texts: Tensor) -> Tensor:
         """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
 
         Args:
-            frames: uint8 (B, H, W, C).
+            frames: By camera, uint8 (B, H, W, C).
             texts: Text embeddings, float32 (B, text_size).
         """
         text = functional.relu(self.text_layer((texts - self.text_mean) @ self.text_basis))  # (B, text_features)
-        scale, shift = self.film(text).chunk(2, dim=1)  # (B, features) each
-        features = self.encoder(frames) * (1 + scale) + shift  # (B, features)
+        scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
+        features = self.encoder(frames) * (1 + scale) + shift  # (B, D)
         hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(features))))  # (B, hidden_size)
         action: Tensor = self.action_head(hidden)  # (B, A or choices)
-        return action[:, None] if self.spec.action_choices else action
+        return action[:, None] if self.spec.action.choices else action
 
 
 def principal_components(embeddings: Tensor) -> Tensor:
@@ -128,27 +131,25 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
     Args:
         network: Trained.
         text_encoder: The one that the network was trained with.
-        control: Actions, rate and limits.
+        control: Rate and limits.
 
     Raises:
         InvalidInput: The text encoder's embeddings are of another size than the network takes.
     """
 
-    kind: Literal["language"] = "language"
-
     def __init__(self, network: LanguageNetwork, text_encoder: TextEncoder, control: ControlSpec) -> None:
-        sizes = network.spec
-        if text_encoder.size != sizes.text_size:
+        spec = network.spec
+        if text_encoder.size != spec.text_size:
             raise InvalidInput(
-                f"A policy's text encoder must have embeddings of {sizes.text_size} numbers; got {text_encoder.size}.",
+                f"A policy's text encoder must have embeddings of {spec.text_size} numbers; got {text_encoder.size}.",
                 hint="Fit the model again, or restore its folder from a copy.",
             )
-        super().__init__(network, sizes, control, goal_form="text", predicts_reached=False)
+        super().__init__(network, spec, control, goal_form="text", predicts_reached=False)
         self._text_encoder = text_encoder
 
     @classmethod
     def load(cls, folder: Path, device: str) -> "LanguagePolicy":
-        """Returns the policy in a folder; see `freerein_imitation.model.load`.
+        """Returns the policy in a folder; see `freerein.learning.methods.Method`.
 
         Raises:
             InvalidInput: A file is missing or malformed, or the text encoder's sha256 is not the card's.
@@ -164,36 +165,25 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
     @torch.inference_mode()
     def step(
         self,
-        frames: npt.NDArray[np.uint8],
+        frames: CameraFrames,
         goals: npt.NDArray[np.float32],
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
         """Returns actions; arguments as in `Policy.step`. `previous` is not used."""
-        actions = self._network(self._tensor(frames), self._tensor(goals))
+        actions = self._network(self._tensors(frames), self._tensor(goals))
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
         return PolicyOutput(chosen[:, None].cpu().numpy(), np.zeros(len(previous), np.float32), recurrent)
 
 
-def save(network: LanguageNetwork, text_encoder: bytes, folder: Path, *, name: str, card: dict[str, JSON]) -> None:
-    """Writes a policy as a folder that `LanguagePolicy.load` reads.
-
-    Args:
-        network: Trained.
-        text_encoder: The text encoder's file.
-        folder: Created when missing; existing files are overwritten.
-        name: Name of the text encoder.
-        card: What the card holds beside `spec` and `text_encoder`.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(folder / _ENCODER_FILE, text_encoder)
-    entry: dict[str, JSON] = {"name": name, "sha256": hashlib.sha256(text_encoder).hexdigest()}
-    model_files.save_model(network, folder, card={**card, _ENCODER_KEY: entry})
+def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:
+    """Returns the entry of a card that names a text encoder, for its name and file."""
+    return {_ENCODER_KEY: {"name": name, "sha256": hashlib.sha256(data).hexdigest()}}
 
 
 def _load_text_encoder(folder: Path, card: dict[str, Any]) -> TextEncoder:
     try:
-        data, expected = (folder / _ENCODER_FILE).read_bytes(), card[_ENCODER_KEY]["sha256"]
+        data, expected = (folder / TEXT_ENCODER_FILE).read_bytes(), card[_ENCODER_KEY]["sha256"]
     except (OSError, KeyError, TypeError):
         data, expected = b"", None
     if hashlib.sha256(data).hexdigest() != expected:

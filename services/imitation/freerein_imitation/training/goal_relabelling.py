@@ -12,7 +12,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein_imitation.training.trajectories import TrajectoryDataset, no_action
+from freerein.learning.encoders import Frames
+from freerein.learning.trajectories import Trajectories
+from freerein_imitation.training.previous_actions import previous_actions
 
 _SLICES_PER_WINDOW = 8
 _WINDOW_MARGIN = 8
@@ -24,14 +26,14 @@ class RelabelledSlices:
     """S slices of trajectories whose last frame is the goal; L is the most actions in one.
 
     Attributes:
-        frames: uint8 (N, H, W, C), window after window.
+        frames: By camera, uint8 (N, H, W, C), window after window.
         actions: Executed after each frame, float32 (N, A) or int64 (N, 1).
         previous: Executed before each frame, as `actions`; 0, or -1 when discrete, for no action.
         starts: First frame of each slice, int64 (S,).
         lengths: Actions in each slice, int64 (S,).
     """
 
-    frames: Tensor
+    frames: Frames
     actions: Tensor
     previous: Tensor
     starts: Tensor
@@ -62,12 +64,12 @@ class RecognizerBatch:
     """N frames, all pairs of which the goal recognizer compares.
 
     Attributes:
-        frames: uint8 (N, H, W, C).
+        frames: By camera, uint8 (N, H, W, C).
         timesteps: Timestep of each frame, int64 (N,).
         trajectories: Trajectory of each frame, int64 (N,).
     """
 
-    frames: Tensor
+    frames: Frames
     timesteps: Tensor
     trajectories: Tensor
 
@@ -83,7 +85,7 @@ class RecognizerBatch:
 
 
 def sample_slices(
-    trajectories: TrajectoryDataset,
+    trajectories: Trajectories,
     items: Sequence[int],
     rng: np.random.Generator,
     *,
@@ -100,25 +102,26 @@ def sample_slices(
         device: Device of the tensors.
     """
     shortest, longest = steps
-    frames, actions, previous, starts, lengths = [], [], [], [], []
+    windows, actions, previous, starts, lengths = [], [], [], [], []
     offset = 0
     for item in items:
         executed = trajectories.actions[item]
         size = min(longest + 1 + _WINDOW_MARGIN, len(executed))
         first = int(rng.integers(len(executed) - size + 1))
-        before = np.concatenate([no_action(executed), executed[:-1]])
-        frames.append(trajectories.frames[item][first : first + size])
-        actions.append(executed[first : first + size])
-        previous.append(before[first : first + size])
+        window = slice(first, first + size)
+        windows.append((item, window))
+        actions.append(executed[window])
+        previous.append(previous_actions(executed)[window])
         sampled = np.minimum(rng.integers(shortest, longest, _SLICES_PER_WINDOW, endpoint=True), size - 1)
         lengths.append(sampled)
         starts.append(offset + rng.integers(size - sampled))
         offset += size
-    return RelabelledSlices(*(_join(parts, device) for parts in (frames, actions, previous, starts, lengths)))
+    arrays = (_join(parts, device) for parts in (actions, previous, starts, lengths))
+    return RelabelledSlices(_frames(trajectories, windows, device), *arrays)
 
 
 def sample_recognizer_batch(
-    trajectories: TrajectoryDataset,
+    trajectories: Trajectories,
     items: Sequence[int],
     rng: np.random.Generator,
     *,
@@ -134,16 +137,26 @@ def sample_recognizer_batch(
         close_steps: Most actions between close frames.
         device: Device of the tensors.
     """
-    frames, timesteps = [], []
+    places = []
     for item in items:
         last = len(trajectories.actions[item]) - 1
         anchors = rng.integers(last + 1, size=_ANCHORS_PER_TRAJECTORY)
         near = anchors + rng.integers(-close_steps, close_steps, _ANCHORS_PER_TRAJECTORY, endpoint=True)
         chosen = np.concatenate([anchors, near.clip(0, last)])
-        frames.append(trajectories.frames[item][chosen])
-        timesteps.append(chosen)
+        places.append((item, chosen))
     numbers = np.repeat(np.asarray(items, np.int64), 2 * _ANCHORS_PER_TRAJECTORY)
-    return RecognizerBatch(_join(frames, device), _join(timesteps, device), torch.from_numpy(numbers).to(device))
+    timesteps = _join([chosen for _, chosen in places], device)
+    return RecognizerBatch(_frames(trajectories, places, device), timesteps, torch.from_numpy(numbers).to(device))
+
+
+def _frames(
+    trajectories: Trajectories, places: Sequence[tuple[int, slice | npt.NDArray[np.int64]]], device: torch.device
+) -> Frames:
+    """Returns the frames of all cameras at some timesteps of some trajectories."""
+    return {
+        camera: _join([arrays[item][timesteps] for item, timesteps in places], device)
+        for camera, arrays in trajectories.frames.items()
+    }
 
 
 def _join(parts: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,8 +11,9 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
+from freerein.learning.encoders import Frames
 from freerein.learning.split import train_validation_split
-from freerein_imitation.training.trajectories import TrajectoryDataset
+from freerein.learning.trajectories import Trajectories
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,12 +21,12 @@ class TimestepBatch:
     """B timesteps.
 
     Attributes:
-        frames: uint8 (B, H, W, C).
+        frames: By camera, uint8 (B, H, W, C).
         texts: Embeddings of the goal texts, float32 (B, W).
         actions: float32 (B, A) or int64 (B, 1).
     """
 
-    frames: Tensor
+    frames: Frames
     texts: Tensor
     actions: Tensor
 
@@ -34,13 +36,11 @@ class GoalTextDataset:
     """Trajectories, each with its goal text.
 
     Attributes:
-        trajectories: Frames and executed actions.
-        texts: Goal text of each trajectory.
+        trajectories: Trajectories with goal texts.
         embeddings: Embedding of each distinct goal text, float32 (W,).
     """
 
-    trajectories: TrajectoryDataset
-    texts: tuple[str, ...]
+    trajectories: Trajectories
     embeddings: dict[str, npt.NDArray[np.float32]]
 
     def __len__(self) -> int:
@@ -53,21 +53,23 @@ class GoalTextDataset:
 
     def subset(self, items: Sequence[int]) -> "GoalTextDataset":
         """Returns some of the trajectories, without copying frames."""
-        texts = tuple(self.texts[item] for item in items)
-        return GoalTextDataset(self.trajectories.subset(items), texts, self.embeddings)
+        return GoalTextDataset(self.trajectories.subset(items), self.embeddings)
 
     def distinct_embeddings(self) -> Tensor:
         """Returns the embeddings of the distinct goal texts, float32 (n, W)."""
-        return torch.from_numpy(np.stack([self.embeddings[text] for text in sorted(set(self.texts))]))
+        return torch.from_numpy(np.stack([self.embeddings[text] for text in sorted(set(self.trajectories.goal_texts))]))
 
     def collate(self, timesteps: npt.NDArray[np.int64], *, device: torch.device) -> TimestepBatch:
         """Returns a batch of timesteps, int64 (B,), which count over all trajectories."""
         items = np.searchsorted(self._ends, timesteps, side="right")
         places = list(zip(items.tolist(), (timesteps - self._ends[items]).tolist(), strict=True))  # from each end
-        frames = np.stack([self.trajectories.frames[item][t] for item, t in places])
-        texts = np.stack([self.embeddings[self.texts[item]] for item, _ in places])
-        actions = np.stack([self.trajectories.actions[item][t] for item, t in places])
-        return TimestepBatch(*(torch.from_numpy(each).to(device) for each in (frames, texts, actions)))
+        goal_texts = self.trajectories.goal_texts
+        frames = {
+            camera: _stack([arrays[item][t] for item, t in places], device)
+            for camera, arrays in self.trajectories.frames.items()
+        }
+        texts = _stack([self.embeddings[goal_texts[item]] for item, _ in places], device)
+        return TimestepBatch(frames, texts, _stack([self.trajectories.actions[item][t] for item, t in places], device))
 
 
 def split_by_text(dataset: GoalTextDataset, *, fraction: float, seed: int) -> tuple[GoalTextDataset, GoalTextDataset]:
@@ -79,15 +81,16 @@ def split_by_text(dataset: GoalTextDataset, *, fraction: float, seed: int) -> tu
         InvalidInput: No goal text has two trajectories.
     """
     training, validation = list[int](), list[int]()
-    for text in sorted(set(dataset.texts)):
-        items = [item for item, each in enumerate(dataset.texts) if each == text]
+    goal_texts = dataset.trajectories.goal_texts
+    for text in sorted(set(goal_texts)):
+        items = [item for item, each in enumerate(goal_texts) if each == text]
         sides = train_validation_split(items, fraction=fraction, seed=seed) if len(items) > 1 else (items, [])
         training += sides[0]
         validation += sides[1]
     if not validation:
         raise InvalidInput(
             "A fit needs at least 2 trajectories of a goal text, one of them for validation; "
-            f"got {len(dataset.texts)} trajectories, each with a goal text of its own.",
+            f"got {len(goal_texts)} trajectories, each with a goal text of its own.",
             field="dataset",
             hint="Roll out each policy more than once.",
         )
@@ -111,3 +114,7 @@ def random_crop(frames: Tensor, *, min_scale: float, generator: torch.Generator)
     frame = torch.arange(len(frames))[:, None]
     pixels = (frame * frames.shape[1] + rows)[:, :, None] * frames.shape[2] + columns[:, None]  # (B, H, W)
     return frames.flatten(0, 2).index_select(0, pixels.flatten().to(frames.device)).view(frames.shape)
+
+
+def _stack(arrays: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:
+    return torch.from_numpy(np.stack(arrays)).to(device)

@@ -2,9 +2,8 @@
 
 import hashlib
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -12,17 +11,18 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.config import bounded
-from freerein.learning.fit_config import FitConfig
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
-from freerein_imitation.model.policy import PolicyNetworkSpec
 from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
-from freerein_imitation.training.trajectories import TrajectoryDataset
 
 State = TrainState[LanguageNetwork]
 
@@ -32,22 +32,20 @@ _EVALUATION_BATCH = 128
 
 
 @dataclass(frozen=True)
-class LanguageConfig(FitConfig):
+class LanguageConfig(DatasetFitConfig):
     """Configuration of a fit of a language policy.
 
     Attributes:
-        policy: Kind of policy.
-        camera: Camera whose frames to train on; may be empty where the dataset has one.
+        encoder: Image encoder.
         min_crop_scale: Smallest area of a random crop, as a fraction of the frame's; 1 for no crops.
-        features: Size of the image features.
+        features: Image features per camera.
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
         validation_fraction: Fraction of each goal text's trajectories held out to choose the best weights.
     """
 
-    policy: Literal["language"] = "language"
-    camera: str = ""
+    encoder: str = one_of(ENCODERS, "spatial")
     min_crop_scale: float = bounded(0.95, least=0.5, most=1.0)
     steps: int = bounded(1000, least=1, most=10_000_000)
     features: int = bounded(128, least=8, most=1024)
@@ -56,16 +54,30 @@ class LanguageConfig(FitConfig):
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
     validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
 
-    def network_spec(self, sizes: PolicyNetworkSpec, *, text_size: int = 384, text_components: int = 1) -> LanguageSpec:
-        """Returns the spec of the network for a dataset's frame and action sizes."""
-        return LanguageSpec(
-            **asdict(sizes),
-            text_size=text_size,
-            text_components=text_components,
-            features=self.features,
-            text_features=self.text_features,
-            hidden_size=self.hidden_size,
-        )
+
+def network_spec(
+    config: LanguageConfig,
+    *,
+    cameras: tuple[Camera, ...],
+    action: ActionSpec,
+    text_size: int = 384,
+    text_components: int = 1,
+) -> LanguageSpec:
+    """Returns the spec of the network for some cameras, actions and text embeddings.
+
+    Raises:
+        InvalidInput: Frames or actions are out of bounds.
+    """
+    return LanguageSpec(
+        cameras=cameras,
+        action=action,
+        text_size=text_size,
+        text_components=text_components,
+        encoder=config.encoder,
+        features=config.features,
+        text_features=config.text_features,
+        hidden_size=config.hidden_size,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +106,11 @@ class LanguageLearner:
     def prepare(
         cls,
         config: LanguageConfig,
-        sizes: PolicyNetworkSpec,
-        trajectories: TrajectoryDataset,
-        texts: Sequence[str],
+        trajectories: Trajectories,
         text_encoder: bytes,
         *,
+        cameras: tuple[Camera, ...],
+        action: ActionSpec,
         fingerprint: str,
         device: torch.device,
     ) -> "LanguageLearner":
@@ -106,22 +118,21 @@ class LanguageLearner:
 
         Args:
             config: Configuration.
-            sizes: Frame and action sizes.
-            trajectories: Frames and executed actions of single-task policies.
-            texts: Goal text of each trajectory.
+            trajectories: Frames, executed actions and goal texts of single-task policies.
             text_encoder: File of the frozen text encoder.
+            cameras: Cameras of the frames.
+            action: The action space.
             fingerprint: Fingerprint of the dataset.
             device: Device to train on.
 
         Raises:
             InvalidInput: No goal text has two trajectories.
         """
-        encoder, distinct = TextEncoder(text_encoder), sorted(set(texts))
-        embeddings = dict(zip(distinct, encoder(distinct), strict=True))
-        dataset = GoalTextDataset(trajectories, tuple(texts), embeddings)
+        encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
+        dataset = GoalTextDataset(trajectories, dict(zip(distinct, encoder(distinct), strict=True)))
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         components = principal_components(training.distinct_embeddings()).shape[1]
-        spec = config.network_spec(sizes, text_size=encoder.size, text_components=components)
+        spec = network_spec(config, cameras=cameras, action=action, text_size=encoder.size, text_components=components)
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
         return cls(config, spec, training, validation, text_encoder, fingerprint, device)
 
@@ -134,18 +145,18 @@ class LanguageLearner:
         """Returns the state before the first update."""
         network = LanguageNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        frames = torch.from_numpy(self.training.trajectories.sample_frames(_NORMALISATION_FRAMES))
-        network.fit_normalisation(frames, self.training.distinct_embeddings())
-        network = network.to(self.device)
-        return TrainState(network, torch.optim.Adam(network.parameters(), self.config.lr, fused=True), generator)
+        sampled = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
+        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        network.fit_normalisation(frames, self.training.distinct_embeddings(), generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some timesteps, and its metrics."""
         config = self.config
         batch = self.training.collate(items, device=self.device)
         if config.min_crop_scale < 1:
-            frames = random_crop(batch.frames, min_scale=config.min_crop_scale, generator=state.generator)
-            batch = replace(batch, frames=frames)
+            crop = partial(random_crop, min_scale=config.min_crop_scale, generator=state.generator)
+            batch = replace(batch, frames={camera: crop(each) for camera, each in batch.frames.items()})
         loss = action_loss(state.network, batch).mean()
         return fit_step(state, loss, config)
 
@@ -161,7 +172,7 @@ class LanguageLearner:
 
 def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
     """Returns the action loss of each timestep, float (B,): squared error, or cross-entropy of discrete actions."""
-    predicted, choices = network(batch.frames, batch.texts), network.spec.action_choices
+    predicted, choices = network(batch.frames, batch.texts), network.spec.action.choices
     if choices:
         return objectives.action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
     return objectives.squared_error(predicted, batch.actions)

@@ -1,9 +1,8 @@
 """Training data of skill policies: segments of demonstrations with one predicted skill label."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +11,10 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
+from freerein.learning.encoders import Frames
 from freerein.learning.split import train_validation_split
-from freerein.learning.trajectories import TrajectoryArrays
-from freerein_imitation.training.trajectories import no_action
+from freerein.learning.trajectories import Trajectories
+from freerein_imitation.training.previous_actions import previous_actions
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,14 @@ class SegmentDataset:
 
     Attributes:
         segments: The segments.
-        moments: By trajectory, colour moments of each frame, float32 (T, colours, MOMENTS).
-        actions: By trajectory, float32 (T, A) in [-1, 1] or int64 (T, 1); frame t was observed before action t.
+        trajectories: The demonstrations.
+        features: By trajectory, image features of each frame, float32 (T, D); None where the encoder is trained, so
+            that batches hold frames.
     """
 
     segments: Sequence[SkillSegment]
-    moments: Sequence[Tensor]
-    actions: TrajectoryArrays[np.float32] | TrajectoryArrays[np.int64]
+    trajectories: Trajectories
+    features: Mapping[int, Tensor] | None = None
 
     def __len__(self) -> int:
         return len(self.segments)
@@ -104,7 +105,9 @@ class SegmentBatch:
     """Segments, padded to the longest, each with some timesteps after its end.
 
     Attributes:
-        moments: Colour moments, float32 (B, T, colours, MOMENTS).
+        images: Features of N observed timesteps, float32 (N, D), or their frames by camera, uint8 (N, H, W, C);
+            segment after segment, without padding.
+        lengths: Observed timesteps of each segment, with sum N.
         skills: Indices of skills, int64 (B,).
         previous: Executed before each timestep, float32 (B, T, A), or int64 (B, T, 1) with -1 for no action.
         actions: Executed after it, as `previous`.
@@ -112,7 +115,8 @@ class SegmentBatch:
         terminates: Timesteps in which the skill terminates, bool (B, T).
     """
 
-    moments: Tensor
+    images: Tensor | Frames
+    lengths: list[int]
     skills: Tensor
     previous: Tensor
     actions: Tensor
@@ -137,29 +141,31 @@ def collate(
         steps_after: Timesteps after each segment, where the trajectory has them.
         device: Device of the tensors.
     """
-    parts = [_slice(dataset, each, start, steps_after) for each, start in zip(segments, starts, strict=True)]
-    moments, previous, actions, times = (
-        pad_sequence(list(each), batch_first=True) for each in zip(*parts, strict=True)
+    places = [
+        (each.trajectory, slice(start, each.stop + steps_after)) for each, start in zip(segments, starts, strict=True)
+    ]
+    actions = [torch.tensor(dataset.trajectories.actions[item][at]) for item, at in places]
+    previous = [torch.tensor(previous_actions(dataset.trajectories.actions[item])[at]) for item, at in places]
+    lengths = [len(each) for each in actions]
+    time = torch.arange(max(lengths))
+    observed = time < torch.tensor(lengths)[:, None]  # (B, T)
+    left = torch.tensor([each.stop - start for each, start in zip(segments, starts, strict=True)])[:, None]  # (B, 1)
+    return SegmentBatch(
+        images=_images(dataset, places, device),
+        lengths=lengths,
+        skills=torch.tensor([each.skill for each in segments], device=device),
+        previous=pad_sequence(previous, batch_first=True).to(device),
+        actions=pad_sequence(actions, batch_first=True).to(device),
+        inside=(observed & (time < left)).to(device),
+        terminates=(observed & (time >= left - 1)).to(device),
     )
-    lengths = torch.tensor([len(part[-1]) for part in parts])
-    observed = torch.arange(times.shape[1]) < lengths[:, None]  # (B, T)
-    stop = torch.tensor([each.stop for each in segments])[:, None]
-    batch = SegmentBatch(
-        moments=moments,
-        skills=torch.tensor([each.skill for each in segments]),
-        previous=previous,
-        actions=actions,
-        inside=observed & (times < stop),
-        terminates=observed & (times >= stop - 1),
-    )
-    return SegmentBatch(**{name: tensor.to(device) for name, tensor in vars(batch).items()})
 
 
-def _slice(dataset: SegmentDataset, segment: SkillSegment, start: int, steps_after: int) -> tuple[Tensor, ...]:
-    """Returns moments, previous actions, actions and timesteps of one segment."""
-    actions: Any = dataset.actions[segment.trajectory]
-    stop = min(segment.stop + steps_after, len(actions))
-    executed = actions[start:stop]
-    previous = np.concatenate([actions[start - 1 : start] if start else no_action(actions), executed[:-1]])
-    moments = dataset.moments[segment.trajectory][start:stop]
-    return moments, torch.tensor(previous), torch.tensor(executed), torch.arange(start, stop)
+def _images(dataset: SegmentDataset, places: Sequence[tuple[int, slice]], device: torch.device) -> Tensor | Frames:
+    """Returns the images of some timesteps as a batch holds them."""
+    if dataset.features is not None:
+        return torch.cat([dataset.features[item][at] for item, at in places]).to(device)
+    return {
+        camera: torch.from_numpy(np.concatenate([arrays[item][at] for item, at in places])).to(device)
+        for camera, arrays in dataset.trajectories.frames.items()
+    }

@@ -1,27 +1,27 @@
 """Behavioural cloning of skills from frames, executed actions and predicted skill labels."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.config import bounded
-from freerein.learning.fit_config import FitConfig
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
-from freerein.learning.trajectories import TrajectoryArrays
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.colour_codebook import ColourCodebook, shift_horizontally
-from freerein_imitation.model.policy import PolicyNetworkSpec
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
 from freerein_imitation.training.skill_segments import (
     SegmentBatch,
@@ -31,14 +31,13 @@ from freerein_imitation.training.skill_segments import (
     find_segments,
     split_segments,
 )
-from freerein_imitation.training.trajectories import TrajectoryDataset
 
 State = TrainState[SkillsNetwork]
 
 TERMINATION_THRESHOLD = 0.5
 """Probability from which on a skill has terminated; the loss gives both classes equal weight."""
 
-_CODEBOOK_FRAMES = 500
+_NORMALISATION_FRAMES = 500
 _ENCODE_BATCH = 256
 _LEAST_STEPS_LEFT = 5
 _STEP_LIMIT_FACTOR = 1.5
@@ -46,28 +45,26 @@ _STEP_LIMIT_PERCENTILE = 95
 
 
 @dataclass(frozen=True)
-class SkillsConfig(FitConfig):
+class SkillsConfig(DatasetFitConfig):
     """Configuration of a fit of skills.
 
     Attributes:
-        policy: Kind of policy.
-        camera: Camera whose frames to train on; may be empty where the dataset has one.
+        encoder: Image encoder. `colour_codebook` finds places from few demonstrations, for a camera that does not move.
         min_segment_steps: Shorter segments are taken for label errors, as in section 2.4.
         start_jitter: Timesteps by which a segment's start is moved at random, either way.
         random_start_fraction: Fraction of segments started at a random timestep, so that time alone does not determine
             the action.
         termination_steps: Timesteps after a segment's last in which the termination target stays 1.
-        random_shift: Largest random horizontal shift of a frame's contents; 1 is half of the frame.
+        random_shift: Largest random horizontal shift of a frame's contents, with the colour codebook only; 1 is half of
+            the frame.
         termination_weight: Weight of the termination loss relative to the action loss.
         batch_size: Segments per update.
-        codebook_size: Colours in the codebook.
+        features: Image features per camera; the colour codebook has 5 per colour.
         hidden_size: Units of the hidden layers.
         recurrent_size: Units of the LSTM.
-        validation_fraction: Fraction of trajectories held out to choose the best weights.
     """
 
-    policy: Literal["skills"] = "skills"
-    camera: str = ""
+    encoder: str = one_of(ENCODERS, "colour_codebook")
     min_segment_steps: int = bounded(5, least=1, most=1000)
     start_jitter: int = bounded(3, least=0, most=1000)
     random_start_fraction: float = bounded(0.5, least=0.0, most=1.0)
@@ -76,23 +73,31 @@ class SkillsConfig(FitConfig):
     termination_weight: float = bounded(0.1, least=0.0, most=100.0)
     steps: int = bounded(2500, least=1, most=10_000_000)
     batch_size: int = bounded(12, least=1, most=1024)
-    codebook_size: int = bounded(32, least=2, most=256)
+    features: int = bounded(160, least=8, most=1280)
     hidden_size: int = bounded(128, least=8, most=1024)
     recurrent_size: int = bounded(64, least=8, most=1024)
-    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(200, least=1, most=1_000_000)
     checkpoint_every: int = bounded(500, least=1, most=1_000_000)
     log_every: int = bounded(20, least=1, most=1_000_000)
 
-    def network_spec(self, sizes: PolicyNetworkSpec, skills: tuple[str, ...]) -> SkillsSpec:
-        """Returns the spec of the network for a dataset's frame and action sizes, and some skills."""
-        return SkillsSpec(
-            **asdict(sizes),
-            skills=skills,
-            codebook_size=self.codebook_size,
-            hidden_size=self.hidden_size,
-            recurrent_size=self.recurrent_size,
-        )
+
+def network_spec(
+    config: SkillsConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
+) -> SkillsSpec:
+    """Returns the spec of the network for some cameras, actions and skills.
+
+    Raises:
+        InvalidInput: Frames, actions or skills are out of bounds.
+    """
+    return SkillsSpec(
+        cameras=cameras,
+        action=action,
+        skills=skills,
+        encoder=config.encoder,
+        features=config.features,
+        hidden_size=config.hidden_size,
+        recurrent_size=config.recurrent_size,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +120,7 @@ class SkillsLearner:
     Attributes:
         config: Configuration.
         spec: Spec of the network.
-        codebook: Fitted colour codebook.
+        encoder: Normalised by the demonstrations' frames. A frozen one has encoded them all.
         training: Training segments.
         validation: Validation segments.
         fingerprint: Fingerprint of the dataset and its labels.
@@ -124,7 +129,7 @@ class SkillsLearner:
 
     config: SkillsConfig
     spec: SkillsSpec
-    codebook: ColourCodebook
+    encoder: CameraEncoders
     training: SegmentDataset
     validation: SegmentDataset
     fingerprint: str
@@ -134,35 +139,30 @@ class SkillsLearner:
     def prepare(
         cls,
         config: SkillsConfig,
-        sizes: PolicyNetworkSpec,
-        demonstrations: TrajectoryDataset,
+        spec: SkillsSpec,
+        demonstrations: Trajectories,
         labels: Sequence[npt.NDArray[np.int64]],
         *,
-        skills: tuple[str, ...],
         fingerprint: str,
         device: torch.device,
     ) -> "SkillsLearner":
-        """Returns the learner for labelled demonstrations; encodes every frame once.
+        """Returns the learner for labelled demonstrations; a frozen encoder encodes every frame once.
 
         Args:
             config: Configuration.
-            sizes: Frame and action sizes.
+            spec: Spec of the network for all skills. Those without a training segment are left out.
             demonstrations: Frames and executed actions.
             labels: By trajectory, the predicted skill at each timestep, int64 (T,).
-            skills: Names that labels index. Those without a training segment are left out.
             fingerprint: Fingerprint of the dataset and its labels.
             device: Device to train on.
 
         Raises:
             InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
         """
-        spec = config.network_spec(sizes, skills)
-        codebook = ColourCodebook(height=spec.height, width=spec.width, channels=spec.channels, size=spec.codebook_size)
-        frames = torch.from_numpy(demonstrations.sample_frames(_CODEBOOK_FRAMES))
-        codebook.fit(frames, generator=torch.Generator().manual_seed(config.seed))
-        moments = encode_trajectories(codebook, demonstrations.frames)
+        encoder = _normalised_encoder(spec, demonstrations, seed=config.seed)
+        features = None if encoder.is_trained else encode(encoder, demonstrations, range(len(demonstrations)))
         segments = find_segments(labels, min_steps=config.min_segment_steps)
-        dataset = SegmentDataset(segments, moments, demonstrations.actions)
+        dataset = SegmentDataset(segments, demonstrations, features)
         training, validation = split_segments(dataset, fraction=config.validation_fraction, seed=config.seed)
         trained = sorted({each.skill for each in training.segments})
         training, validation = training.only(trained), validation.only(trained)
@@ -172,8 +172,8 @@ class SkillsLearner:
                 field="dataset",
                 hint="Record more demonstrations, and label them.",
             )
-        spec = replace(spec, skills=tuple(skills[skill] for skill in trained))
-        return cls(config, spec, codebook, training, validation, fingerprint, device)
+        spec = replace(spec, skills=tuple(spec.skills[skill] for skill in trained))
+        return cls(config, spec, encoder, training, validation, fingerprint, device)
 
     @property
     def size(self) -> int:
@@ -189,21 +189,24 @@ class SkillsLearner:
         """Returns the state before the first update."""
         network = SkillsNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        network.codebook.load_state_dict(self.codebook.state_dict())
-        network.fit_normalisation(torch.cat(list(self.training.moments)), generator=generator)
-        network = network.to(self.device)
-        return TrainState(network, torch.optim.Adam(network.parameters(), self.config.lr, fused=True), generator)
+        for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
+            own.copy_(normalised)
+        if self.training.features is not None:
+            network.fit_feature_normalisation(torch.cat(list(self.training.features.values())), generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some segments, and its metrics."""
-        config = self.config
+        config, network = self.config, state.network
         rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
         segments = [self.training.segments[item] for item in items.tolist()]
         starts = [_sample_start(each, rng, config) for each in segments]
         batch = collate(self.training, segments, starts, steps_after=config.termination_steps, device=self.device)
-        shift = config.random_shift * torch.tensor(rng.uniform(-1, 1, len(items)), dtype=torch.float32)
-        moments = shift_horizontally(batch.moments, shift.to(batch.moments.device))
-        losses = skill_losses(state.network, replace(batch, moments=moments))
+        features = padded_features(network, batch)
+        if network.attention is not None:
+            shift = config.random_shift * torch.tensor(rng.uniform(-1, 1, len(items)), dtype=torch.float32)
+            features = network.attention.shift(features, shift.to(self.device))
+        losses = skill_losses(network, features, batch)
         loss = losses.action + config.termination_weight * losses.termination
         state, metrics = fit_step(state, loss, config)
         return state, metrics | {
@@ -219,39 +222,62 @@ class SkillsLearner:
     @torch.no_grad()
     def validation_losses(self, network: SkillsNetwork) -> SkillsLosses:
         """Returns the losses on validation segments, each from its labelled start."""
-        segments, steps_after = self.validation.segments, self.config.termination_steps
-        starts = [each.start for each in segments]
-        batch = collate(self.validation, segments, starts, steps_after=steps_after, device=self.device)
-        return skill_losses(network, batch)
+        dataset = self.validation
+        if network.encoder.is_trained:
+            shown = sorted({each.trajectory for each in dataset.segments})
+            dataset = replace(dataset, features=encode(network.encoder, dataset.trajectories, shown))
+        starts = [each.start for each in dataset.segments]
+        steps_after = self.config.termination_steps
+        batch = collate(dataset, dataset.segments, starts, steps_after=steps_after, device=self.device)
+        return skill_losses(network, padded_features(network, batch), batch)
 
 
 @torch.no_grad()
-def encode_trajectories(codebook: ColourCodebook, frames: TrajectoryArrays[np.uint8]) -> list[Tensor]:
-    """Returns the colour moments of each trajectory's frames, float32 (T, colours, MOMENTS) each, on the CPU."""
-    return [
-        torch.cat(
-            [
-                codebook(torch.tensor(frames[item][start : start + _ENCODE_BATCH]))
-                for start in range(0, len(frames[item]), _ENCODE_BATCH)
-            ]
-        )
-        for item in range(len(frames))
-    ]
+def encode(encoder: CameraEncoders, trajectories: Trajectories, items: Iterable[int]) -> dict[int, Tensor]:
+    """Returns the features of each frame of some trajectories, float32 (T, D) each, on the CPU."""
+    device = next(encoder.buffers()).device
+
+    def encode_one(item: int) -> Tensor:
+        parts = [
+            encoder(
+                {
+                    camera: torch.tensor(each[item][start : start + _ENCODE_BATCH], device=device)
+                    for camera, each in trajectories.frames.items()
+                }
+            ).cpu()
+            for start in range(0, len(trajectories.actions[item]), _ENCODE_BATCH)
+        ]
+        return torch.cat(parts)  # (T, D)
+
+    return {item: encode_one(item) for item in items}
 
 
-def skill_losses(network: SkillsNetwork, batch: SegmentBatch) -> SkillsLosses:
-    """Returns the losses on a batch."""
-    spec = network.spec
-    skill = functional.one_hot(batch.skills, len(spec.skills)).float()  # (B, skills)
-    predicted, terminations, _ = network(batch.moments, skill, batch.previous)
-    if spec.action_choices:
-        target = action_bins.encode(batch.actions, choices=spec.action_choices)
-        error = objectives.action_cross_entropy(predicted, target)
+def padded_features(network: SkillsNetwork, batch: SegmentBatch) -> Tensor:
+    """Returns the features of a batch, float32 (B, T, D), padded by zeros; frames are encoded."""
+    features = batch.images if isinstance(batch.images, Tensor) else network.encoder(batch.images)  # (N, D)
+    return pad_sequence(list(features.split(batch.lengths)), batch_first=True)
+
+
+def skill_losses(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) -> SkillsLosses:
+    """Returns the losses on a batch with features (B, T, D)."""
+    choices = network.spec.action.choices
+    skill = functional.one_hot(batch.skills, len(network.spec.skills)).float()  # (B, skills)
+    predicted, terminations, _ = network(features, skill, batch.previous)
+    if choices:
+        error = objectives.action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
     else:
         error = objectives.absolute_error(predicted, batch.actions)  # (B, T)
     continues = batch.inside & ~batch.terminates
     termination = objectives.termination_loss(terminations, batch.terminates, continues)
     return SkillsLosses(objectives.masked_mean(error, batch.inside), termination)
+
+
+def _normalised_encoder(spec: SkillsSpec, demonstrations: Trajectories, *, seed: int) -> CameraEncoders:
+    encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+    sampled = demonstrations.sample_frames(_NORMALISATION_FRAMES)
+    frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+    encoder.fit_normalisation(frames, generator=torch.Generator().manual_seed(seed))
+    return encoder
 
 
 def _sample_start(segment: SkillSegment, rng: np.random.Generator, config: SkillsConfig) -> int:

@@ -1,45 +1,57 @@
 """Whole episodes of a policy in a task of the sim service."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.clients import SyncClient
 from freerein.errors import ServiceError
+from freerein.types.common import Goal
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
     ResetRequest,
     StepRequest,
     StepResponse,
+    Truth,
 )
-from freerein_orchestrator.envs.policies import PolicyHandle
+from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput, PolicySession
 from freerein_orchestrator.envs.reward_fns import Frames
 from freerein_orchestrator.rl.vec_env import Actions
 
 _CLOSE_TIMEOUT_S = 1.0
 
+D = TypeVar("D", bound=np.generic)
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """An episode of T timesteps.
+    """An episode of T timesteps, or its first T.
 
     Attributes:
-        frames: uint8 (T, H, W, C), frame t before action t; (T, 0, 0, 3) without a camera.
+        frames: By camera: uint8 (T + 1, H, W, C), frame t before action t, and the frame after the last action.
         actions: As executed, float32 (T, A) or int64 (T, 1).
         terminated: bool (T,), whether the episode terminated after action t; not where a time limit ended it.
+        states: float64 (T + 1, S), true states at the frames; S = 0 unless the session was privileged.
         rewards: The oracle's, float32 (T,); empty unless the session was privileged.
         success: Whether the goal holds at the end; False unless the session was privileged.
+        goal_index: int64 (T,), number of goals that were over according to the policy's answer to frame t; None for a
+            policy that does not follow goals.
+        goal_confidence: float64 (T,), its confidence that frame t reaches the current goal; None likewise.
     """
 
-    frames: Frames
+    frames: dict[str, Frames]
     actions: Actions
     terminated: npt.NDArray[np.bool_]
+    states: npt.NDArray[np.float64]
     rewards: npt.NDArray[np.float32]
     success: bool
+    goal_index: npt.NDArray[np.int64] | None
+    goal_confidence: npt.NDArray[np.float64] | None
 
 
 def derive_seed(*numbers: int) -> int:
@@ -48,7 +60,14 @@ def derive_seed(*numbers: int) -> int:
 
 
 def run_episodes(
-    sim: SyncClient, request: CreateSessionRequest, policy: PolicyHandle, interrupt: Callable[[], None]
+    sim: SyncClient,
+    request: CreateSessionRequest,
+    policy: PolicyHandle,
+    interrupt: Callable[[], None],
+    *,
+    goals: Sequence[Goal] = (),
+    cameras: Sequence[str] = (),
+    max_steps: int = 0,
 ) -> tuple[Episode, ...]:
     """Returns one episode per environment of a new session; the same for the same seed and policy.
 
@@ -57,44 +76,69 @@ def run_episodes(
         request: The session, with a seed, and frames of the policy's size.
         policy: Acts; its random draws are seeded by the session's seed.
         interrupt: Called before each step; raises to stop.
+        goals: The goal of each environment; empty for a policy that takes none.
+        cameras: Cameras to record beside those of the policy.
+        max_steps: Steps after which episodes are cut off; 0 for whole episodes.
 
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
     """
     session: str = sim.create_session(request).session
-    cameras = (policy.camera,) if policy.camera else ()
-    steps: list[tuple[Frames, Actions, StepResponse]] = []
+    recorded = tuple(dict.fromkeys((*policy.cameras, *cameras)))
+    steps: list[_Step] = []
     lengths = np.zeros(request.num_envs, np.int64)
     try:
-        started = policy.start(request.seed or 0)
-        frames = _camera_frames(
-            sim.reset(ResetRequest(session, cameras=cameras)).frames, policy.camera, request.num_envs
-        )
-        starts = np.ones(request.num_envs, np.bool_)
-        while not lengths.all():
+        acting = policy.start(PolicySession(session, request.seed or 0, goals))
+        first = sim.reset(ResetRequest(session, cameras=recorded))
+        frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
+        while not lengths.all() and (not max_steps or len(steps) < max_steps):
             interrupt()
-            actions = started.act(frames, starts)
-            reply: StepResponse = sim.step(StepRequest(session, len(steps) + 1, actions, cameras=cameras))
-            steps.append((frames, actions, reply))
-            starts = reply.terminated | reply.truncated
+            output = acting.act(frames, starts)
+            reply: StepResponse = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=recorded))
+            steps.append(_Step(frames, output, reply))
+            frames, starts = reply.frames, reply.terminated | reply.truncated
             lengths[starts & (lengths == 0)] = len(steps)
-            frames = _camera_frames(reply.frames, policy.camera, request.num_envs)
     finally:
         with suppress(ServiceError):  # its lease will end it
             sim.close_session(CloseSessionRequest(session), timeout_s=_CLOSE_TIMEOUT_S)
-    return tuple(_episode(steps[:length], env) for env, length in enumerate(lengths))
+    lengths[lengths == 0] = len(steps)
+    return tuple(_episode(first.truth, steps[:length], env) for env, length in enumerate(lengths))
 
 
-def _episode(steps: list[tuple[Frames, Actions, StepResponse]], env: int) -> Episode:
-    truths = [reply.truth for _, _, reply in steps if reply.truth is not None]
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Frames before a step of all environments, the policy's output for them, and the reply of the sim service."""
+
+    frames: dict[str, Frames]
+    output: PolicyOutput
+    reply: StepResponse
+
+
+def _episode(first: Truth | None, steps: Sequence[_Step], env: int) -> Episode:
+    truths = [step.reply.truth for step in steps if step.reply.truth is not None]
+    states = [truth.state[env] for truth in (first, *truths) if truth is not None]
+    outputs = [step.output for step in steps]
+    last = _final_frames(steps[-1].reply, env)
     return Episode(
-        frames=np.stack([frames[env] for frames, _, _ in steps]),
-        actions=np.stack([actions[env] for _, actions, _ in steps]),
-        terminated=np.array([reply.terminated[env] for _, _, reply in steps], np.bool_),
+        frames={camera: np.stack([*(step.frames[camera][env] for step in steps), last[camera]]) for camera in last},
+        actions=np.stack([output.actions[env] for output in outputs]),
+        terminated=np.array([step.reply.terminated[env] for step in steps], np.bool_),
+        states=np.stack(states) if states else np.zeros((len(steps) + 1, 0)),
         rewards=np.array([truth.reward[env] for truth in truths], np.float32),
         success=bool(truths and truths[-1].success[env]),
+        goal_index=_column([output.goal_index for output in outputs], env),
+        goal_confidence=_column([output.goal_confidence for output in outputs], env),
     )
 
 
-def _camera_frames(frames: dict[str, Frames], camera: str, num_envs: int) -> Frames:
-    return frames[camera] if camera else np.zeros((num_envs, 0, 0, 3), np.uint8)
+def _final_frames(reply: StepResponse, env: int) -> dict[str, Frames]:
+    """Returns the frame after a step, by camera: of the old episode where one ended."""
+    done = reply.terminated | reply.truncated
+    if done[env]:
+        return {camera: frames[int(done[:env].sum())] for camera, frames in reply.final_frames.items()}
+    return {camera: frames[env] for camera, frames in reply.frames.items()}
+
+
+def _column(values: Sequence[npt.NDArray[D] | None], env: int) -> npt.NDArray[D] | None:
+    known = [value[env] for value in values if value is not None]
+    return np.array(known) if known else None

@@ -1,6 +1,6 @@
-"""Policies that can act in a task: stored, served, untrained or random."""
+"""Policies that can act in a task: stored, served, or the scripted expert."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -12,23 +12,54 @@ import torch
 
 from freerein import images
 from freerein.clients import SyncClient
-from freerein.types.common import ActionSpec, Encoding, Goal, ModelRef, Observation
+from freerein.errors import InvalidInput
+from freerein.types.common import Encoding, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
-from freerein.types.sim import Task
+from freerein.types.sim import ExpertActionsRequest, ExpertActionsResponse, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.envs.reward_fns import Frames
 from freerein_orchestrator.rl.policy_files import NetworkPolicy, StoredPolicy
-from freerein_orchestrator.rl.vec_env import Actions, Observations
+from freerein_orchestrator.rl.vec_env import Actions
 
 _MAX_THREADS = 64
 """Calls at once: the most environments that a session may have."""
 
 
+@dataclass(frozen=True)
+class PolicySession:
+    """Where a policy acts.
+
+    Attributes:
+        id: The session of the sim service.
+        seed: Seed of the policy's random draws.
+        goals: The goal of each environment; empty for a policy that takes none.
+    """
+
+    id: str
+    seed: int
+    goals: Sequence[Goal] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyOutput:
+    """A policy's answer to the frames of N environments.
+
+    Attributes:
+        actions: float32 (N, A) or int64 (N, 1).
+        goal_index: int64 (N,), number of goals that are over, reached or abandoned; None for a policy without goals.
+        goal_confidence: float64 (N,), confidence that the frame reaches the current goal; None likewise.
+    """
+
+    actions: Actions
+    goal_index: npt.NDArray[np.int64] | None = None
+    goal_confidence: npt.NDArray[np.float64] | None = None
+
+
 class BatchPolicy(Protocol):
     """Acts in N environments, timestep by timestep."""
 
-    def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
-        """Returns an action per environment, given frames uint8 (N, H, W, C) and bool (N,)."""
+    def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        """Returns an action per environment, given frames by camera, uint8 (N, H, W, C), and bool (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,23 +67,20 @@ class PolicyHandle:
     """A policy that can be started any number of times.
 
     Attributes:
-        start: Returns, for a seed, a policy without recurrent state.
+        start: Returns, for a session, a policy without recurrent state.
         description: The policy, for results; JSON.
-        camera: The camera that it sees; empty for none.
-        height: Frame height in pixels.
-        width: Frame width in pixels.
+        cameras: The cameras that it sees; empty for none.
+        height: Frame height in pixels; 0 for the cameras' own.
+        width: Frame width in pixels; as `height`.
+        max_steps_per_goal: Steps after which it abandons a goal; 0 for a policy without goals.
     """
 
-    start: Callable[[int], BatchPolicy]
+    start: Callable[[PolicySession], BatchPolicy]
     description: dict[str, Any]
-    camera: str = ""
+    cameras: tuple[str, ...] = ()
     height: int = 0
     width: int = 0
-
-
-def random_policy(action: ActionSpec) -> PolicyHandle:
-    """Returns the policy of uniform actions: in [-1, 1], or among all choices."""
-    return PolicyHandle(lambda seed: _RandomPolicy(action, np.random.default_rng(seed)), {"policy": "random"})
+    max_steps_per_goal: int = 0
 
 
 def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: ModelRef | None = None) -> PolicyHandle:
@@ -65,86 +93,136 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: 
     """
     spec = PolicyInterface.of_stored(policy)
     check_task(spec, task)
+    (camera,) = spec.cameras
 
-    def start(seed: int) -> BatchPolicy:
-        return NetworkPolicy(policy.network, generator=torch.Generator().manual_seed(seed) if stochastic else None)
+    def start(session: PolicySession) -> BatchPolicy:
+        generator = torch.Generator().manual_seed(session.seed) if stochastic else None
+        return _StoredPolicy(NetworkPolicy(policy.network, generator=generator), camera.name)
 
     description: dict[str, Any] = {"policy": "ppo", "sha256": policy.card["sha256"], "stochastic": stochastic}
     if model is not None:
         description["model"] = asdict(model)
-    return PolicyHandle(start, description, spec.camera, spec.height, spec.width)
+    return PolicyHandle(start, description, (camera.name,), camera.height, camera.width)
 
 
 def served_policy(
-    imitation: SyncClient, model: ModelRef, goal: Goal, task: Task, *, closing: ExitStack
+    imitation: SyncClient, model: ModelRef, task: Task, *, closing: ExitStack, max_steps_per_goal: int = 0
 ) -> PolicyHandle:
-    """Returns a model of the imitation service, pinned to one version.
+    """Returns a model of the imitation service, pinned to one version, which is given a goal per environment.
 
     Args:
         imitation: The service's client.
         model: The model; without a version, the active one.
-        goal: Its goal.
         task: Where it acts.
         closing: Ends the threads that call the service.
+        max_steps_per_goal: Steps after which a goal is abandoned; 0 for the model's own limit.
 
     Raises:
-        InvalidInput: The task has another camera or other actions.
+        InvalidInput: The task has other cameras or other actions.
         ServiceError: The service has no such model, or cannot be reached.
     """
     reply: GetSpecResponse = imitation.get_spec(GetSpecRequest(model))
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
-    request = ActRequest(Observation(), goal, model=reply.model)
+    hold = np.zeros((1, spec.action_size), np.int64 if spec.action_choices else np.float32)
+
+    def start(session: PolicySession) -> BatchPolicy:
+        requests = [
+            ActRequest(Observation(), goal, max_steps_per_goal=max_steps_per_goal, model=reply.model)
+            for goal in session.goals
+        ]
+        return _ServedPolicy(imitation, requests, hold, pool)
+
     return PolicyHandle(
-        lambda _seed: _ServedPolicy(imitation, request, reply.action, spec.camera, pool),
-        {"policy": "imitation", "model": asdict(reply.model), "goal_text": goal.text, "recipe": list(goal.recipe)},
-        spec.camera,
-        spec.height,
-        spec.width,
+        start,
+        {"policy": "imitation", "model": asdict(reply.model)},
+        tuple(camera.name for camera in spec.cameras),
+        *spec.frame_size(task),
+        max_steps_per_goal or reply.max_steps_per_goal,
     )
 
 
-class _RandomPolicy:
-    """Uniform actions."""
+def expert_policy(sim: SyncClient, task: Task) -> PolicyHandle:
+    """Returns the task's scripted expert, which acts in privileged sessions; its goals are recipes.
 
-    def __init__(self, action: ActionSpec, rng: np.random.Generator) -> None:
-        self._action = action
-        self._rng = rng
+    Raises:
+        InvalidInput: The task has no expert.
+    """
+    if not task.has_expert:
+        raise InvalidInput(
+            f"The expert needs a task that has one; {task.name} has none.",
+            field="config.policy",
+            hint="Evaluate another policy, or choose another task.",
+        )
+    return PolicyHandle(lambda session: _ExpertPolicy(sim, session), {"policy": "expert"})
 
-    def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
-        shape = len(episode_starts), self._action.size
-        if self._action.choices:
-            return self._rng.integers(self._action.choices, size=shape)
-        return self._rng.uniform(-1, 1, shape).astype(np.float32)
+
+@dataclass(frozen=True)
+class _StoredPolicy:
+    """Acts with a network."""
+
+    network: NetworkPolicy
+    camera: str
+
+    def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        return PolicyOutput(self.network.act(frames[self.camera], episode_starts))
+
+
+@dataclass(frozen=True)
+class _ExpertPolicy:
+    """Asks the sim service, which knows the session's true states."""
+
+    sim: SyncClient
+    session: PolicySession
+
+    def act(self, _frames: Mapping[str, Frames], _episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        recipes = tuple(Recipe(goal.recipe) for goal in self.session.goals)
+        reply: ExpertActionsResponse = self.sim.expert_actions(ExpertActionsRequest(self.session.id, recipes))
+        return PolicyOutput(reply.actions)
 
 
 class _ServedPolicy:
-    """Calls the imitation service once per environment, concurrently, so that it batches the calls."""
+    """Calls the imitation service once per environment, concurrently, so that it batches the calls.
+
+    An environment whose goals are all over holds: its last answer stays.
+    """
 
     def __init__(
-        self, imitation: SyncClient, request: ActRequest, action: ActionSpec, camera: str, pool: ThreadPoolExecutor
+        self, imitation: SyncClient, requests: Sequence[ActRequest], hold: Actions, pool: ThreadPoolExecutor
     ) -> None:
         self._imitation = imitation
-        self._first_request = request
-        self._hold = np.zeros((1, action.size), np.int64 if action.choices else np.float32)
-        self._camera = camera
+        self._first_requests = requests
+        self._hold = hold
         self._pool = pool
-        self._requests: list[ActRequest] = []
+        self._requests = list(requests)
+        self._replies: list[ActResponse | None] = [None] * len(requests)
 
-    def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
-        """Returns an action per environment; zeros where the policy has ended."""
-        last = self._requests or [self._first_request] * len(episode_starts)
-        requests = [self._first_request if start else old for start, old in zip(episode_starts, last, strict=True)]
-        replies = list(self._pool.map(self._call, requests, cast(Frames, frames)))
+    def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        for env in np.flatnonzero(episode_starts).tolist():
+            self._requests[env], self._replies[env] = self._first_requests[env], None
+        observed = [{camera: frame[env] for camera, frame in frames.items()} for env in range(len(self._requests))]
+        replies = list(self._pool.map(self._answer, self._requests, self._replies, observed))
         actions = [reply.actions[:1] if len(reply.actions) else self._hold for reply in replies]
+        self._replies = list(replies)
         self._requests = [
             replace(request, state=reply.state, executed_actions=executed)
-            for request, reply, executed in zip(requests, replies, actions, strict=True)
+            for request, reply, executed in zip(self._requests, replies, actions, strict=True)
         ]
-        return cast(Actions, np.concatenate(actions))
+        return PolicyOutput(
+            cast(Actions, np.concatenate(actions)),
+            np.array([reply.goal_index for reply in replies], np.int64),
+            np.array([reply.goal_confidence for reply in replies], np.float64),
+        )
 
-    def _call(self, request: ActRequest, frame: Frames) -> ActResponse:
-        encoding: Encoding = "raw_rgb8" if frame.shape[2] == 3 else "raw_gray8"
-        image = images.encode(frame, encoding=encoding, camera=self._camera)
-        return cast(ActResponse, self._imitation.act(replace(request, observation=Observation((image,)))))
+    def _answer(self, request: ActRequest, last: ActResponse | None, frames: Mapping[str, Frames]) -> ActResponse:
+        if last is not None and not len(last.actions):
+            return last
+        observation = Observation(tuple(encode_raw(frame, camera) for camera, frame in frames.items()))
+        return cast(ActResponse, self._imitation.act(replace(request, observation=observation)))
+
+
+def encode_raw(frame: Frames, camera: str) -> Image:
+    """Returns a frame, uint8 (H, W, C), of a camera as an image without compression."""
+    encoding: Encoding = "raw_rgb8" if frame.shape[2] == 3 else "raw_gray8"
+    return images.encode(frame, encoding=encoding, camera=camera)

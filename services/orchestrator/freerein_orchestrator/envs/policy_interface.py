@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from freerein.errors import InvalidInput
-from freerein.types.common import ActionSpec
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GetSpecResponse
 from freerein.types.sim import Task
 from freerein_orchestrator.rl.policy_files import StoredPolicy
@@ -17,18 +17,12 @@ class PolicyInterface:
     """Observations and actions of a policy.
 
     Attributes:
-        camera: The camera that it sees.
-        height: Frame height in pixels.
-        width: Frame width in pixels.
-        channels: 1 or 3.
+        cameras: The cameras that it sees, with its frame sizes.
         action_size: Numbers per action.
         action_choices: Number of discrete actions, 0 if continuous.
     """
 
-    camera: str
-    height: int
-    width: int
-    channels: int
+    cameras: tuple[Camera, ...]
     action_size: int
     action_choices: int
 
@@ -36,25 +30,44 @@ class PolicyInterface:
     def of_stored(cls, policy: StoredPolicy) -> "PolicyInterface":
         """Returns the interface of a policy of a ppo run."""
         spec, camera = policy.network.spec, str(policy.card["camera"])
-        return cls(camera, spec.height, spec.width, spec.channels, spec.action_size, spec.action_choices)
+        return cls((Camera(camera, spec.height, spec.width, spec.channels),), spec.action_size, spec.action_choices)
 
     @classmethod
     def of_served(cls, spec: GetSpecResponse) -> "PolicyInterface":
         """Returns the interface of a model of the imitation service."""
-        camera, action = spec.cameras[0], spec.action
-        return cls(camera.name, camera.height, camera.width, camera.channels, action.size, action.choices)
+        return cls(spec.cameras, spec.action.size, spec.action.choices)
+
+    def frame_size(self, task: Task) -> tuple[int, int]:
+        """Returns height and width in pixels at which a session renders the policy's frames; 0 for the cameras' own.
+
+        Raises:
+            InvalidInput: Sizes differ from each other and from the task's own: a session has one for all cameras.
+        """
+        if set(self.cameras) <= set(task.cameras):
+            return 0, 0
+        sizes = {(camera.height, camera.width) for camera in self.cameras}
+        if len(sizes) > 1:
+            raise InvalidInput(
+                f"All cameras of a policy must have one frame size, or those of the task; got {self}.",
+                field="config.policy",
+                hint="Fit it on frames of one size, or of the task's own sizes.",
+            )
+        return sizes.pop()
 
     def __str__(self) -> str:
         action = f"one of {self.action_choices} actions" if self.action_choices else f"{self.action_size} numbers"
-        return f"camera {self.camera}, {self.height} x {self.width} x {self.channels}, {action}"
+        cameras = ", ".join(
+            f"camera {each.name}, {each.height} x {each.width} x {each.channels}" for each in self.cameras
+        )
+        return f"{cameras}, {action}"
 
 
-def check_teachers(specs: Sequence[PolicyInterface], *, student_camera: str) -> None:
+def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object) -> None:
     """Checks that teachers have the same spec, and their student the same camera.
 
     Args:
         specs: Of each teacher, at least one.
-        student_camera: The student's; empty for the teachers'.
+        student_cameras: `cameras` of the student's configuration; an empty list for the teachers'.
 
     Raises:
         InvalidInput: They differ.
@@ -66,10 +79,11 @@ def check_teachers(specs: Sequence[PolicyInterface], *, student_camera: str) -> 
             field=_FIELD,
             hint="Distill those that differ separately, or train them on frames of one size.",
         )
-    if student_camera not in ("", specs[0].camera):
+    (camera,) = specs[0].cameras
+    if student_cameras not in ([], [camera.name]):
         raise InvalidInput(
-            f"A student must have its teachers' camera, {specs[0].camera}; got another.",
-            field="config.config.camera",
+            f"A student must have its teachers' camera, {camera.name}; got another.",
+            field="config.config.cameras",
             hint="Leave it out.",
         )
 
@@ -96,17 +110,18 @@ def common_action(tasks: Sequence[Task]) -> tuple[ActionSpec, float]:
 
 
 def check_task(spec: PolicyInterface, task: Task) -> None:
-    """Checks that a task has a policy's camera and actions.
+    """Checks that a task has a policy's cameras and actions.
 
     Raises:
         InvalidInput: It has not.
     """
     channels: Mapping[str, int] = {camera.name: camera.channels for camera in task.cameras}
     same_action = (spec.action_size, spec.action_choices) == (task.action.size, task.action.choices)
-    if channels.get(spec.camera) != spec.channels or not same_action:
+    same_cameras = all(channels.get(camera.name) == camera.channels for camera in spec.cameras)
+    if not (same_cameras and same_action):
         cameras = ", ".join(f"camera {name} with {count} channels" for name, count in channels.items())
         raise InvalidInput(
-            f"Policy and task must have the same camera and actions; this task has {cameras} and "
+            f"Policy and task must have the same cameras and actions; this task has {cameras} and "
             f"{task.action.size} numbers or {task.action.choices} choices per action; the policy has {spec}.",
             field="config.task",
             hint="Choose a task of the same world.",

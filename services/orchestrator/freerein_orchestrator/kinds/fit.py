@@ -17,7 +17,7 @@ from freerein.learning.config import parse
 from freerein.types.common import check_name
 from freerein.types.learning import CancelFitRequest, Fit, StartFitRequest, WatchFitRequest
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.kinds.kind import Kind
+from freerein_orchestrator.kinds.kind import Kind, RemoteWork
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
 from freerein_orchestrator.rl.errors import Stopped
 
@@ -81,6 +81,7 @@ def run(context: RunContext, config: FitRunConfig) -> None:
     watch = None
     try:
         watch = _FitWatch(fits, retry.call(lambda: _start(fits, context, config)), context.metrics_logger(0))
+        retry.call(watch.poll)  # one that has ended has metrics to copy, too
         while not watch.fit.ended:
             retry.call(watch.poll)
     except Stopped:
@@ -98,7 +99,25 @@ def run(context: RunContext, config: FitRunConfig) -> None:
     context.record_model(watch.fit.model)
 
 
-KIND = Kind(partial(parse, FitRunConfig), steps=lambda config: int(config.config.get("steps", 0)), run=run)
+def begin(context: RunContext, config: FitRunConfig) -> None:
+    """Starts the fit, or finds the one that was started, as `run` will."""
+    fits = context.fits(config.service)
+    context.retry().call(lambda: _start(fits, context, config))
+
+
+def cancel(context: RunContext, config: FitRunConfig) -> None:
+    """Cancels the fit that was started; an unavailable service continues it."""
+    fits = context.fits(config.service)
+    with suppress(ServiceError):
+        _cancel(fits, _start(fits, context, config).id, context)
+
+
+KIND = Kind(
+    partial(parse, FitRunConfig),
+    steps=lambda config: int(config.config.get("steps", 0)),
+    run=run,
+    remote=RemoteWork(begin, cancel),
+)
 
 
 class _FitWatch:

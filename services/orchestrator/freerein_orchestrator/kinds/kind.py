@@ -14,6 +14,19 @@ C = TypeVar("C", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
+class RemoteWork(Generic[C]):
+    """Work of another service, which `Kind.run` follows to its end.
+
+    Attributes:
+        begin: Starts it, unless it was started already, and returns at once.
+        cancel: Cancels it, if it was started.
+    """
+
+    begin: Callable[[RunContext, C], None]
+    cancel: Callable[[RunContext, C], None]
+
+
+@dataclass(frozen=True)
 class Kind(Generic[C]):
     """A kind of run, with a configuration of class C.
 
@@ -24,6 +37,7 @@ class Kind(Generic[C]):
         check: Before a run is queued, raises InvalidInput if it builds on what does not exist or does not fit. Given
             the stored policies and runs, and the names of earlier steps of the same pipeline. Calls no service.
         dump: Returns a configuration as JSON values that `parse` reads.
+        remote: What another service does for it, which may begin before `run`; None if the run does all itself.
     """
 
     parse: Callable[[Mapping[str, Any]], C]
@@ -31,3 +45,4 @@ class Kind(Generic[C]):
     run: Callable[[RunContext, C], None]
     check: Callable[[C, PolicyStore, Collection[str]], None] = lambda _config, _store, _earlier: None
     dump: Callable[[C], dict[str, Any]] = asdict
+    remote: RemoteWork[C] | None = None

@@ -1,13 +1,17 @@
 """Kind `pipeline`: runs of other kinds in order, as steps of one run.
 
+A fit is work of another service: it may begin before its turn, beside the steps above it.
+
 <folder>/parts/<step>/           the step's own folder
-         parts/<step>/done.json  its number of steps, once it is done: it is not repeated
+         parts/<step>/done.json  its number of steps, and the seconds it took, once it is done: it is not repeated
+         artifacts/steps.json    name, kind, number of steps and seconds of the steps that are done
          artifacts/<step>.<name> the artifacts of the steps that are done
 """
 
 import json
 import os
-from collections.abc import Collection, Iterator, Mapping
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -20,10 +24,14 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.metrics_logger import last_step
 from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.rl.errors import Stopped
 
 _MAX_NAME = 24
 """Characters: a step's key, and the names of its artifacts, must not exceed what names may have."""
-_DONE = "done.json"
+_DONE, _BEGUN = "done.json", "begun.json"
+
+STEPS = "steps.json"
+"""The artifact that lists the steps that are done."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +53,23 @@ class StepConfig:
         name: Its name; later steps may use it in place of a run's id.
         kind: Its kind.
         config: The kind's configuration.
+        after: Of a fit: earlier steps after which it begins, beside those between; empty for all earlier ones.
     """
 
     name: str
     kind: str
     config: dict[str, Any]
+    after: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Step:
-    """A parsed step."""
+    """A parsed step; attributes as of `StepConfig`."""
 
     name: str
     kind: str
     config: Any
+    after: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -74,6 +85,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
     def parse_pipeline(values: Mapping[str, Any]) -> Pipeline:
         steps = [parse(StepConfig, step) for step in parse(PipelineConfig, values).steps]
         _check_names([step.name for step in steps])
+        _check_after(steps, [name for name, kind in kinds.items() if kind.remote])
         return Pipeline(tuple(parse_step(step) for step in steps))
 
     def parse_step(step: StepConfig) -> Step:
@@ -84,7 +96,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 hint="A pipeline holds no other pipeline.",
             )
         with _step_errors(step.name):
-            return Step(step.name, step.kind, kinds[step.kind].parse(step.config))
+            return Step(step.name, step.kind, kinds[step.kind].parse(step.config), step.after)
 
     def dump(pipeline: Pipeline) -> dict[str, Any]:
         steps = pipeline.steps
@@ -102,14 +114,41 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
 
     def run(context: RunContext, pipeline: Pipeline) -> None:
         done = 0
-        for step in pipeline.steps:
-            child = context.child(step.name, first_step=done)
-            child.folder.mkdir(parents=True, exist_ok=True)
-            if not (child.folder / _DONE).is_file():
+        try:
+            for place, step in enumerate(pipeline.steps):
+                begin(context, pipeline.steps[place:])
+                child = context.child(step.name, first_step=done)
+                child.folder.mkdir(parents=True, exist_ok=True)
+                if not _is_done(context, step.name):
+                    started_s = time.monotonic()
+                    with _step_errors(step.name), child.closing:
+                        kinds[step.kind].run(child, step.config)
+                    _finish(context, child, step, seconds=time.monotonic() - started_s)
+                done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
+        except Stopped:
+            if context.cancelled():
+                cancel(context, pipeline)
+            raise
+
+    def begin(context: RunContext, steps: Sequence[Step]) -> None:
+        """Begins the fits whose turn may come later, once the steps that they come after are done."""
+        for step in steps:
+            remote = kinds[step.kind].remote
+            is_due = step.after and all(_is_done(context, name) for name in step.after)
+            if remote is not None and is_due and not _is_begun(context, step.name):
+                child = context.child(step.name, first_step=0)
                 with _step_errors(step.name), child.closing:
-                    kinds[step.kind].run(child, step.config)
-                _finish(context, child, step.name)
-            done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
+                    remote.begin(child, step.config)
+                write_atomic(child.folder / _BEGUN, b"{}")
+
+    def cancel(context: RunContext, pipeline: Pipeline) -> None:
+        """Cancels the fits that have begun and whose turn has not come."""
+        for step in pipeline.steps:
+            remote = kinds[step.kind].remote
+            if remote is not None and _is_begun(context, step.name) and not _is_done(context, step.name):
+                child = context.child(step.name, first_step=0)
+                with child.closing:
+                    remote.cancel(child, step.config)
 
     return Kind(parse_pipeline, steps, run, check, dump)
 
@@ -130,6 +169,23 @@ def _check_names(names: list[str]) -> None:
             )
 
 
+def _check_after(steps: Sequence[StepConfig], remote: Sequence[str]) -> None:
+    """Checks that only kinds with work of other services begin early, and only after earlier steps."""
+    for place, step in enumerate(steps):
+        if step.after and step.kind not in remote:
+            raise InvalidInput(
+                f"Only steps of the kinds {', '.join(remote)} may begin before their turn; {step.name} is another.",
+                field="config.steps.after",
+                hint="Leave `after` out: steps are done in order.",
+            )
+        if not set(step.after) <= {each.name for each in steps[:place]}:
+            raise InvalidInput(
+                f"`after` must name earlier steps; that of {step.name} names another.",
+                field="config.steps.after",
+                hint="Put the step below those that it comes after.",
+            )
+
+
 @contextmanager
 def _step_errors(name: str) -> Iterator[None]:
     """Adds the step's name to errors."""
@@ -144,12 +200,24 @@ def _step_errors(name: str) -> Iterator[None]:
         ) from error
 
 
-def _finish(context: RunContext, child: RunContext, name: str) -> None:
+def _is_done(context: RunContext, name: str) -> bool:
+    return (context.folder / "parts" / name / _DONE).is_file()
+
+
+def _is_begun(context: RunContext, name: str) -> bool:
+    return (context.folder / "parts" / name / _BEGUN).is_file()
+
+
+def _finish(context: RunContext, child: RunContext, step: Step, *, seconds: float) -> None:
     """Links a step's artifacts into the run's, and records that it is done."""
     for artifact in child.artifacts.iterdir():
-        link = context.artifacts / f"{name}.{artifact.name}"
+        link = context.artifacts / f"{step.name}.{artifact.name}"
         link.unlink(missing_ok=True)
         os.link(artifact, link)
     fsync_folder(context.artifacts)
     steps = max(0, last_step(context.run_folder) - child.first_step)
-    write_atomic(child.folder / _DONE, json.dumps({"steps": steps}).encode())
+    row = {"name": step.name, "kind": step.kind, "steps": steps, "seconds": seconds}
+    path = context.artifacts / STEPS
+    rows = json.loads(path.read_bytes()) if path.is_file() else []
+    write_atomic(path, json.dumps([*(each for each in rows if each["name"] != step.name), row], indent=2).encode())
+    write_atomic(child.folder / _DONE, json.dumps(row).encode())

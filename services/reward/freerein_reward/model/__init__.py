@@ -8,7 +8,7 @@ from freerein_reward.model.grounding import GradCamModel as GradCamModel
 from freerein_reward.model.grounding import PhraseLocations as PhraseLocations
 from freerein_reward.model.grounding import contrast_texts as contrast_texts
 from freerein_reward.model.loading import GROUNDING as GROUNDING
-from freerein_reward.model.loading import REWARD as REWARD
-from freerein_reward.model.loading import load as load
+from freerein_reward.model.loading import is_grounding as is_grounding
 from freerein_reward.model.loading import load_grounding as load_grounding
+from freerein_reward.model.loading import load_reward_model as load_reward_model
 from freerein_reward.model.spec import DualEncoderSpec as DualEncoderSpec

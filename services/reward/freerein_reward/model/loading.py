@@ -1,4 +1,4 @@
-"""Loading of trained dual encoders; a card's `kind` is `reward` or `grounding`."""
+"""Loading of trained dual encoders."""
 
 from pathlib import Path
 
@@ -9,27 +9,29 @@ from freerein_reward.model.dual_encoder_model import DualEncoderModel
 from freerein_reward.model.grounding import GradCamModel
 from freerein_reward.model.spec import DualEncoderSpec
 
-GROUNDING, REWARD = "grounding", "reward"
+GROUNDING = "grounding"
+"""Name of the grounding model, and the `method` of its card."""
 
 
-def load(folder: Path, device: str) -> DualEncoderModel:
-    """Returns the model in a folder; a `GradCamModel` when its kind is `grounding`.
-
-    Raises InvalidInput when the card names another kind; otherwise as `freerein.learning.model_files.load_model`.
-    """
-    kind = model_files.read_card(folder).get("kind")
-    if kind not in (GROUNDING, REWARD):
-        raise InvalidInput(
-            f"The card's `kind` must be {GROUNDING} or {REWARD}; it is not.",
-            hint="Fit the model again, or restore its folder from a copy.",
-        )
-    network = model_files.load_model(folder, DualEncoderSpec, DualEncoder, device=device)
-    return GradCamModel(network) if kind == GROUNDING else DualEncoderModel(network)
+def load_reward_model(folder: Path, device: str) -> DualEncoderModel:
+    """Returns the reward model in a folder; raises as `freerein.learning.model_files.load_model`."""
+    return DualEncoderModel(_load_network(folder, device))
 
 
 def load_grounding(folder: Path, device: str) -> GradCamModel:
-    """Returns the grounding model in a folder. Raises as `load`, and InvalidInput for a reward model."""
-    model = load(folder, device)
-    if not isinstance(model, GradCamModel):
-        raise InvalidInput("Captions need a grounding model; got a reward model.", field="grounding")
-    return model
+    """Returns the grounding model in a folder. Raises as `load_reward_model`, and InvalidInput for a reward model."""
+    if not is_grounding(folder):
+        raise InvalidInput(
+            "Captions need a grounding model; got another one.",
+            hint="Activate another version of the model `grounding`, and restart the service.",
+        )
+    return GradCamModel(_load_network(folder, device))
+
+
+def is_grounding(folder: Path) -> bool:
+    """Returns whether a folder holds a grounding model, by its card; raises as `model_files.read_card`."""
+    return model_files.read_card(folder).get("method") == GROUNDING
+
+
+def _load_network(folder: Path, device: str) -> DualEncoder:
+    return model_files.load_model(folder, DualEncoderSpec, DualEncoder, device=device)

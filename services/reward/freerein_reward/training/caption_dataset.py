@@ -1,6 +1,6 @@
 """The caption dataset of a reward model: images, and the spatial relations that the grounding model found in them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
@@ -12,6 +12,7 @@ import torch
 from freerein.atomic_files import write_atomic
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
+from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import tensor_files
 from freerein.learning.split import train_validation_split
 from freerein_reward.model import GradCamModel, preprocess
@@ -101,18 +102,11 @@ class CaptionDataset:
         return self.subset(training), self.subset(validation)
 
 
-def caption_images(
-    dataset: Dataset,
-    grounding: GradCamModel,
-    config: RewardConfig,
-    path: Path,
-    *,
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> CaptionDataset:
+def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConfig, path: Path) -> CaptionDataset:
     """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
 
     The phrases are located in the frames of the first camera. `path` is a cache of the captions, read when it exists,
-    else written; `on_progress` is called with the fraction done, in [0, 1].
+    else written; `metrics.jsonl` beside it then has the fraction done, `captioned`, at step 0.
     """
     size = grounding.network.spec.image_size
     views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
@@ -120,7 +114,8 @@ def caption_images(
         cached = tensor_files.parse(path.read_bytes())
         relations, sides = cached["relations"].numpy(), cached["sides"].numpy()
     else:
-        relations, sides = _relations(views[0], grounding, config, on_progress)
+        rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=0)
+        relations, sides = _relations(views[0], grounding, config, rows)
         tensors = {"relations": torch.from_numpy(relations), "sides": torch.from_numpy(sides)}
         write_atomic(path, tensor_files.dump(tensors))
     return CaptionDataset(views, config.phrases, relations, sides)
@@ -171,10 +166,7 @@ def relation_captions(
 
 
 def _relations(
-    frames: npt.NDArray[np.uint8],
-    grounding: GradCamModel,
-    config: RewardConfig,
-    on_progress: Callable[[float], None],
+    frames: npt.NDArray[np.uint8], grounding: GradCamModel, config: RewardConfig, rows: MetricsWriter
 ) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int8]]:
     """Returns relations and sides, int8 (N, P, P) each, of frames (N, H, W, 3)."""
     relations, sides = [], []
@@ -183,7 +175,7 @@ def _relations(
         is_shown = found.presence >= config.min_presence
         relations.append(pairwise_relations(found.x, found.y, is_shown, epsilon=config.epsilon))
         sides.append(pairwise_sides(found.x, relations[-1]))
-        on_progress(min(1.0, (start + _IMAGES_AT_ONCE) / len(frames)))
+        rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
     return np.concatenate(relations), np.concatenate(sides)
 
 

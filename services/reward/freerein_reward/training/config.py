@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from freerein.learning.config import bounded
-from freerein.learning.fit_config import FitConfig
+from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 
 
 @dataclass(frozen=True)
@@ -32,23 +32,20 @@ class GroundingConfig(FitConfig):
 
 
 @dataclass(frozen=True)
-class RewardConfig(FitConfig):
+class RewardConfig(DatasetFitConfig):
     """Configuration of a reward model's fit.
 
     Attributes:
-        cameras: Cameras to learn from; empty for the dataset's only camera. Captions come from the first.
-        phrases: Noun phrases of the goal texts.
+        phrases: Noun phrases of the goal texts, 2 to 32, which must be given; located in frames of the first camera.
         epsilon: Object width as a fraction of the image width: eps of table 4.1.
         min_presence: Presence probability from which a phrase appears in captions.
         batch_size: Images per optimiser step.
         extra_keypoints: Keypoints in addition to one per phrase.
         hidden_size: Units of each of the two hidden layers after keypoint pooling.
         embedding_dim: Dimension of the embeddings.
-        validation_fraction: Fraction of trajectories whose captions choose the best weights.
     """
 
-    cameras: tuple[str, ...] = ()
-    phrases: tuple[str, ...] = ("a red block", "a green block", "a yellow block", "a blue block")
+    phrases: tuple[str, ...] = ()
     epsilon: float = bounded(0.1, least=0.001, most=0.5)
     min_presence: float = bounded(0.95, least=0.0, most=1.0)
     batch_size: int = bounded(128, least=2, most=4096)
@@ -57,4 +54,3 @@ class RewardConfig(FitConfig):
     extra_keypoints: int = bounded(12, least=0, most=256)
     hidden_size: int = bounded(256, least=1, most=4096)
     embedding_dim: int = bounded(64, least=8, most=1024)
-    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)

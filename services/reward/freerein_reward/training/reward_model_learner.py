@@ -45,6 +45,7 @@ class RewardModelLearner:
     training: CaptionDataset
     validation: CaptionDataset
     grounding: GradCamModel
+    grounding_version: str
     fingerprint: str
     device: torch.device
 

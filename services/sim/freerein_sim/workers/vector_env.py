@@ -12,8 +12,6 @@ from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResp
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.world import (
-    NO_SKILL,
-    LabelledAction,
     ScriptedPolicy,
     TaskDefinition,
     action_dtype,
@@ -22,6 +20,9 @@ from freerein_sim.worlds.world import (
     sized_cameras,
     skill_indices,
 )
+
+MAX_RECIPE = 256
+"""Most skills of a recipe for the expert."""
 
 
 class VectorEnv:
@@ -135,9 +136,9 @@ class VectorEnv:
             if i not in self._experts:
                 self._experts[i] = expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
         chosen = [self._experts[i].act() for i in range(self.num_envs)]
-        nothing = LabelledAction(np.zeros(self.task.spec.action.size, action_dtype(self.task.spec.action)), NO_SKILL)
+        nothing = np.zeros(self.task.spec.action.size, action_dtype(self.task.spec.action))
         return ExpertActionsResponse(
-            actions=np.stack([(each or nothing).action for each in chosen]),
+            actions=np.stack([nothing if each is None else each.action for each in chosen]),
             finished=np.array([each is None for each in chosen]),
         )
 
@@ -233,6 +234,12 @@ class VectorEnv:
                 f"`recipes` must be one for each of the {self.num_envs} environments, or none; got {len(recipes)}.",
                 field="recipes",
                 hint="Leave it empty for the task's own.",
+            )
+        if any(len(recipe.skills) > MAX_RECIPE for recipe in recipes):
+            raise InvalidInput(
+                f"A recipe must have at most {MAX_RECIPE} skills; got a longer one.",
+                field="recipes",
+                hint="Ask for the rest after the next reset.",
             )
         for recipe in recipes:
             skill_indices(self.task.spec, recipe.skills, field="recipes")

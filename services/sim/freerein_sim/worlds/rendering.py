@@ -14,7 +14,6 @@ from freerein.errors import FailedPrecondition, Unimplemented
 from freerein_sim.worlds.opengl import INSTALL_HINT, choose_backend
 from freerein_sim.worlds.world import Frame
 
-_MAX_GEOMS = 200
 _OFF = (
     mujoco.mjtRndFlag.mjRND_SHADOW,
     mujoco.mjtRndFlag.mjRND_REFLECTION,
@@ -37,7 +36,7 @@ class Renderer:
         self._gl.make_current()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._scene = mujoco.MjvScene(model, _MAX_GEOMS)
+        self._scene = mujoco.MjvScene(model, _count_drawn(model))
         for flag in _OFF:
             self._scene.flags[flag] = 0
         self._option, self._perturb, self._camera = mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.MjvCamera()
@@ -71,6 +70,12 @@ class Renderer:
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:
             raise FailedPrecondition("A world is rendered and closed on one thread; this is another.")
+
+
+def _count_drawn(model: mujoco.MjModel) -> int:
+    """Returns the greatest number of things that MuJoCo draws of a model; it leaves out what is beyond."""
+    tendons = 2 * model.nwrap  # a tendon that winds round a geom has two points there
+    return int(model.ngeom + model.nsite + tendons + model.nskin + model.nflex)
 
 
 def open_renderer(model: mujoco.MjModel) -> Renderer:

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from freerein.cli.demo.pipeline import run
 from freerein.cli.demo.report import Reporter
+from freerein.cli.demo.run import run
 from freerein.cli.output import AsJson, command
 
 app = typer.Typer(add_completion=False)
@@ -27,7 +27,7 @@ def demo(
 ) -> None:
     """Run the whole pipeline, measure it, and draw the results.
 
-    Writes summary.json, summary.md and the pictures. The exit code is 1 when a stage fails. A figure that does not
+    Writes summary.json, summary.md and the pictures. The exit code is 1 when a step fails. A figure that does not
     meet its bar is reported as "not met"; the exit code stays 0.
     """
     asyncio.run(run(out, seed=seed, reporter=Reporter(as_json=as_json), running=running))

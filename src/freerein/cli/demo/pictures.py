@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.cli.demo.report import Returns
-from freerein.metrics import frame_accuracy
 
 Image = npt.NDArray[np.uint8]
 
@@ -41,6 +40,7 @@ class LabelledTrajectory:
         labels: int64 (T,), predicted, likewise.
         confidence: float32 (T,), in [0, 1].
         skills: Names of the skills.
+        accuracy: Frame accuracy.
     """
 
     frames: Image
@@ -48,11 +48,7 @@ class LabelledTrajectory:
     labels: npt.NDArray[np.int64]
     confidence: npt.NDArray[np.float32]
     skills: tuple[str, ...]
-
-    @property
-    def accuracy(self) -> float:
-        """Frame accuracy."""
-        return frame_accuracy(self.labels, self.truth)
+    accuracy: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.live import Live
-from rich.padding import Padding
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from freerein.cli.jobs.display import draw
-from freerein.cli.jobs.progress import Job, JobProgress
+from freerein.cli.jobs.progress import metrics_text
 from freerein.cli.output import print_json
 from freerein.metrics import mean_interval
+from freerein.types.orchestrator import Run
 
+_NOTE = 60  # characters
 _COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
 
@@ -147,42 +146,28 @@ class Reporter:
         self._console.print(f"  {text}", soft_wrap=True)
 
     @contextmanager
-    def progress(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """Yields `advance(done, note="")`, which moves a progress bar."""
+    def steps(self, names: Sequence[str]) -> Iterator[Callable[[Run], None]]:
+        """Yields a function that shows how far a pipeline with steps of these names has come."""
         columns = (
-            TextColumn("  {task.description:<22}"),
+            TextColumn("  {task.description:<16}"),
             BarColumn(),
             MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            TimeElapsedColumn(),
             TextColumn("[dim]{task.fields[note]}"),
         )
         with Progress(*columns, console=self._console, disable=self._as_json) as bars:
-            bar = bars.add_task(name, total=total, note="")
+            bar, current = bars.add_task("", total=len(names), note=""), ""
 
-            def advance(done: int, note: str = "") -> None:
-                bars.update(bar, completed=done, note=note)
-
-            yield advance
-
-    @contextmanager
-    def curves(self, name: str, metrics: Sequence[str]) -> Iterator[Callable[[Job], JobProgress]]:
-        """Yields a function that draws a run's curves and returns them."""
-        progress = JobProgress()
-        with Live(
-            console=self._console,
-            auto_refresh=False,
-            get_renderable=lambda: Padding(draw(name, progress, metrics, width=self._console.width - 2), (0, 0, 0, 2)),
-        ) as live:
-
-            def show(now: Job) -> JobProgress:
-                progress.add(now, at_s=time.monotonic())
-                if self._console.is_terminal:
-                    live.refresh()
-                return progress
+            def show(run: Run) -> None:
+                nonlocal current
+                step = next((name.partition("/")[0] for name in run.metrics), "")
+                if step in names and step != current:
+                    current = step
+                    self.line(step)
+                done = len(names) if run.state == "succeeded" else names.index(current) if current else 0
+                bars.update(bar, completed=done, description=current or run.state, note=metrics_text(run)[:_NOTE])
 
             yield show
-        if not self._console.is_terminal:
-            self._console.line()  # which a live display ends only terminals' lines with
 
     def summary(self, figures: Sequence[Figure], document: Mapping[str, object]) -> None:
         """Prints the figures as a table, or the summary as JSON."""

@@ -75,10 +75,10 @@ class DistillConfig:
         if self.dataset:
             check_name(self.dataset, field="config.dataset")
         check_name(self.model_name, field="config.model_name")
-        if self.config.get("policy", "language") != "language":
+        if self.config.get("method", "language") != "language":
             raise InvalidInput(
-                "The student follows sentences: `policy` must be language; got another.",
-                field="config.config.policy",
+                "The student follows sentences: `method` must be language; got another.",
+                field="config.config.method",
                 hint="Leave it out.",
             )
         fit.check_steps(self.config)
@@ -86,7 +86,7 @@ class DistillConfig:
     @property
     def fit(self) -> FitRunConfig:
         """The student's fit."""
-        config = {**self.config, "policy": "language"}
+        config = {**self.config, "method": "language"}
         return FitRunConfig("imitation", self.dataset or "unnamed", self.model_name, config)
 
 
@@ -133,7 +133,7 @@ KIND = Kind(_parse, steps, run, check)
 
 def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> None:
     check_teachers(
-        [PolicyInterface.of_stored(policy) for policy in policies], student_camera=config.config.get("camera", "")
+        [PolicyInterface.of_stored(policy) for policy in policies], student_cameras=config.config.get("cameras", [])
     )
     rewards = [policy.card.get("reward") for policy in policies]
     if config.keep == "rewarded" and set(rewards) != {"learned"}:

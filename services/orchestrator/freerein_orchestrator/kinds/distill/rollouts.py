@@ -89,7 +89,7 @@ class _Recording:
         self._tasks: list[Task] = [
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
-        self._spec = PolicyInterface.of_stored(policies[0])
+        (self._camera,) = PolicyInterface.of_stored(policies[0]).cameras
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
         recorded = list(plan.rounds(len(policies)))[: len(self._kept)]
@@ -98,10 +98,10 @@ class _Recording:
 
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
-        frame = (self._spec.height, self._spec.width, self._spec.channels)
+        camera = self._camera
         spec = DatasetSpec(
             fps=integer_fps(control_dt_s),
-            cameras={self._spec.camera: frame},
+            cameras={camera.name: (camera.height, camera.width, camera.channels)},
             action=action,
             robot_type=self._tasks[0].world,
             has_terminations=True,
@@ -123,7 +123,7 @@ class _Recording:
         for episode in kept[recorded:]:
             writer.append(
                 Trajectory(
-                    frames={self._spec.camera: episode.frames},
+                    frames={camera: frames[:-1] for camera, frames in episode.frames.items()},
                     actions=episode.actions,
                     goal_text=str(policy.card["goal_text"]),
                     terminated=episode.terminated,
@@ -147,8 +147,8 @@ class _Recording:
         if self._plan.keep == "all":
             return episodes
         goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
-        reward_fn = LearnedReward(self._reward, goal_text, self._spec.camera, model)
-        last = np.stack([episode.frames[-1] for episode in episodes])
+        reward_fn = LearnedReward(self._reward, goal_text, self._camera.name, model)
+        last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
         rewards = self._retry.call(lambda: reward_fn(last, None))
         return [episode for episode, reward in zip(episodes, rewards, strict=True) if reward > 0]
 

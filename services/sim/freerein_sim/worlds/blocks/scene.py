@@ -4,17 +4,13 @@ Instead of an arm there are two slide joints, y and z, whose position servos fol
 mocap body in the Fetch environments. x points to the front camera, y to its right, z up, in metres.
 """
 
-import hashlib
-import importlib.util
-from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from freerein.errors import FailedPrecondition
 from freerein_sim.worlds.blocks.goals import BLOCK_M
+from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
 
 TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
 GRIPPER_Y_M = (-0.22, 0.22)
@@ -57,17 +53,6 @@ _CAMERAS = {
 """By name: position, target, and vertical field of view in degrees."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A compiled scene, shared by all worlds of its colours, so the model must not be modified.
-
-    The fingerprint is a hash of the model and MuJoCo's version.
-    """
-
-    model: mujoco.MjModel
-    fingerprint: str
-
-
 @lru_cache(maxsize=_CACHED_SCENES)
 def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
     """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second."""
@@ -76,7 +61,6 @@ def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10
-    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence is reported, never reset away
     _set_look(spec)
     _add_room(spec.worldbody)
     _add_cameras(spec.worldbody)
@@ -85,15 +69,10 @@ def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
         _add_block(spec.worldbody, colour)
     if pad:
         spec.worldbody.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=_PAD_HALF_M, pos=PAD_M)
-    model = spec.compile()
-    compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, compiled)
-    return Scene(model, hashlib.sha256(mujoco.mj_versionString().encode() + compiled.tobytes()).hexdigest())
+    return compile_scene(spec)
 
 
 def _set_look(spec: mujoco.MjSpec) -> None:
-    spec.visual.quality.shadowsize = 0
-    spec.visual.quality.offsamples = 0
     spec.visual.headlight.ambient = [0.38] * 3
     spec.visual.headlight.diffuse = [0.38] * 3
     spec.visual.headlight.specular = [0.0] * 3
@@ -133,7 +112,7 @@ def _add_cameras(world: mujoco.MjsBody) -> None:
 
 
 def _add_gripper(spec: mujoco.MjSpec) -> None:
-    folder = _mesh_folder()
+    folder = asset_folder("gymnasium_robotics") / "envs" / "assets" / "stls" / "fetch"
     gripper = spec.worldbody.add_body(name="gripper", quat=[1, 0, 1, 0], gravcomp=1)  # its x axis points down
     slide = mujoco.mjtJoint.mjJNT_SLIDE
     gripper.add_joint(name="gripper.y", type=slide, axis=[0, 1, 0])
@@ -199,14 +178,3 @@ def _add_block(world: mujoco.MjsBody, colour: str) -> None:
         condim=4,
         friction=[1.0, 0.05, 0.01],
     )
-
-
-def _mesh_folder() -> Path:
-    """Returns the meshes' folder without importing the wheel."""
-    found = importlib.util.find_spec("gymnasium_robotics")
-    if found is None or found.origin is None:
-        raise FailedPrecondition(
-            "The blocks world reads the gripper's meshes from the wheel gymnasium-robotics, which is not installed.",
-            hint="pip install --no-deps -r assets.txt",
-        )
-    return Path(found.origin).parent / "envs" / "assets" / "stls" / "fetch"

@@ -304,7 +304,9 @@ class Goal(_message.Message):
     """The goal in words, 1 to 2000 characters."""
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[Global___Image]:
-        """A goal image, or a sequence of landmarks to reach in order."""
+        """A goal image, or a sequence of landmarks to reach in order. For a model with several cameras each goal is a run of one
+        image per camera, in any order, with `camera` set.
+        """
 
     @_builtins.property
     def recipe(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:

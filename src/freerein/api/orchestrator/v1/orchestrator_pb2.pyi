@@ -45,9 +45,11 @@ class Run(_message.Message):
         KIND_DISTILL: Run._Kind.ValueType  # 4
         """Distills policies of earlier runs into one language policy."""
         KIND_EVALUATE: Run._Kind.ValueType  # 5
-        """Evaluates a policy by the oracle reward of a task."""
+        """Measures a policy or a model against true states."""
         KIND_PIPELINE: Run._Kind.ValueType  # 6
-        """Executes several of these in sequence."""
+        """Executes several of the other kinds in sequence."""
+        KIND_LABEL: Run._Kind.ValueType  # 7
+        """Labels every timestep of a dataset by a segmentation model."""
 
     class Kind(_Kind, metaclass=_KindEnumTypeWrapper):
         """Kind of a run."""
@@ -63,9 +65,11 @@ class Run(_message.Message):
     KIND_DISTILL: Run.Kind.ValueType  # 4
     """Distills policies of earlier runs into one language policy."""
     KIND_EVALUATE: Run.Kind.ValueType  # 5
-    """Evaluates a policy by the oracle reward of a task."""
+    """Measures a policy or a model against true states."""
     KIND_PIPELINE: Run.Kind.ValueType  # 6
-    """Executes several of these in sequence."""
+    """Executes several of the other kinds in sequence."""
+    KIND_LABEL: Run.Kind.ValueType  # 7
+    """Labels every timestep of a dataset by a segmentation model."""
 
     @_typing.final
     class MetricsEntry(_message.Message):

@@ -97,7 +97,10 @@ class Predicate(_message.Message):
     GROUP_FIELD_NUMBER: _builtins.int
     NEEDS_REFERENCE_FIELD_NUMBER: _builtins.int
     name: _builtins.str
-    """Its name: `at-landmark`, `completed/SKILL`, or a name of the world's own."""
+    """Its name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not
+    where the reference has it), `lifted/SKILL` (the skill's object has risen since the first state),
+    `completed/SKILL` (the skill was executed since the first state), or a name of the world's own.
+    """
     text: _builtins.str
     """What it states, as a caption; empty where no image could show it."""
     group: _builtins.str
@@ -790,7 +793,7 @@ class DemonstrateRequest(_message.Message):
         BEHAVIOUR_UNSPECIFIED: DemonstrateRequest._Behaviour.ValueType  # 0
         """Invalid."""
         BEHAVIOUR_EXPERT: DemonstrateRequest._Behaviour.ValueType  # 1
-        """The task's scripted expert."""
+        """The task's scripted expert; unimplemented in a task without one."""
         BEHAVIOUR_RANDOM: DemonstrateRequest._Behaviour.ValueType  # 2
         """Smooth random actions."""
 
@@ -800,7 +803,7 @@ class DemonstrateRequest(_message.Message):
     BEHAVIOUR_UNSPECIFIED: DemonstrateRequest.Behaviour.ValueType  # 0
     """Invalid."""
     BEHAVIOUR_EXPERT: DemonstrateRequest.Behaviour.ValueType  # 1
-    """The task's scripted expert."""
+    """The task's scripted expert; unimplemented in a task without one."""
     BEHAVIOUR_RANDOM: DemonstrateRequest.Behaviour.ValueType  # 2
     """Smooth random actions."""
 

@@ -1,0 +1,9 @@
+"""The child process of a fit: `python -m freerein_imitation.fit FOLDER DATA_DIR DEVICE`."""
+
+import sys
+from pathlib import Path
+
+from freerein_imitation.methods import METHODS
+
+if __name__ == "__main__":
+    raise SystemExit(METHODS.run_fit(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))

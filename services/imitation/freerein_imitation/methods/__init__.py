@@ -1,0 +1,19 @@
+"""The methods of the service, by name. A new one is a module here and a line in `METHODS`."""
+
+from types import MappingProxyType
+
+from freerein.learning.methods import Methods
+from freerein_imitation.methods import goal_conditioned, inverse_model, language, skills
+from freerein_imitation.model.policy import Policy
+
+METHODS: Methods[Policy] = Methods(
+    "imitation",
+    MappingProxyType(
+        {
+            "goal_conditioned": goal_conditioned.METHOD,
+            "skills": skills.METHOD,
+            "language": language.METHOD,
+            "inverse_model": inverse_model.METHOD,
+        }
+    ),
+)

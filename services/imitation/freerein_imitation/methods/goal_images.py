@@ -1,0 +1,53 @@
+"""What the methods for goal images share: the learner's preparation, and the card."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein_imitation.model.goal_images import GoalImagesNetwork
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.training.goal_images import (
+    GoalImagesConfig,
+    GoalImagesLearner,
+    PolicyLosses,
+    reached_threshold,
+)
+
+N = TypeVar("N", bound=GoalImagesNetwork)
+
+
+def prepare(
+    source: FitDataset,
+    config: GoalImagesConfig,
+    device: torch.device,
+    *,
+    make_network: Callable[[], N],
+    policy_losses: PolicyLosses[N],
+) -> GoalImagesLearner[N]:
+    """Returns the learner of a network, which `make_network` makes, on the trajectories of a dataset.
+
+    Raises:
+        InvalidInput: Fewer than 2 trajectories are long enough.
+    """
+    training, validation = source.trajectories(config.cameras).split(
+        fraction=config.validation_fraction, seed=config.seed, min_length=config.min_goal_steps + 1
+    )
+    fingerprint = source.dataset.fingerprint
+    return GoalImagesLearner(config, make_network, policy_losses, training, validation, fingerprint, device)
+
+
+def card(
+    source: FitDataset, learner: GoalImagesLearner[N], fitted: FitResult[N], *, max_steps_per_goal: int
+) -> dict[str, Any]:
+    """Returns the card's entries of a fitted network."""
+    losses = learner.validation_losses(fitted.network)
+    threshold = reached_threshold(fitted.network.recognizer, learner.validation)
+    figures = {"action_loss": losses.action.item(), "recognizer_loss": losses.recognizer.item()}
+    return {
+        **ControlSpec(1 / source.dataset.spec.fps, threshold, max_steps_per_goal).to_card(),
+        "figures": fitted.figures | figures,
+        "supervision": "images and executed actions of exploration",
+    }

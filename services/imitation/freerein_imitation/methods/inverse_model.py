@@ -1,0 +1,119 @@
+"""The inverse model, a baseline of chapter 3 (Nair et al. 2017), for goal images.
+
+It is trained on pairs of consecutive observations, a_t = pi(phi(x_t), phi(x_{t+1})), and acts with the goal image in
+place of x_{t+1}. It has no recurrence, no previous action and no forward consistency, and the same goal recognizer.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein.learning import model_files
+from freerein.learning.config import bounded
+from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method
+from freerein_imitation import objectives
+from freerein_imitation.methods import goal_images
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesPolicy, GoalImagesSpec
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.training.goal_images import GoalImagesConfig, GoalImagesLearner
+from freerein_imitation.training.goal_relabelling import RelabelledSlices
+
+
+@dataclass(frozen=True)
+class InverseModelConfig(GoalImagesConfig):
+    """Configuration of a fit of an inverse model.
+
+    Attributes:
+        min_goal_steps: Fewest actions between the two images of a pair.
+        max_goal_steps: Most actions between the two images of a pair.
+    """
+
+    min_goal_steps: int = bounded(1, least=1, most=1000)
+    max_goal_steps: int = bounded(1, least=1, most=1000)
+
+
+class InverseModelNetwork(GoalImagesNetwork):
+    """Inverse model and goal recognizer, which share no weights."""
+
+    policy: "InverseModel"
+
+    def __init__(self, spec: GoalImagesSpec) -> None:
+        super().__init__(spec, InverseModel(spec))
+
+
+class InverseModel(nn.Module):
+    """P(a_t | phi(x_t), phi(x_g))."""
+
+    recurrent_size = 0
+
+    def __init__(self, spec: GoalImagesSpec) -> None:
+        super().__init__()
+        self._shape = spec.action.size, spec.categories
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        self.hidden = nn.Linear(2 * self.encoder.size, spec.hidden_size)
+        self.action_head = nn.Linear(spec.hidden_size, spec.action.size * spec.categories)
+
+    def forward(self, features: Tensor, goal: Tensor) -> Tensor:
+        """Returns action logits, float32 (..., A, categories), for phi(x_t) and phi(x_g), float32 (..., D) each."""
+        hidden = functional.relu(self.hidden(torch.cat([features, goal], dim=-1)))
+        logits: Tensor = self.action_head(hidden)  # (..., A * categories)
+        return logits.view(*logits.shape[:-1], *self._shape)
+
+    def step(self, features: Tensor, goal: Tensor, _previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the logits of one action, and the empty recurrent states; see `ActionNetwork.step`."""
+        return self(features, goal)[:, None], recurrent
+
+
+def _losses(network: InverseModelNetwork, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
+    features = network.policy.encoder(slices.frames)  # (N, D)
+    at = slices.timesteps  # (S, L)
+    logits = network.policy(features[at], features[slices.goals][:, None].expand(-1, at.shape[1], -1))
+    executed = action_bins.encode(slices.actions[at], choices=network.spec.action.choices)  # (S, L, A, categories)
+    action = objectives.masked_mean(objectives.action_cross_entropy(logits, executed), slices.mask)
+    return action, action.new_zeros(())
+
+
+def _resolve(source: FitDataset, config: InverseModelConfig) -> InverseModelConfig:
+    _spec(source, config)  # rejects frames and actions that are out of bounds
+    return config
+
+
+def _prepare(
+    source: FitDataset, config: InverseModelConfig, device: torch.device
+) -> GoalImagesLearner[InverseModelNetwork]:
+    make_network = partial(InverseModelNetwork, _spec(source, config))
+    return goal_images.prepare(source, config, device, make_network=make_network, policy_losses=_losses)
+
+
+def _card(
+    source: FitDataset, learner: GoalImagesLearner[InverseModelNetwork], fitted: FitResult[InverseModelNetwork]
+) -> dict[str, Any]:
+    return goal_images.card(source, learner, fitted, max_steps_per_goal=2 * learner.config.far_steps)
+
+
+def _load(folder: Path, device: str) -> GoalImagesPolicy:
+    network = model_files.load_model(folder, GoalImagesSpec, InverseModelNetwork, device=device)
+    return GoalImagesPolicy(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+
+def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
+    return GoalImagesSpec(
+        cameras=source.cameras(config.cameras),
+        action=source.dataset.spec.action,
+        encoder=config.encoder,
+        features=config.features,
+        hidden_size=config.hidden_size,
+        embedding_size=config.embedding_size,
+    )
+
+
+METHOD = Method(InverseModelConfig, _resolve, _prepare, _card, _load)

@@ -1,0 +1,79 @@
+"""Language policies, for texts: distillation of single-task policies (section 4.3)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from freerein.data import read_teachers
+from freerein.errors import InvalidInput
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method
+from freerein_imitation.model.language import (
+    NEVER_REACHED,
+    TEXT_ENCODER_FILE,
+    LanguageNetwork,
+    LanguagePolicy,
+    text_encoder_entry,
+)
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.training import minilm
+from freerein_imitation.training.language import LanguageConfig, LanguageLearner, network_spec
+
+_TEXTS_IN_CARD = 64
+
+
+def _resolve(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
+    dataset = source.dataset
+    minilm.check()
+    missing = dataset.goal_texts.count("")
+    if missing:
+        raise InvalidInput(
+            f"Every trajectory must have a goal text; {missing} of {len(dataset)} have none.",
+            field="dataset",
+            hint="Record each trajectory with its goal text.",
+        )
+    network_spec(config, cameras=source.cameras(config.cameras), action=dataset.spec.action)  # rejects bad sizes
+    longest = int(dataset.lengths.max(initial=1))
+    return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
+
+
+def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -> LanguageLearner:
+    return LanguageLearner.prepare(
+        config,
+        source.trajectories(config.cameras),
+        minilm.read(),
+        cameras=source.cameras(config.cameras),
+        action=source.dataset.spec.action,
+        fingerprint=source.dataset.fingerprint,
+        device=device,
+    )
+
+
+def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
+    texts = sorted(set(source.dataset.goal_texts))
+    return {
+        **ControlSpec(1 / source.dataset.spec.fps, NEVER_REACHED, learner.config.max_steps_per_goal).to_card(),
+        "figures": {**fitted.figures, "action_loss": fitted.validation_loss},
+        "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
+        **supervision_of(read_teachers(source.root)),
+        **text_encoder_entry(minilm.NAME, learner.text_encoder),
+    }
+
+
+def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
+    return {TEXT_ENCODER_FILE: learner.text_encoder}
+
+
+def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any."""
+    supervision = "images, executed actions and goal texts"
+    if teacher_cards:
+        theirs = sorted({str(card.get("supervision") or "unknown") for card in teacher_cards})
+        supervision += f" of policies with this supervision: {'; or: '.join(theirs)}"
+    return {"supervision": supervision, "privileged": any(card.get("privileged") is True for card in teacher_cards)}
+
+
+METHOD = Method(LanguageConfig, _resolve, _prepare, _card, LanguagePolicy.load, _files)

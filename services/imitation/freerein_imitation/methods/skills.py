@@ -1,0 +1,59 @@
+"""Skill policies, for recipes: behavioural cloning of labelled segments (section 2.4)."""
+
+from dataclasses import asdict
+from typing import Any
+
+import torch
+
+from freerein.data import labels
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsSpec
+from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
+
+
+def _resolve(source: FitDataset, config: SkillsConfig) -> SkillsConfig:
+    _spec(source, config)  # rejects frames and actions that are out of bounds, and a dataset without labels
+    return config
+
+
+def _prepare(source: FitDataset, config: SkillsConfig, device: torch.device) -> SkillsLearner:
+    labelled = labels.all_labels(source.root, source.dataset.lengths)
+    return SkillsLearner.prepare(
+        config,
+        _spec(source, config),
+        source.trajectories(config.cameras),
+        labelled,
+        fingerprint=f"{source.dataset.fingerprint} {labels.fingerprint(labelled)}",
+        device=device,
+    )
+
+
+def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNetwork]) -> dict[str, Any]:
+    losses = learner.validation_losses(fitted.network)
+    figures = {
+        "action_loss": losses.action.item(),
+        "termination_loss": losses.termination.item(),
+        "segments": len(learner.training) + len(learner.validation),
+    }
+    control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, learner.max_steps_per_skill)
+    return {
+        **control.to_card(),
+        "figures": fitted.figures | figures,
+        "labels": asdict(labels.info(source.root)),
+        "supervision": "images and executed actions of demonstrations, and skills predicted from tags",
+    }
+
+
+def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:
+    return network_spec(
+        config,
+        cameras=source.cameras(config.cameras),
+        action=source.dataset.spec.action,
+        skills=labels.info(source.root).skills,
+    )
+
+
+METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load)

@@ -1,0 +1,153 @@
+"""Policies that follow goal images: what their networks share, the goal recognizer, and how they act."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.inputs import InputSpec
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
+
+_MAX_LOGIT = 5.0  # the recognizer's, of two equal images
+_ENCODE_BATCH = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalImagesSpec(InputSpec):
+    """Inputs, outputs and sizes of the networks.
+
+    Attributes:
+        encoder: Image encoder of the policy and of the recognizer, which share no weights.
+        features: Image features per camera of the policy.
+        hidden_size: Units of the policy's hidden layers.
+        embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+    """
+
+    encoder: str = one_of(ENCODERS, "spatial")
+    features: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    embedding_size: int = bounded(64, least=2, most=1024)
+
+    @property
+    def categories(self) -> int:
+        """Categories of each number of an action."""
+        return self.action.choices or action_bins.BINS
+
+
+class ActionNetwork(Protocol):
+    """The part of a network that chooses actions: a torch module.
+
+    Attributes:
+        encoder: Encodes observations and goals.
+        recurrent_size: R, numbers of recurrent state.
+    """
+
+    encoder: CameraEncoders
+    recurrent_size: int
+
+    def step(self, features: Tensor, goal: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns action logits, float32 (B, K, A, categories), and the next recurrent states.
+
+        Args:
+            features: phi(x_t), float32 (B, D).
+            goal: phi(x_g), float32 (B, D).
+            previous: a_{t-1}, float32 (B, A), zeros for no action, or int64 (B, 1), -1 for no action.
+            recurrent: Recurrent states, float32 (B, R).
+        """
+
+
+class GoalImagesNetwork(nn.Module):
+    """Base of the networks: an action network and a goal recognizer, which share no weights.
+
+    Args:
+        spec: Inputs, outputs and sizes.
+        policy: Chooses actions.
+    """
+
+    def __init__(self, spec: GoalImagesSpec, policy: ActionNetwork) -> None:
+        super().__init__()
+        self.spec = spec
+        self.policy = policy
+        self.recognizer = GoalRecognizer(spec)
+
+    def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
+        """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
+        self.policy.encoder.fit_normalisation(frames, generator=generator)
+        self.recognizer.encoder.fit_normalisation(frames, generator=generator)
+
+
+class GoalRecognizer(nn.Module):
+    """The goal recognizer of section 3.2 as a metric embedding: images a few actions apart are less than 1 apart.
+
+    The dissertation leaves the network open. In a metric nothing is closer to a goal than the goal's own images.
+    """
+
+    def __init__(self, spec: GoalImagesSpec) -> None:
+        super().__init__()
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.embedding_size)
+        self.projection = nn.Linear(self.encoder.size, spec.embedding_size, bias=False)
+
+    def forward(self, frames: Frames) -> Tensor:
+        """Returns embeddings, float32 (N, embedding_size), of frames uint8 (N, H, W, C) by camera."""
+        embedding: Tensor = self.projection(self.encoder(frames))
+        return embedding
+
+
+def proximity_logit(observation: Tensor, goal: Tensor) -> Tensor:
+    """Returns the logit that two embeddings (..., embedding_size) are close, float32 (...)."""
+    distance: Tensor = torch.linalg.vector_norm(observation - goal, dim=-1)
+    return _MAX_LOGIT * (1 - distance)
+
+
+class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
+    """Follows goal images.
+
+    Args:
+        network: Trained.
+        control: Rate and limits.
+    """
+
+    def __init__(self, network: GoalImagesNetwork, control: ControlSpec) -> None:
+        size = network.policy.recurrent_size
+        super().__init__(network, network.spec, control, goal_form="images", recurrent_size=size)
+
+    @torch.inference_mode()
+    def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
+        """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
+        count = len(next(iter(goals.values())))
+        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
+        parts = [self._encode({camera: each[batch] for camera, each in goals.items()}) for batch in batches]
+        embeddings: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
+        return embeddings
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: CameraFrames,
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns actions and the probability that the goal is reached; arguments as in `Policy.step`."""
+        policy = self._network.policy
+        goal, seen, features = self._tensor(goals), self._encode(frames), policy.encoder.size
+        logits, state = policy.step(
+            seen[:, :features], goal[:, :features], self._tensor(previous), self._tensor(recurrent)
+        )
+        reached = proximity_logit(seen[:, features:], goal[:, features:]).sigmoid()
+        return PolicyOutput(
+            actions=action_bins.decode(logits, choices=self.spec.action.choices).cpu().numpy(),
+            reached=reached.cpu().numpy(),
+            recurrent=state.cpu().numpy(),
+        )
+
+    def _encode(self, frames: CameraFrames) -> Tensor:
+        """Returns the policy's features beside the recognizer's embedding, float32 (N, G)."""
+        tensors = self._tensors(frames)
+        return torch.cat([self._network.policy.encoder(tensors), self._network.recognizer(tensors)], dim=1)

@@ -1,0 +1,190 @@
+"""Training of policies for goal images, and of the goal recognizer, from frames and executed actions alone."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Generic, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.optimiser import fit_step
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein_imitation import objectives
+from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalRecognizer, proximity_logit
+from freerein_imitation.training.goal_relabelling import RelabelledSlices, sample_recognizer_batch, sample_slices
+
+N = TypeVar("N", bound=GoalImagesNetwork)
+
+PolicyLosses: TypeAlias = Callable[[N, RelabelledSlices], tuple[Tensor, Tensor]]
+"""Returns the action loss of a network on slices, eq. 3.2, and the sum of its other losses, float () each."""
+
+_NORMALISATION_FRAMES = 2000
+_EVALUATION_WINDOWS = 192
+_THRESHOLD_FRAMES = 256
+
+
+@dataclass(frozen=True)
+class GoalImagesConfig(DatasetFitConfig):
+    """Base configuration of a fit to goal images.
+
+    Attributes:
+        encoder: Image encoder of the policy and of the goal recognizer.
+        min_goal_steps: Fewest actions from a slice's first frame to its goal.
+        max_goal_steps: Most actions from a slice's first frame to its goal.
+        close_steps: Frames at most so many actions apart are positive pairs of the goal recognizer.
+        far_steps: Frames of one trajectory more actions apart than that are negative pairs.
+        batch_size: Windows per update; each is cut into many slices.
+        features: Image features per camera of the policy.
+        hidden_size: Units of the policy's hidden layers.
+        embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+        validation_fraction: Fraction of trajectories held out to choose weights and the reached threshold.
+
+    Raises:
+        InvalidInput: A minimum is above its maximum.
+    """
+
+    encoder: str = one_of(ENCODERS, "spatial")
+    min_goal_steps: int = bounded(5, least=1, most=1000)
+    max_goal_steps: int = bounded(15, least=1, most=1000)
+    close_steps: int = bounded(2, least=1, most=1000)
+    far_steps: int = bounded(15, least=1, most=10_000)
+    steps: int = bounded(300, least=1, most=10_000_000)
+    batch_size: int = bounded(24, least=1, most=1024)
+    lr: float = bounded(6e-3, least=1e-7, most=1.0)
+    features: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    embedding_size: int = bounded(64, least=2, most=1024)
+    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
+    evaluate_every: int = bounded(50, least=1, most=1_000_000)
+
+    def __post_init__(self) -> None:
+        for less, more in (("min_goal_steps", "max_goal_steps"), ("close_steps", "far_steps")):
+            if getattr(self, less) > getattr(self, more):
+                raise InvalidInput(
+                    f"`{less}` must not be above `{more}`; got {getattr(self, less)} and {getattr(self, more)}.",
+                    field=f"config.{less}",
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class GoalImagesLosses:
+    """Loss terms, each float (): of actions (eq. 3.2), of what else trains the policy, and of the goal recognizer."""
+
+    action: Tensor
+    auxiliary: Tensor
+    recognizer: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class GoalImagesLearner(Generic[N]):
+    """Learner of a network for goal images; an item is a window of a trajectory.
+
+    Attributes:
+        config: Configuration.
+        make_network: Returns an untrained network.
+        policy_losses: The losses of its policy.
+        training: Training trajectories.
+        validation: Validation trajectories.
+        fingerprint: Fingerprint of the dataset.
+        device: Device to train on.
+    """
+
+    config: GoalImagesConfig
+    make_network: Callable[[], N]
+    policy_losses: PolicyLosses[N]
+    training: Trajectories
+    validation: Trajectories
+    fingerprint: str
+    device: torch.device
+
+    @cached_property
+    def _windows(self) -> npt.NDArray[np.int64]:
+        return _windows(self.training, self.config)
+
+    @property
+    def size(self) -> int:
+        """Windows in an epoch."""
+        return len(self._windows)
+
+    def init(self, generator: torch.Generator) -> TrainState[N]:
+        """Returns the state before the first update."""
+        network = self.make_network()
+        weights.initialise(network, generator=generator)
+        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
+        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        network.fit_normalisation(frames, generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
+
+    def update(self, state: TrainState[N], items: npt.NDArray[np.int64]) -> tuple[TrainState[N], dict[str, float]]:
+        """Returns the state after one update on some windows, and its metrics."""
+        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
+        losses = self._losses(state.network, self.training, self._windows[items].tolist(), rng)
+        state, metrics = fit_step(state, losses.action + losses.auxiliary + losses.recognizer, self.config)
+        return state, metrics | {
+            "action_loss": losses.action.item(),
+            "recognizer_loss": losses.recognizer.item(),
+        }
+
+    def evaluate(self, state: TrainState[N]) -> float:
+        """Returns the action loss (eq. 3.2) plus the recognizer's on validation trajectories."""
+        losses = self.validation_losses(state.network)
+        return (losses.action + losses.recognizer).item()
+
+    @torch.no_grad()
+    def validation_losses(self, network: N) -> GoalImagesLosses:
+        """Returns the mean losses on validation trajectories, on the same slices and pairs each time."""
+        rng, items = np.random.default_rng(self.config.seed), _windows(self.validation, self.config)
+        items = items[:: math.ceil(len(items) / _EVALUATION_WINDOWS)]
+        batches = np.array_split(items, math.ceil(len(items) / self.config.batch_size))
+        parts = [self._losses(network, self.validation, batch.tolist(), rng) for batch in batches]
+        means = (torch.stack(terms).mean() for terms in zip(*(vars(part).values() for part in parts), strict=True))
+        return GoalImagesLosses(*means)
+
+    def _losses(
+        self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator
+    ) -> GoalImagesLosses:
+        """Returns the losses on slices and frames sampled from some trajectories."""
+        config = self.config
+        steps = (config.min_goal_steps, config.max_goal_steps)
+        slices = sample_slices(trajectories, items, rng, steps=steps, device=self.device)
+        batch = sample_recognizer_batch(trajectories, items, rng, close_steps=config.close_steps, device=self.device)
+        action, auxiliary = self.policy_losses(network, slices)
+        embeddings = network.recognizer(batch.frames)  # (N, embedding_size)
+        logits = proximity_logit(embeddings[:, None], embeddings)  # (N, N)
+        pairs = batch.pairs(close_steps=config.close_steps, far_steps=config.far_steps)
+        return GoalImagesLosses(action, auxiliary, objectives.recognizer_loss(logits, *pairs))
+
+
+@torch.no_grad()
+def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) -> float:
+    """Returns the recognizer's median probability that frames one action apart are close.
+
+    The threshold that best separates training's pairs is far lower, and would call a goal reached too early.
+
+    Args:
+        recognizer: Trained.
+        trajectories: Validation trajectories, at least one of 2 timesteps.
+    """
+    device = next(recognizer.parameters()).device
+    logits = []
+    for item in range(len(trajectories)):
+        first = {camera: each[item][:_THRESHOLD_FRAMES] for camera, each in trajectories.frames.items()}
+        embeddings = recognizer({camera: torch.tensor(each, device=device) for camera, each in first.items()})
+        logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
+    return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))
+
+
+def _windows(trajectories: Trajectories, config: GoalImagesConfig) -> npt.NDArray[np.int64]:
+    """Returns the trajectory of each window of an epoch, int64 (n,); every timestep counts about alike."""
+    counts = np.ceil(trajectories.lengths() / config.max_goal_steps).astype(np.int64)
+    return np.repeat(np.arange(len(counts)), counts)

@@ -1,0 +1,75 @@
+"""Predicates of a task on true states, judged by the sim service in a privileged session. For evaluation only."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.clients import SyncClient
+from freerein.errors import InvalidInput, ServiceError
+from freerein.types.sim import CheckRequest, CheckResponse, CloseSessionRequest, CreateSessionRequest, Task
+
+States = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+_CLOSE_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True)
+class TruthSession:
+    """A privileged session that judges true states."""
+
+    sim: SyncClient
+    id: str
+
+    def holds(self, predicate: str, sequences: Sequence[States], references: Sequence[States] = ()) -> list[Flags]:
+        """Returns where a predicate holds in sequences of states.
+
+        Args:
+            predicate: Its name.
+            sequences: float64 (T, S) each; T may differ.
+            references: The states to compare with, float64 (T, S) each; empty for a predicate without a reference.
+
+        Returns:
+            bool (T,) per sequence: whether it holds at each timestep, given the sequence up to there.
+        """
+        if not sequences:
+            return []
+        request = CheckRequest(self.id, predicate, _pad(sequences), _pad(references) if references else None)
+        reply: CheckResponse = self.sim.check(request)
+        return [row[: len(states)] for row, states in zip(reply.holds, sequences, strict=True)]
+
+
+@contextmanager
+def truth_session(sim: SyncClient, task: str) -> Iterator[TruthSession]:
+    """Yields a privileged session of a task."""
+    session: str = sim.create_session(CreateSessionRequest(task, seed=0, privileged=True)).session
+    try:
+        yield TruthSession(sim, session)
+    finally:
+        with suppress(ServiceError):  # its lease will end it
+            sim.close_session(CloseSessionRequest(session), timeout_s=_CLOSE_TIMEOUT_S)
+
+
+def check_predicates(task: Task, names: Iterable[str], *, form: str) -> None:
+    """Checks that a task offers predicates.
+
+    Raises:
+        InvalidInput: It lacks one.
+    """
+    offered = {predicate.name for predicate in task.predicates}
+    if missing := [name for name in names if name not in offered]:
+        raise InvalidInput(
+            f"An evaluation of the form {form} needs the predicates {', '.join(missing)}; {task.name} offers "
+            f"{', '.join(sorted(offered)[:20]) or 'none'}.",
+            field="config.task",
+            hint="Choose a task of a world that offers them, or another form.",
+        )
+
+
+def _pad(sequences: Sequence[States]) -> States:
+    """Returns sequences as float64 (N, T, S), each with its last state repeated up to the longest one's length."""
+    length = max(map(len, sequences))
+    return np.stack([states[np.minimum(np.arange(length), len(states) - 1)] for states in sequences])

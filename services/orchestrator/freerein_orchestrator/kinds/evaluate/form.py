@@ -1,0 +1,173 @@
+"""What a form of evaluation is: a configuration, rounds of trials, and the figures of all trials."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.clients import SyncClient
+from freerein.learning.config import bounded
+from freerein.metrics import mean_interval, ratio_interval
+from freerein.types.sim import CreateSessionRequest, Task
+from freerein_orchestrator.envs.episodes import derive_seed
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+
+Frames = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormConfig:
+    """What all forms share.
+
+    Attributes:
+        form: The form.
+        task: The task's name.
+        episodes: Number of trials: of episodes, or of demonstrations.
+        num_envs: Trials per round; a killed evaluation continues after the last whole round.
+        seed: Seed of every random draw.
+    """
+
+    form: str = "returns"
+    task: str
+    episodes: int = bounded(50, least=1, most=100_000)
+    num_envs: int = bounded(10, least=1, most=64)
+    seed: int = bounded(0, least=0, most=2**31 - 1)
+
+
+C = TypeVar("C", bound=FormConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Measurements of one trial.
+
+    Attributes:
+        values: JSON; empty for a trial that could not be measured. Its numbers are the trial's metrics.
+        frames: What pictures may show of it, uint8, by name.
+    """
+
+    values: dict[str, Any]
+    frames: dict[str, Frames] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured value.
+
+    Attributes:
+        value: The value.
+        low: Lower end of its 95 % interval over trials; None where there is none.
+        high: Upper end, likewise.
+        baseline: Value of the trivial answer on the same data; None where there is none.
+    """
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    baseline: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The result of an evaluation.
+
+    Attributes:
+        figures: By name.
+        counts: How much was measured, by name.
+        details: More values, JSON, by name.
+        pictures: Describes the frames, JSON; written only where there are some.
+        frames: What pictures show, uint8, by name.
+    """
+
+    figures: dict[str, Figure]
+    counts: dict[str, int] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
+    pictures: list[dict[str, Any]] = field(default_factory=list)
+    frames: dict[str, Frames] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup(Generic[C]):
+    """What an evaluation is given.
+
+    Attributes:
+        context: The run's.
+        config: The form's configuration.
+        task: The task.
+        sim: Client of the sim service.
+        subject: `Evaluation.subject` of earlier attempts; empty in the first.
+        interrupt: Called often; raises to stop.
+    """
+
+    context: RunContext
+    config: C
+    task: Task
+    sim: SyncClient
+    subject: Mapping[str, Any]
+    interrupt: Callable[[], None]
+
+    def seed(self, first: int) -> int:
+        """Returns the seed of the round that begins with a trial."""
+        return derive_seed(self.config.seed, first)
+
+    def session(self, count: int, first: int, *, height: int = 0, width: int = 0) -> CreateSessionRequest:
+        """Returns the privileged session of a round's trials; equal sessions begin in equal states."""
+        return CreateSessionRequest(
+            self.task.name, num_envs=count, seed=self.seed(first), height=height, width=width, privileged=True
+        )
+
+
+class Evaluation(Protocol):
+    """An evaluation at work."""
+
+    @property
+    def subject(self) -> dict[str, Any]:
+        """What is evaluated, with the versions of its models: JSON, part of the result."""
+
+    def run_round(self, first: int, count: int) -> Sequence[Trial]:
+        """Returns trials `first` to `first + count`; the same however often it is called."""
+
+    def result(self, trials: Sequence[Trial]) -> Result:
+        """Returns the figures of all trials."""
+
+
+@dataclass(frozen=True)
+class Form(Generic[C]):
+    """A form of evaluation, with a configuration of class C.
+
+    Attributes:
+        config: The class.
+        open: Returns an evaluation; raises InvalidInput where task and configuration do not fit.
+        check: As `Kind.check`.
+    """
+
+    config: type[C]
+    open: Callable[[Setup[C]], Evaluation]
+    check: Callable[[C, PolicyStore, Collection[str]], None] = lambda _config, _store, _earlier: None
+
+
+def mean_figure(values: Sequence[float], *, seed: int, baseline: float | None = None) -> Figure:
+    """Returns the mean of a number per trial."""
+    low, high = mean_interval(values, rng=np.random.default_rng(seed))
+    return Figure(float(np.mean(values)), low, high, baseline)
+
+
+def ratio_figure(part: npt.ArrayLike, whole: npt.ArrayLike, *, seed: int, baseline: float | None = None) -> Figure:
+    """Returns a mean of ratios of sums over N trials; arguments as of `freerein.metrics.ratio_interval`."""
+    parts, wholes = np.asarray(part, np.float64), np.asarray(whole, np.float64)
+    present = wholes.sum(axis=0) > 0
+    low, high = ratio_interval(parts, wholes, rng=np.random.default_rng(seed))
+    ratios = parts.sum(axis=0)[present] / wholes.sum(axis=0)[present]
+    return Figure(float(ratios.mean()), low, high, baseline)
+
+
+def share_figure(flags: Sequence[npt.ArrayLike], baseline: Sequence[npt.ArrayLike], *, seed: int) -> Figure | None:
+    """Returns the share of flags that are true, bool (M,) per trial, beside a baseline's; None without any flag."""
+    counts = [[np.size(each)] for each in flags]
+    if not np.sum(counts):
+        return None
+    chance = float(np.mean(np.concatenate([np.ravel(each) for each in baseline])))
+    return ratio_figure([[np.sum(each)] for each in flags], counts, seed=seed, baseline=chance)

@@ -1,0 +1,233 @@
+"""The policies that can be evaluated: how a configuration names one, and how it is found."""
+
+import json
+from collections.abc import Collection, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, TypeAlias
+
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded, parse
+from freerein.types.common import Goal, ModelRef
+from freerein.types.sim import CreateSessionRequest, Task
+from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy, served_policy, stored_policy
+from freerein_orchestrator.envs.random_policies import uniform_policy
+from freerein_orchestrator.envs.reward_fns import zero_reward
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.evaluate.form import FormConfig, Setup
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.policy_files import NAMES, StoredPolicy, load_policy
+from freerein_orchestrator.rl.state import calibrate, init_network, network_spec
+
+_FIELD = "config.policy"
+
+
+@dataclass(frozen=True)
+class RunPolicy:
+    """The policy that a run has made.
+
+    Attributes:
+        run: A run's id, or an earlier step of the pipeline; it has trained a policy, or fitted an imitation model.
+        goal_text: The goal of such a model.
+        stochastic: Whether actions of a ppo run's policy are sampled; else the most likely one is taken.
+    """
+
+    run: str
+    goal_text: str = ""
+    stochastic: bool = False
+
+
+@dataclass(frozen=True)
+class ModelPolicy:
+    """A model of the imitation service.
+
+    Attributes:
+        model: Its name.
+        version: Its version; empty for the active one.
+        goal_text: Its goal in words.
+        recipe: Or the skills to execute in order.
+    """
+
+    model: str
+    version: str = ""
+    goal_text: str = ""
+    recipe: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StoredModelPolicy:
+    """A policy among the models of the orchestrator.
+
+    Attributes:
+        stored: Its name.
+        version: Its version; empty for the active one.
+        stochastic: Whether its actions are sampled; else the most likely one is taken.
+    """
+
+    stored: str
+    version: str = ""
+    stochastic: bool = False
+
+
+@dataclass(frozen=True)
+class UntrainedPolicy:
+    """The policy that a ppo run of default size starts with.
+
+    Attributes:
+        untrained: Seed of its weights.
+        stochastic: Whether its actions are sampled; else the most likely one is taken.
+    """
+
+    untrained: int = bounded(0, least=0, most=2**31 - 1)
+    stochastic: bool = True
+
+
+_Named: TypeAlias = RunPolicy | ModelPolicy | StoredModelPolicy | UntrainedPolicy
+PolicyChoice: TypeAlias = Literal["random", "expert"] | _Named
+_CHOICES: Mapping[str, Any] = {
+    "run": RunPolicy,
+    "model": ModelPolicy,
+    "stored": StoredModelPolicy,
+    "untrained": UntrainedPolicy,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyConfig(FormConfig):
+    """What all forms that evaluate a policy share.
+
+    Attributes:
+        policy: `random`, the scripted `expert`, or an object with `run`, `model`, `stored` or `untrained`.
+    """
+
+    policy: Literal["random", "expert"] | dict[str, Any]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.policy, dict):
+            object.__setattr__(self, "policy", asdict(_parse_policy(self.policy)))  # defaults filled in
+
+    @property
+    def choice(self) -> PolicyChoice:
+        """The policy."""
+        return _parse_policy(self.policy) if isinstance(self.policy, dict) else self.policy
+
+    @property
+    def goal(self) -> Goal:
+        """The goal that the policy is given; empty for none."""
+        choice = self.choice
+        return Goal(recipe=getattr(choice, "recipe", ()), text=getattr(choice, "goal_text", ""))
+
+
+def check_no_goal(config: PolicyConfig) -> None:
+    """Checks that the policy is given no goal, for a form that draws the goals.
+
+    Raises:
+        InvalidInput: It is.
+    """
+    if config.goal.text or config.goal.recipe:
+        raise InvalidInput(
+            "This form draws the goals; `policy` must hold no `goal_text` and no `recipe`.",
+            field=_FIELD,
+            hint="Leave them out, or choose the form returns.",
+        )
+
+
+def _parse_policy(values: Mapping[str, Any]) -> _Named:
+    named = [name for name in _CHOICES if name in values]
+    if len(named) != 1:
+        raise InvalidInput(
+            f'`policy` must be "random" or "expert", or hold one of {", ".join(_CHOICES)}; it holds {len(named)} of '
+            "them.",
+            field=_FIELD,
+            hint='{"run": "<id>"} is a policy of PPO, {"model": "default", "goal_text": "..."} one of imitation.',
+        )
+    choice: _Named = parse(_CHOICES[named[0]], values)
+    return choice
+
+
+def check_policy(config: PolicyConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+    """Checks that the policy of a run, or the stored one, exists or will.
+
+    Raises:
+        InvalidInput: It does not.
+    """
+    match config.choice:
+        case RunPolicy(run=name) if name not in earlier:
+            _made_by_run(store, name, device="cpu")
+        case StoredModelPolicy(stored=name, version=version):
+            store.model_folder(ModelRef(name, version), field=_FIELD)
+
+
+def find_policy(setup: Setup[Any], *, max_steps_per_goal: int = 0) -> PolicyHandle:
+    """Returns the policy of a `PolicyConfig`: the same version of a model as in earlier attempts.
+
+    Args:
+        setup: The evaluation's.
+        max_steps_per_goal: Steps after which a served model abandons a goal; 0 for its own limit.
+    """
+    context, task, pinned = setup.context, setup.task, setup.subject.get("model")
+    store = context.policies
+    match setup.config.choice:
+        case RunPolicy(run=name, stochastic=stochastic):
+            made = _made_by_run(store, name, device=context.device)
+            if isinstance(made, StoredPolicy):
+                return stored_policy(made, task, stochastic=stochastic)
+        case ModelPolicy(model=name, version=version):
+            made = ModelRef(name, version)
+        case StoredModelPolicy(stored=name, version=version, stochastic=stochastic):
+            asked = ModelRef(name, version)
+            ref = ModelRef(**pinned) if pinned else store.resolve_model(asked, field=_FIELD)
+            made = load_policy(store.model_folder(ref, field=_FIELD), device=context.device)
+            return stored_policy(made, task, stochastic=stochastic, model=ref)
+        case UntrainedPolicy(untrained=seed, stochastic=stochastic):
+            return stored_policy(_untrained(context, task, seed), task, stochastic=stochastic)
+        case "expert":
+            return expert_policy(setup.sim, task)
+        case _:
+            return uniform_policy(task.action)
+    return served_policy(
+        context.client("imitation"),
+        ModelRef(**pinned) if pinned else made,
+        task,
+        closing=context.closing,
+        max_steps_per_goal=max_steps_per_goal,
+    )
+
+
+def _made_by_run(store: PolicyStore, name: str, *, device: str) -> StoredPolicy | ModelRef:
+    """Returns the policy, or the model of the imitation service, that a run has made.
+
+    Raises:
+        InvalidInput: There is no such run, or it has made neither.
+    """
+    folder = store.run_folder(name)
+    if (folder / "artifacts" / NAMES.card).is_file():
+        return load_policy(folder / "artifacts", device=device)
+    if (folder / "model.json").is_file():
+        return ModelRef(**json.loads((folder / "model.json").read_bytes()))
+    raise InvalidInput(
+        "The run must have made a policy; this one has not.",
+        field="config.policy.run",
+        hint="Name a ppo run that has succeeded, or one that made a model of the imitation service.",
+    )
+
+
+def _untrained(context: RunContext, task: Task, seed: int) -> StoredPolicy:
+    """Returns a network of default size as a ppo run on the task's first camera initialises it."""
+    camera, config = task.cameras[0], PPOConfig(seed=seed)
+    spec = network_spec(
+        config,
+        observation=(camera.height, camera.width, camera.channels),
+        action_size=task.action.size,
+        action_choices=task.action.choices,
+    )
+    generator = torch.Generator().manual_seed(seed)
+    network = init_network(spec, generator)
+    request = CreateSessionRequest(task.name, num_envs=config.num_envs, seed=seed)
+    with closing(RemoteVectorEnv([context.client("sim")], request, camera=camera.name, reward_fn=zero_reward)) as envs:
+        calibrate(network, envs, generator)
+    return StoredPolicy(network.eval(), {"camera": camera.name, "sha256": ""})

@@ -1,0 +1,168 @@
+"""Form `recipes`: each robot executes all skills of the task, in an order of its own.
+
+A skill counts by true states: the task's predicates `completed/SKILL` and, where it offers them, `lifted/SKILL` judge
+its attempt. Random actions with as many steps per skill are the baseline.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded
+from freerein.types.common import Goal
+from freerein_orchestrator.envs.episodes import Episode, run_episodes
+from freerein_orchestrator.envs.random_policies import exploration_policy
+from freerein_orchestrator.envs.truth import Flags, States, TruthSession, check_predicates, truth_session
+from freerein_orchestrator.kinds.evaluate.form import Form, Result, Setup, Trial, share_figure
+from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
+
+COMPLETED, LIFTED = "completed", "lifted"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecipesConfig(PolicyConfig):
+    """Configuration of the form `recipes`.
+
+    Attributes:
+        form: The form.
+        steps_per_skill: Steps after which a skill is abandoned; 0 shares the steps of an episode equally.
+    """
+
+    form: Literal["recipes"] = "recipes"
+    steps_per_skill: int = bounded(0, least=0, most=10_000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_no_goal(self)
+
+
+class RecipesEvaluation:
+    """Has the policy execute recipes.
+
+    Attributes:
+        subject: The policy.
+    """
+
+    def __init__(self, setup: Setup[RecipesConfig]) -> None:
+        task = setup.task
+        if not task.skills:
+            raise InvalidInput(
+                f"The form recipes needs a task with skills; {task.name} has none.",
+                field="config.task",
+                hint="Choose another task, or another form.",
+            )
+        check_predicates(task, [f"{COMPLETED}/{skill}" for skill in task.skills], form=setup.config.form)
+        offered = {predicate.name for predicate in task.predicates}
+        self._predicates = [
+            name for name in (COMPLETED, LIFTED) if {f"{name}/{skill}" for skill in task.skills} <= offered
+        ]
+        self._setup = setup
+        self._max_steps = setup.config.steps_per_skill or max(1, task.max_episode_steps // len(task.skills))
+        self._policy = find_policy(setup, max_steps_per_goal=self._max_steps)
+        self.subject: dict[str, Any] = self._policy.description
+
+    def run_round(self, first: int, count: int) -> Sequence[Trial]:
+        """Returns trials `first` to `first + count`."""
+        setup, policy, rng = self._setup, self._policy, np.random.default_rng(self._setup.seed(first))
+        skills = setup.task.skills
+        recipes = [tuple(skills[index] for index in rng.permutation(len(skills))) for _ in range(count)]
+        request = setup.session(count, first, height=policy.height, width=policy.width)
+        goals, steps = [Goal(recipe=recipe) for recipe in recipes], self._max_steps * len(skills)
+        executed = run_episodes(setup.sim, request, policy, setup.interrupt, goals=goals, max_steps=steps)
+        random = exploration_policy(setup.task.action)
+        baseline = run_episodes(setup.sim, request, random, setup.interrupt, max_steps=steps)
+        with truth_session(setup.sim, setup.task.name) as truth:
+            judge = _Judge(truth, self._predicates, self._max_steps)
+            outcomes = judge.outcomes(recipes, executed)
+            by_chance = judge.outcomes(recipes, baseline)
+        return [
+            Trial(
+                {
+                    "recipe": list(recipe),
+                    **own,
+                    **{f"baseline_{name}": flags for name, flags in chance.items()},
+                    "skills_completed": float(np.mean(own[COMPLETED])),
+                }
+            )
+            for recipe, own, chance in zip(recipes, outcomes, by_chance, strict=True)
+        ]
+
+    def result(self, trials: Sequence[Trial]) -> Result:
+        """Returns the figures of all trials."""
+        values, seed = [trial.values for trial in trials], self._setup.config.seed
+        figures = {}
+        for name in self._predicates:
+            flags, chance = [each[name] for each in values], [each[f"baseline_{name}"] for each in values]
+            if figure := share_figure(flags, chance, seed=seed):
+                figures[f"skills_{name}"] = figure
+        return Result(figures, {"episodes": len(values), "skills": sum(len(each["recipe"]) for each in values)})
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Judges attempts at skills by true states.
+
+    Attributes:
+        truth: Judges states.
+        predicates: What is judged: `completed`, `lifted`.
+        max_steps: Steps per skill of a policy that does not say which skill it executes.
+    """
+
+    truth: TruthSession
+    predicates: Sequence[str]
+    max_steps: int
+
+    def outcomes(self, recipes: Sequence[Sequence[str]], episodes: Sequence[Episode]) -> list[dict[str, list[bool]]]:
+        """Returns for each episode, by predicate, whether it held for each skill of the recipe."""
+        found = [{name: [False] * len(recipe) for name in self.predicates} for recipe in recipes]
+        starts = np.zeros(len(recipes), np.int64)
+        for place in range(len(recipes[0])):
+            skills = [recipe[place] for recipe in recipes]
+            attempts = [
+                _attempt(each, place, start, self.max_steps)
+                for each, start in zip(episodes, starts.tolist(), strict=True)
+            ]
+            held = {name: self._holds(name, skills, attempts) for name in self.predicates}
+            for env, (episode, flags) in enumerate(zip(episodes, held[COMPLETED], strict=True)):
+                last = max(0, len(flags) - 1)
+                if episode.goal_index is None and flags.any():
+                    last = int(np.argmax(flags))
+                starts[env] += last
+                for name, each in held.items():
+                    found[env][name][place] = bool(each[env][last : last + 1].any())
+        return found
+
+    def _holds(self, predicate: str, skills: Sequence[str], attempts: Sequence[States]) -> list[Flags]:
+        """Returns where the predicate of each attempt's skill holds, bool (T,) each; (0,) for one not begun."""
+        found: list[Flags] = [np.zeros(0, bool)] * len(attempts)
+        for skill in sorted(set(skills)):
+            envs = [env for env, own in enumerate(skills) if own == skill and len(attempts[env]) > 1]
+            held = self.truth.holds(f"{predicate}/{skill}", [attempts[env] for env in envs])
+            for env, flags in zip(envs, held, strict=True):
+                found[env] = flags
+        return found
+
+
+def _attempt(episode: Episode, place: int, start: int, max_steps: int) -> States:
+    """Returns the states of an attempt at the skill at a place of the recipe, the first of the next skill included.
+
+    The policy says when it goes on to the next skill. One that does not say goes on once the skill is truly completed,
+    or after `max_steps`: its attempt begins at `start`.
+    """
+    if episode.goal_index is None:
+        return episode.states[start : start + max_steps + 1]
+    begin, end = attempt_bounds(episode.goal_index, place)
+    return episode.states[begin : end + 1] if begin < end else episode.states[:0]
+
+
+def attempt_bounds(goal_index: npt.NDArray[np.int64], place: int) -> tuple[int, int]:
+    """Returns the first timestep of a goal, and of the one after it; `goal_index`, int64 (T,), never falls."""
+    begin, end = np.searchsorted(goal_index, [place, place + 1]).tolist()
+    return begin, end
+
+
+FORM = Form(RecipesConfig, RecipesEvaluation, check_policy)

@@ -1,0 +1,151 @@
+"""Form `segmentation`: a segmentation model labels fresh demonstrations, whose true labels the sim service knows."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput, Unavailable
+from freerein.learning.config import bounded
+from freerein.metrics import frame_accuracy, majority_accuracy
+from freerein.types.common import ModelRef
+from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
+from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Frames, Result, Setup, Trial, ratio_figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationConfig(FormConfig):
+    """Configuration of the form `segmentation`.
+
+    Attributes:
+        form: The form.
+        model: Name of the segmentation model; empty for the service's default.
+        version: Its version; empty for the active one.
+        smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
+        min_skills: Fewest different skills per demonstration; 0 means 1.
+        max_skills: Most different skills per demonstration; 0 means all of the task.
+    """
+
+    form: Literal["segmentation"] = "segmentation"
+    model: str = ""
+    version: str = ""
+    smoothing: float = bounded(0.0, least=0.0, most=100.0)
+    min_skills: int = bounded(0, least=0, most=1000)
+    max_skills: int = bounded(0, least=0, most=1000)
+
+
+class SegmentationEvaluation:
+    """Has demonstrations of the expert labelled.
+
+    Attributes:
+        subject: The model.
+    """
+
+    def __init__(self, setup: Setup[SegmentationConfig]) -> None:
+        config, task = setup.config, setup.task
+        if not (task.has_expert and task.skills):
+            raise InvalidInput(
+                f"The form segmentation needs a task with an expert and skills; {task.name} lacks them.",
+                field="config.task",
+                hint="Choose another task, or another form.",
+            )
+        self._setup = setup
+        self._service = setup.context.client("segmentation")
+        asked = setup.subject.get("model", {"name": config.model, "version": config.version})
+        self._model: ListSkillsResponse = self._service.list_skills(ListSkillsRequest(ModelRef(**asked)))
+        self._labels = np.array(  # of the task, by the model's labels
+            [task.skills.index(skill) if skill in task.skills else -1 for skill in self._model.skills], np.int64
+        )
+        self.subject: dict[str, Any] = {"model": asdict(self._model.model)}
+
+    def run_round(self, first: int, count: int) -> Sequence[Trial]:
+        """Returns trials `first` to `first + count`."""
+        trials = [self._trial(each) for each in self._demonstrations(first, count)]
+        if len(trials) < count:
+            raise Unavailable(
+                "The stream of demonstrations must be whole; it ended early.", hint="The round is run again."
+            )
+        return trials
+
+    def _demonstrations(self, first: int, count: int) -> Iterator[DemonstrateResponse]:
+        config, model = self._setup.config, self._model
+        request = DemonstrateRequest(
+            config.task,
+            "expert",
+            min_skills=config.min_skills,
+            max_skills=config.max_skills,
+            count=first + count,
+            seed=config.seed,
+            first=first,
+            height=model.height,
+            width=model.width,
+            privileged=True,
+        )
+        with closing(self._setup.sim.demonstrate(request)) as demonstrations:
+            for demonstration in demonstrations:
+                self._setup.interrupt()
+                yield demonstration
+
+    def _trial(self, demonstration: DemonstrateResponse) -> Trial:
+        trajectory, truth = demonstration.trajectory, demonstration.labels
+        (frames,) = trajectory.frames.values()
+        request = SegmentRequest(
+            self._model.model,
+            frames,
+            actions=trajectory.actions if self._model.action_size else None,
+            smoothing=self._setup.config.smoothing,
+        )
+        answer: SegmentResponse = self._service.segment(request)
+        labels = self._labels[answer.labels]
+        values = {
+            "truth": truth.tolist(),
+            "labels": labels.tolist(),
+            "confidence": answer.confidence.tolist(),
+            "frame_accuracy": frame_accuracy(labels, truth),
+        }
+        return Trial(values)
+
+    def result(self, trials: Sequence[Trial]) -> Result:
+        """Returns figures over all timesteps, and the trajectory of median accuracy as a picture."""
+        values, skills, seed = [trial.values for trial in trials], self._setup.task.skills, self._setup.config.seed
+        correct, timesteps = (
+            np.array(rows) for rows in zip(*(_counts(each, len(skills)) for each in values), strict=True)
+        )
+        lengths = timesteps.sum(axis=1, keepdims=True)
+        majority = [majority_accuracy(np.array(each["truth"])) for each in values]
+        baseline = float(np.average(majority, weights=lengths[:, 0]))
+        occurring = int((timesteps.sum(axis=0) > 0).sum())
+        median = sorted(range(len(values)), key=lambda index: cast(float, values[index]["frame_accuracy"]))[
+            len(values) // 2
+        ]
+        names = ("truth", "labels", "confidence", "frame_accuracy")
+        return Result(
+            {
+                "frame_accuracy": ratio_figure(
+                    correct.sum(axis=1, keepdims=True), lengths, seed=seed, baseline=baseline
+                ),
+                "balanced_accuracy": ratio_figure(correct, timesteps, seed=seed, baseline=1 / occurring),
+            },
+            {"demonstrations": len(values), "timesteps": int(lengths.sum())},
+            pictures=[{"skills": list(skills), **{name: values[median][name] for name in names}}],
+            frames={"trajectory": self._frames(median)},
+        )
+
+    def _frames(self, index: int) -> Frames:
+        """Returns the frames of a demonstration, uint8 (T, H, W, C), recorded again."""
+        (demonstration,) = self._demonstrations(index, 1)
+        (frames,) = demonstration.trajectory.frames.values()
+        return frames
+
+
+def _counts(values: dict[str, Any], skills: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Returns how many timesteps of each skill were labelled right, and how many there are: int64 (skills,) each."""
+    truth, labels = np.array(values["truth"]), np.array(values["labels"])
+    return np.bincount(truth[labels == truth], minlength=skills), np.bincount(truth, minlength=skills)
+
+
+FORM = Form(SegmentationConfig, SegmentationEvaluation)

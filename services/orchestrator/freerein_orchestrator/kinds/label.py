@@ -1,0 +1,109 @@
+"""Kind `label`: labels every timestep of a dataset by a segmentation model, beside the data, where learners may read.
+
+<folder>/checkpoints/labelled.json   the model's version, and the number of trajectories that are labelled
+         artifacts/labels.json       the model, its skills, and the number of trajectories
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from functools import partial
+
+from freerein.atomic_files import write_atomic
+from freerein.data import Dataset, dataset_path, labels
+from freerein.errors import InvalidInput
+from freerein.learning.config import bounded, parse
+from freerein.types.common import ModelRef, Trajectory, check_name
+from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.kind import Kind
+
+CARD = "labels.json"
+
+
+@dataclass(frozen=True)
+class LabelConfig:
+    """Configuration of a run of kind `label`.
+
+    Attributes:
+        dataset: The dataset's name.
+        model: Name of the segmentation model; empty for the service's default.
+        version: Its version; empty for the one that is active when the run starts.
+        camera: The camera of the frames; empty for the dataset's first.
+        smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
+        min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+
+    Raises:
+        InvalidInput: The dataset's name is invalid.
+    """
+
+    dataset: str
+    model: str = ""
+    version: str = ""
+    camera: str = ""
+    smoothing: float = bounded(0.0, least=0.0, most=100.0)
+    min_segment: int = bounded(0, least=0, most=1_000_000)
+
+    def __post_init__(self) -> None:
+        check_name(self.dataset, field="config.dataset")
+
+
+def run(context: RunContext, config: LabelConfig) -> None:
+    """Labels all trajectories by one version of the model; a killed run continues with the next trajectory.
+
+    The labels count only once all trajectories have theirs.
+
+    Raises:
+        Stopped: The run is to stop.
+        NotFound: There is no such dataset or model.
+        InvalidInput: The dataset has no such camera, or its frames are not the model's.
+        ServiceError: The segmentation service refuses.
+    """
+    retry, segmentation = context.retry(), context.client("segmentation")
+    root = dataset_path(context.data_dir, config.dataset)
+    dataset = Dataset(root)
+    camera = _camera(dataset, config.camera)
+    path = context.folder / "checkpoints" / "labelled.json"
+    saved = json.loads(path.read_bytes()) if path.is_file() else None
+    asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
+    model: ListSkillsResponse = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
+    first = saved["labelled"] if saved else 0
+    metrics = context.metrics_logger(first)
+    labels.discard(root)
+    for index in range(first, len(dataset)):
+        request = _request(config, model, dataset[index], camera)
+        answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
+        labels.save(root, index, answer.labels)
+        write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
+        metrics.append(index + 1, {"confidence": float(answer.confidence.mean())})
+    labels.finish(root, labels.LabelsInfo(model.skills, model.model))
+    card = {
+        "dataset": config.dataset,
+        "trajectories": len(dataset),
+        "skills": model.skills,
+        "model": asdict(model.model),
+    }
+    write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
+
+
+def _request(config: LabelConfig, model: ListSkillsResponse, trajectory: Trajectory, camera: str) -> SegmentRequest:
+    return SegmentRequest(
+        model.model,
+        trajectory.frames[camera],
+        actions=trajectory.actions if model.action_size else None,
+        min_segment=config.min_segment,
+        smoothing=config.smoothing,
+    )
+
+
+def _camera(dataset: Dataset, name: str) -> str:
+    cameras = list(dataset.spec.cameras)
+    if name and name not in cameras:
+        raise InvalidInput(
+            f"`camera` must be one of the dataset's, {', '.join(cameras)}; got another.",
+            field="config.camera",
+            hint="Leave it out for the first.",
+        )
+    return name or cameras[0]
+
+
+KIND = Kind(partial(parse, LabelConfig), steps=lambda _: 0, run=run)

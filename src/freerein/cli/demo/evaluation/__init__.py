@@ -1,1 +1,0 @@
-"""Success criteria on the true states of `blocks`. For evaluation only: no learner sees a true state."""

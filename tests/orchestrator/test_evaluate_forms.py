@@ -1,0 +1,256 @@
+"""The forms of runs of kind `evaluate`, with real services and shipped models."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from freerein.clients import Channel, SimClient, SyncClient
+from freerein.clients.tasks import find_task
+from freerein.data import dataset_path, labels
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec
+from freerein.types.sim import CreateSessionRequest, Predicate, Task
+from freerein_orchestrator.envs.episodes import run_episodes
+from freerein_orchestrator.envs.random_policies import exploration_policy
+from freerein_orchestrator.envs.truth import check_predicates
+from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
+from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds
+
+EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes": 4, "num_envs": 2}
+LANDMARKS = {"form": "landmarks", "task": "blocks", "policy": {"model": "default"}, **EXPLORATION}
+RECIPES = {"form": "recipes", "task": "blocks", "policy": {"model": "skills"}, "episodes": 2, "num_envs": 1}
+RELATIONS = {"form": "relations", "task": "blocks.scatter", "episodes": 4, "num_envs": 2}
+SEGMENTATION = {"form": "segmentation", "task": "grid", "model": "grid", "min_skills": 2, "episodes": 4, "num_envs": 2}
+
+
+@pytest.fixture(scope="module")
+def services(start_module_service: Callable[..., Any]) -> dict[str, str]:
+    """Addresses of sim, imitation and reward, by variable."""
+    started = {
+        "SIM": start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1"),
+        "IMITATION": start_module_service("freerein_imitation"),
+        "REWARD": start_module_service("freerein_reward"),
+    }
+    return {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
+
+
+@pytest.fixture
+def evaluation(new_run: Callable[..., Any], tmp_path: Path, services: dict[str, str]) -> Callable[..., Any]:
+    """A function that makes a run of a configuration."""
+    return lambda config, **environ: new_run(tmp_path, "evaluate", config, **{**services, **environ})
+
+
+def finish_after_a_stop(run: Any) -> Any:
+    """Stops a run after its first round, and finishes it; returns its result."""
+    assert not run.do(stop=(run.folder / "checkpoints" / "trials.json").exists)
+    assert 0 < len(run.rows) < run.config.episodes
+    assert run.do()
+    return run.artifact("result.json")
+
+
+def frames_of(run: Any) -> dict[str, Any]:
+    frames = safetensors.numpy.load_file(run.folder / "artifacts" / "frames.safetensors")
+    assert {each.dtype for each in frames.values()} == {np.dtype(np.uint8)}
+    return frames
+
+
+def check_figures(result: dict[str, Any], *names: str) -> None:
+    """Checks that a result has these figures, each within its interval and beside a baseline."""
+    for name in names:
+        figure = result["figures"][name]
+        assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
+        assert 0 <= figure["baseline"] <= 1
+
+
+@pytest.mark.e2e
+def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_draws(services: dict[str, str]) -> None:
+    request = CreateSessionRequest("blocks", num_envs=2, seed=5, privileged=True)
+    with SyncClient(SimClient(Channel(services["FREEREIN_SIM_ADDRESS"]))) as sim:
+        policies = [exploration_policy(find_task(sim, "blocks").action, stream=stream) for stream in (0, 0, 1)]
+        first, again, other = (
+            run_episodes(sim, request, policy, lambda: None, cameras=("front",), max_steps=4)[1] for policy in policies
+        )
+    assert first.frames["front"].shape == (5, 64, 64, 3)
+    np.testing.assert_array_equal(first.states, again.states)
+    np.testing.assert_array_equal(first.frames["front"], again.frames["front"])
+    np.testing.assert_array_equal(first.states[0], other.states[0])
+    assert not np.array_equal(first.actions, other.actions)
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_from(
+    evaluation: Callable[..., Any],
+) -> None:
+    run = evaluation(LANDMARKS)
+    result = finish_after_a_stop(run)
+    check_figures(result, "landmarks_reached")
+    assert result["model"]["version"]
+    assert result["counts"] == {"episodes": 4, "landmarks": 8}
+    assert {"landmarks_recognized", "visited.at_landmark", "visited.goal_ece"} <= set(result["figures"])
+    frames, pursuits = frames_of(run), run.artifact("frames.json")
+    assert len(frames["goals"]) == 2
+    assert len(frames["ends"]) == len(pursuits)
+    whole = evaluation(LANDMARKS)
+    assert whole.do()
+    again = whole.artifact("result.json")["figures"]  # served models batch by arrival, and rounding differs
+    assert {name: each["baseline"] for name, each in again.items()} == {
+        name: each["baseline"] for name, each in result["figures"].items()
+    }
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by_truth(
+    evaluation: Callable[..., Any],
+) -> None:
+    run = evaluation(LANDMARKS | {"policy": "random"})
+    assert run.do()
+    result = run.artifact("result.json")
+    check_figures(result, "landmarks_reached")
+    assert "landmarks_recognized" not in result["figures"]
+    with pytest.raises(InvalidInput, match="steps_per_landmark"):
+        evaluation(LANDMARKS | {"policy": "random", "steps_per_landmark": 0}).do()
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: Callable[..., Any]) -> None:
+    run = evaluation(RECIPES | {"policy": "expert"})
+    result = finish_after_a_stop(run)
+    check_figures(result, "skills_completed", "skills_lifted")
+    assert result["figures"]["skills_completed"]["value"] > 0.7
+    assert result["figures"]["skills_completed"]["baseline"] < 0.3
+    assert result["counts"] == {"episodes": 2, "skills": 8}
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None:
+    run = evaluation(RECIPES | {"num_envs": 2})
+    assert run.do()
+    check_figures(run.artifact("result.json"), "skills_completed", "skills_lifted")
+    assert run.artifact("result.json")["model"]["name"] == "skills"
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize(("task", "answers"), [("blocks.scatter", 2), ("blocks", 12)])
+def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
+    evaluation: Callable[..., Any], task: str, answers: int
+) -> None:
+    run = evaluation(RELATIONS | {"task": task})
+    result = finish_after_a_stop(run)
+    check_figures(result, "accuracy", "balanced_accuracy")
+    assert result["counts"] == {"scenes": 8, "answers": 8 * answers}
+    assert result["model"]["version"]
+    pictures, frames = run.artifact("frames.json"), frames_of(run)
+    assert {picture["frame"] for picture in pictures} == set(frames)
+    assert all(len(picture["texts"]) == 5 for picture in pictures)
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(240)
+def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on_fresh_ones(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
+) -> None:
+    demos = {"task": "grid", "dataset": "demos", "count": 6, "max_skills": 2}
+    fit = {"service": "segmentation", "dataset": "demos", "model_name": "grid", "config": {"steps": 4, "batch_size": 2}}
+    steps = [
+        {"name": "demos", "kind": "collect", "config": demos},
+        {"name": "fit", "kind": "fit", "config": fit},
+        {"name": "label", "kind": "label", "config": {"dataset": "demos", "model": "grid", "smoothing": 1}},
+    ]
+    segmentation = start_service("freerein_segmentation", tmp_path)
+    addresses = {**services, "FREEREIN_SEGMENTATION_ADDRESS": segmentation.address}
+    pipeline = new_run(tmp_path, "pipeline", {"steps": steps}, **addresses)
+    marked = pipeline.folder / "parts" / "label" / "checkpoints" / "labelled.json"
+    assert not pipeline.do(stop=marked.exists)
+    assert not (dataset_path(tmp_path, "demos") / "labels" / "info.json").exists()
+    assert pipeline.do()
+    assert pipeline.artifact("label.labels.json")["model"] == vars(labels.info(dataset_path(tmp_path, "demos")).model)
+    assert len(labels.labels(dataset_path(tmp_path, "demos"), 5)) > 0
+
+    run = new_run(tmp_path, "evaluate", SEGMENTATION, **addresses)
+    result = finish_after_a_stop(run)
+    check_figures(result, "frame_accuracy", "balanced_accuracy")
+    (picture,) = run.artifact("frames.json")
+    assert len(frames_of(run)["trajectory"]) == len(picture["truth"]) == len(picture["labels"])
+    assert set(picture["truth"]) <= set(range(len(picture["skills"])))
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize(
+    ("config", "missing"),
+    [
+        (RELATIONS | {"task": "grid"}, "captions; grid offers none"),
+        (LANDMARKS | {"task": "pendulum"}, "at-landmark, object-moves; pendulum offers none"),
+        (RECIPES | {"task": "pendulum"}, "with skills; pendulum has none"),
+        (SEGMENTATION | {"task": "pendulum"}, "an expert and skills; pendulum lacks them"),
+        ({"task": "pendulum", "policy": "expert"}, "pendulum has none"),
+    ],
+)
+def test_a_task_that_lacks_what_a_form_needs_is_refused(
+    evaluation: Callable[..., Any], config: dict[str, Any], missing: str
+) -> None:
+    with pytest.raises(InvalidInput, match=missing) as error:
+        evaluation(config).do()
+    assert error.value.field in ("config.task", "config.policy")
+
+
+def test_a_task_that_lacks_predicates_is_refused_by_their_names() -> None:
+    bare = Task("bare", "bare", "", (), ActionSpec(1, 0, ("x",)), 0.1, (), 10, (Predicate("at-landmark"),))
+    check_predicates(bare, ["at-landmark"], form="landmarks")
+    with pytest.raises(InvalidInput, match="needs the predicates object-moves; bare offers at-landmark") as error:
+        check_predicates(bare, ["at-landmark", "object-moves"], form="landmarks")
+    assert error.value.field == "config.task"
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"form": "beauty", "task": "grid"},
+        LANDMARKS | {"policy": "expert"},
+        LANDMARKS | {"policy": {"model": "default", "goal_text": "a red block"}},
+        RECIPES | {"policy": {"model": "skills", "recipe": ["move-red"]}},
+        RELATIONS | {"policy": "random"},
+        SEGMENTATION | {"smoothing": -1},
+    ],
+)
+def test_what_is_no_configuration_of_a_form_is_refused(config: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["evaluate"].parse(config)
+    assert error.value.field.startswith("config")
+
+
+def flags(*rows: str) -> Any:
+    """Returns bool (N, T) from rows of digits."""
+    return np.array([[each == "1" for each in row] for row in rows])
+
+
+def test_landmarks_count_where_the_robot_was_while_it_pursued_them() -> None:
+    pursuit = pursuit_of(flags("01000", "00100", "00001", "00000"), np.array([0, 1, 1, 2, 2]))
+    assert pursuit.landmark.tolist() == [0, 0, 1, 1, 2]
+    assert pursuit.recognized.tolist() == [True, False, False, False]
+    assert pursuit.reached.tolist() == [True, True, True, False]
+
+
+def test_a_last_landmark_counts_when_the_reply_says_that_all_are_over() -> None:
+    pursuit = pursuit_of(flags("11"), np.array([1, 1]))
+    assert pursuit.recognized.tolist() == pursuit.reached.tolist() == [True]
+    assert pursuit.is_active.tolist() == [True, False]
+
+
+def test_a_policy_without_goals_goes_on_when_truly_there_or_the_time_is_up() -> None:
+    reached = reached_by_truth(flags("1000", "0000", "0001"), max_steps=2)
+    assert reached.tolist() == [True, False, True]
+
+
+def test_an_attempt_lasts_until_the_policy_goes_on() -> None:
+    answers = np.array([0, 0, 0, 1, 1, 3])
+    assert [attempt_bounds(answers, place) for place in range(4)] == [(0, 3), (3, 5), (5, 5), (5, 6)]
