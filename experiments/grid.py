@@ -19,8 +19,8 @@ steps was set by the time at hand. The weights of the lowest validation loss are
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (36 when averaged over
 trajectories, as the dissertation prints), `majority` always the trajectory's longest skill.
 
-`gap closed` is (value - lse causal) / (supervised in the same context - lse causal). Intervals are by bootstrap over
-seeds, then over trajectories.
+`gap closed` is (value - lse causal) / (supervised in the same context - lse causal), where that gap is at least half a
+point. Intervals are by bootstrap over seeds, then over trajectories.
 """
 
 EXPERIMENT = SegmentationExperiment(

@@ -29,6 +29,7 @@ _HEADER = (
     "seeds",
     "minutes",
 )
+_LEAST_GAP = 0.5  # per cent
 _OTHER_FIGURES = ("balanced_accuracy", "edit_score", "f1_at_50")
 
 
@@ -99,7 +100,7 @@ def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, sp
     low, high = claims.interval(samples, rng=np.random.default_rng(0))
     compared = {other: _accuracy(rows[other], split) for other in rows if other != row and row.context}
     baseline, ceiling = compared.get(_BASELINE), compared.get(Row(SUPERVISED, row.context))
-    gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling)
+    gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=_LEAST_GAP)
     dissertation = report.dissertation.get(row)
     return Claim(
         claim=".".join([report.experiment, *filter(None, row), split]),

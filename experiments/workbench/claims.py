@@ -27,7 +27,7 @@ class Claim:
         scale: `full` for the dissertation's amount of data, else `reduced`, which supports no claim.
         baseline: Value of the dissertation's method here.
         ceiling: Value with full supervision, or of the scripted expert.
-        gap_closed: (value - baseline) / (ceiling - baseline).
+        gap_closed: (value - baseline) / (ceiling - baseline); None where the gap is small.
         dissertation: The dissertation's figure.
         target: Least value that the claim needs.
         met: Whether the value is at least the target.
@@ -83,9 +83,12 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
 
 
-def gap_closed(value: float, *, baseline: float | None, ceiling: float | None) -> float | None:
-    """Returns the share of the gap between baseline and ceiling that a value closes; None without a gap."""
-    if baseline is None or ceiling is None or ceiling <= baseline:
+def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
+    """Returns the share of the gap between baseline and ceiling that a value closes.
+
+    None without a gap of at least `least_gap`: the share of a smaller one is noise.
+    """
+    if baseline is None or ceiling is None or ceiling - baseline < least_gap:
         return None
     return (value - baseline) / (ceiling - baseline)
 

@@ -65,10 +65,10 @@ def test_the_interval_covers_seeds_before_trials() -> None:
 
 
 def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
-    assert claims.gap_closed(0.9, baseline=0.6, ceiling=1.0) == pytest.approx(0.75)
-    assert claims.gap_closed(0.5, baseline=0.6, ceiling=1.0) == pytest.approx(-0.25)
-    assert claims.gap_closed(0.9, baseline=1.0, ceiling=1.0) is None
-    assert claims.gap_closed(0.9, baseline=None, ceiling=1.0) is None
+    assert claims.gap_closed(0.9, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(0.75)
+    assert claims.gap_closed(0.5, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(-0.25)
+    assert claims.gap_closed(0.9, baseline=0.95, ceiling=1.0, least_gap=0.1) is None
+    assert claims.gap_closed(0.9, baseline=None, ceiling=1.0, least_gap=0.1) is None
 
 
 def test_arms_are_chosen_by_pattern() -> None:
