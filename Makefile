@@ -2,7 +2,7 @@
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo check test bench fuzz compat stubs stubs-fresh fmt
+.PHONY: help setup dev demo check test bench tables fuzz compat stubs stubs-fresh fmt
 
 help: ## List what can be made
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
@@ -29,6 +29,9 @@ test: dev ## Run the tests, a file at a time on each core
 
 bench: dev ## Compare speed with that of peers
 	$(BIN)/python -m benchmarks
+
+tables: dev ## Make the tables of all experiments from the committed results
+	$(BIN)/python -m experiments table
 
 fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
 	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults

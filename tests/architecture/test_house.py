@@ -10,12 +10,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = [
     path
-    for folder in ("src/freerein", "services", "benchmarks")
+    for folder in ("src/freerein", "services", "benchmarks", "experiments")
     for path in sorted((ROOT / folder).rglob("*.py"))
     if "src/freerein/api" not in str(path)
 ]
 MANIFESTS = [ROOT / "pyproject.toml", *sorted(ROOT.glob("services/*/pyproject.toml"))]
-PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(ROOT.glob("docs/**/*.md"))
+NAMED_PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "experiments/README.md")
+PAGES = [ROOT / name for name in NAMED_PAGES] + sorted(ROOT.glob("docs/**/*.md"))
 
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve"}
 UNSAFE_CALLS = {"eval", "exec", "torch.load", "torch.save", "yaml.load", "numpy.load", "np.load", "os.system"}

@@ -1,0 +1,81 @@
+"""Runs experiments and makes their tables: `python -m experiments run|table`; see `README.md`."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments import registry
+from experiments.workbench import results, table
+from experiments.workbench.arms import Arm, choose
+from experiments.workbench.runner import Ending, Places, run_arms
+from freerein.errors import NotFound, ServiceError
+
+_WEEK_MINUTES = 7 * 24 * 60
+
+
+def main(words: Sequence[str]) -> int:
+    """Returns the exit code: 1 where an arm failed or was stopped, 2 for a refused command."""
+    arguments = _parser().parse_args(words)
+    try:
+        exit_code: int = arguments.command(arguments)
+    except ServiceError as error:
+        print(error.detail, error.hint, file=sys.stderr)
+        return 2
+    return exit_code
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    experiment = registry.load(arguments.name)
+    endings = run_arms(
+        arguments.name,
+        experiment,
+        choose(experiment, arguments.only),
+        places=Places(arguments.results, arguments.work),
+        jobs=arguments.jobs,
+        minutes=arguments.minutes,
+        on_end=_report,
+    )
+    return int(any(ending in ("stopped", "failed") for ending in endings))
+
+
+def _table(arguments: argparse.Namespace) -> int:
+    """Makes the tables of the named experiments, else of all that have results."""
+    for name in arguments.names or registry.EXPERIMENTS:
+        experiment, folder = registry.load(name), arguments.results / name
+        found = results.load_all(folder)
+        if found:
+            made = experiment.table(found)
+            table.save(made, folder)
+            print(table.markdown(made))
+        elif arguments.names:
+            raise NotFound(
+                "The experiment must have results; it has none.", hint="Run: python -m experiments run NAME."
+            )
+    return 0
+
+
+def _report(arm: Arm, ending: Ending) -> None:
+    print(f"{arm.name}: {ending}", flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments", description="Run experiments, make their tables.")
+    commands = parser.add_subparsers(required=True)
+    run = commands.add_parser("run", help="train and evaluate the arms that have no result yet")
+    run.add_argument("name", choices=registry.EXPERIMENTS)
+    run.add_argument("--jobs", type=int, default=1, help="arms at a time, one thread each")
+    run.add_argument("--only", nargs="+", default=(), metavar="PATTERN", help="names of arms, such as 'grid-lse-*'")
+    run.add_argument("--minutes", type=float, default=_WEEK_MINUTES, help="stop then; the next run resumes")
+    run.add_argument("--work", type=Path, default=Places.work, help="folder of datasets and checkpoints")
+    run.set_defaults(command=_run)
+    make = commands.add_parser("table", help="make tables of the arms that have results")
+    make.add_argument("names", nargs="*", metavar="NAME", help="default: all that have results")
+    make.set_defaults(command=_table)
+    for each in (run, make):
+        each.add_argument("--results", type=Path, default=Places.results, help="folder of results")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

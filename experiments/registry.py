@@ -1,0 +1,20 @@
+"""The experiments by name."""
+
+import importlib
+
+from experiments.workbench.arms import Experiment
+from freerein.errors import NotFound
+
+EXPERIMENTS = (
+    "grid",
+    "smoke",
+)
+"""Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""
+
+
+def load(name: str) -> Experiment:
+    """Returns the experiment of a name; NotFound for an unknown one."""
+    if name not in EXPERIMENTS:
+        raise NotFound(f"The experiment must be one of {', '.join(EXPERIMENTS)}; got another name.", field="name")
+    experiment: Experiment = importlib.import_module(f"experiments.{name}").EXPERIMENT
+    return experiment

@@ -1,0 +1,1 @@
+"""Chapter 2: skill segmentation from trajectory-level tags, beside full supervision and guessing."""

@@ -1,0 +1,142 @@
+"""Tables of segmentation experiments: a row for each method and context, accuracies in per cent."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from experiments.segmentation.dataset import SPLITS, SplitName
+from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.workbench import claims
+from experiments.workbench.claims import Claim
+from experiments.workbench.results import ArmResult
+from experiments.workbench.table import Table
+from freerein.errors import FailedPrecondition
+
+SUPERVISED = "supervised"
+"""Method of the ceiling: cross-entropy on true labels."""
+
+_HEADER = (
+    "method",
+    "context",
+    *(f"{split} accuracy, % [95 % interval]" for split in SPLITS),
+    "dissertation, %",
+    "test balanced, %",
+    "test edit, %",
+    "test F1@50, %",
+    "gap closed, test",
+    "seeds",
+    "minutes",
+)
+_LEAST_GAP = 0.5  # per cent
+_OTHER_FIGURES = ("balanced_accuracy", "edit_score", "f1_at_50")
+
+
+class Row(NamedTuple):
+    """What tells the rows of the table apart; a guess has no context."""
+
+    method: str
+    context: str = ""
+
+
+_BASELINE = Row("lse", "causal")
+
+
+@dataclass(frozen=True)
+class Report:
+    """The words of a table, and what its figures are compared with.
+
+    Attributes:
+        experiment: Name of the experiment.
+        title: Heading of the table.
+        text: What was measured, and how, in Markdown.
+        scale: `full` for the dissertation's amount of data.
+        dissertation: The dissertation's accuracies in per cent, by row: train, validation, test.
+    """
+
+    experiment: str
+    title: str
+    text: str
+    scale: Literal["full", "reduced"]
+    dissertation: Mapping[Row, tuple[float, float, float]] = field(default_factory=dict)
+
+
+def table(report: Report, results: Sequence[ArmResult]) -> Table:
+    """Returns the table of the given results: rows in their order, with a claim for each split.
+
+    Raises:
+        FailedPrecondition: The results are of different generators of the world.
+    """
+    if len({result.world_hash for result in results}) > 1:
+        raise FailedPrecondition(
+            "The results of a table must be of one world; the world's generator changed between them.",
+            hint="Run the experiment again: python -m experiments run NAME.",
+        )
+    rows: dict[Row, list[ArmResult]] = {}
+    for result in results:
+        rows.setdefault(_row(result), []).append(result)
+    made = {row: [_claim(report, rows, row, split) for split in SPLITS] for row in rows}
+    return Table(
+        title=report.title,
+        text=report.text,
+        header=_HEADER,
+        rows=tuple(_cells(row, rows[row], made[row]) for row in rows),
+        claims=tuple(claim for each in made.values() for claim in each),
+        plotted=tuple(each[-1] for each in made.values()),
+        unit="frame accuracy on test trajectories, per cent",
+    )
+
+
+def _row(result: ArmResult) -> Row:
+    return Row(result.method, result.options.get("context", ""))
+
+
+def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
+    arms = rows[row]
+    pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
+    samples = [arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms]
+    value = _accuracy(arms, split)
+    low, high = claims.interval(samples, rng=np.random.default_rng(0))
+    compared = {other: _accuracy(rows[other], split) for other in rows if other != row and row.context}
+    baseline, ceiling = compared.get(_BASELINE), compared.get(Row(SUPERVISED, row.context))
+    gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=_LEAST_GAP)
+    dissertation = report.dissertation.get(row)
+    return Claim(
+        claim=".".join([report.experiment, *filter(None, row), split]),
+        value=round(value, 3),
+        low=round(100 * low, 3),
+        high=round(100 * high, 3),
+        seeds=len(arms),
+        trials=len(samples[0].totals),
+        scale=report.scale,
+        baseline=None if baseline is None else round(baseline, 3),
+        ceiling=None if ceiling is None else round(ceiling, 3),
+        gap_closed=None if gap_closed is None else round(gap_closed, 3),
+        dissertation=None if dissertation is None else dissertation[SPLITS.index(split)],
+        target=None,
+        met=None,
+        world_hash=arms[0].world_hash,
+        command=f"python -m experiments run {report.experiment} --only '{pattern}'",
+        minutes=round(sum(arm.minutes for arm in arms), 2),
+    )
+
+
+def _accuracy(arms: Sequence[ArmResult], split: SplitName) -> float:
+    """Returns the mean frame accuracy over seeds, in per cent."""
+    return 100 * claims.mean([arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms])
+
+
+def _cells(row: Row, arms: Sequence[ArmResult], made: Sequence[Claim]) -> tuple[str, ...]:
+    test = made[-1]
+    others = (float(np.mean([arm.figures[f"test.{name}"] for arm in arms])) for name in _OTHER_FIGURES)
+    return (
+        row.method,
+        row.context,
+        *(f"{claim.value:.2f} [{claim.low:.2f}, {claim.high:.2f}]" for claim in made),
+        "" if test.dissertation is None else " / ".join(f"{claim.dissertation:g}" for claim in made),
+        *(f"{100 * value:.2f}" for value in others),
+        "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
+        str(test.seeds),
+        f"{test.minutes:.1f}",
+    )

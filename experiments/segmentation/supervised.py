@@ -1,0 +1,91 @@
+"""The supervised ceiling: the segmentation network, trained in the same loop from true labels.
+
+Network, data and configuration are those of the weakly supervised learner; only the objective differs.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from experiments.segmentation import truth, weakly_supervised
+from experiments.segmentation.dataset import DatasetSpec
+from freerein.data.cache import StepCache
+from freerein.learning.optimiser import fit_step
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein_segmentation.model import SegmentationNetwork
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, gather
+
+State = TrainState[SegmentationNetwork]
+
+
+def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> "SupervisedLearner":
+    """Returns the learner of true labels of the dataset in a folder; `config.objective` is not used."""
+    return SupervisedLearner(
+        weakly_supervised.make_learner(config, spec, folder),
+        truth.open_labels(folder, "train"),
+        truth.open_labels(folder, "validation"),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SupervisedLearner:
+    """A `freerein.learning.fit.Learner` whose loss is the cross-entropy of the true label of each timestep.
+
+    Attributes:
+        weak: The learner whose network, configuration and demonstrations it uses; its stride is 1.
+        labels: int64 (T,) per training trajectory.
+        validation_labels: int64 (T,) per validation trajectory.
+    """
+
+    weak: SegmentationLearner
+    labels: StepCache[np.int64]
+    validation_labels: StepCache[np.int64]
+
+    @property
+    def config(self) -> SegmentationConfig:
+        """The whole configuration of the fit."""
+        return self.weak.config
+
+    @property
+    def size(self) -> int:
+        """Number of training trajectories."""
+        return self.weak.size
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the training data."""
+        return self.weak.fingerprint
+
+    def init(self, generator: torch.Generator) -> State:
+        """Returns the same initial state as the weakly supervised learner."""
+        return self.weak.init(generator)
+
+    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
+        """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
+        loss = self._losses(state.network, self.weak.training, self.labels, items.tolist()).mean()
+        return fit_step(state, loss, self.config)
+
+    @torch.no_grad()
+    def evaluate(self, state: State) -> float:
+        """Returns the mean cross-entropy of the validation trajectories' labels."""
+        count, size = len(self.weak.validation), self.config.batch_size
+        batches = [list(range(start, min(start + size, count))) for start in range(0, count, size)]
+        validation, labels = self.weak.validation, self.validation_labels
+        return torch.cat([self._losses(state.network, validation, labels, each) for each in batches]).mean().item()
+
+    def _losses(
+        self, network: SegmentationNetwork, seen: Trajectories, labels: StepCache[np.int64], items: list[int]
+    ) -> Tensor:
+        batch = gather(seen, items, [0] * len(items), spec=self.weak.spec, device=self.weak.device)
+        scores, mask = network(batch.frames, batch.actions, batch.lengths)  # (B, T, K), (B, T)
+        targets = torch.from_numpy(np.concatenate([labels[item] for item in items])).to(self.weak.device)  # (N,)
+        losses = scores.new_zeros(mask.shape)
+        losses[mask] = functional.cross_entropy(scores[mask], targets, reduction="none")
+        mean_losses: Tensor = losses.sum(dim=1) / batch.lengths  # (B,)
+        return mean_losses

@@ -1,0 +1,14 @@
+"""True skill labels of a dataset, for evaluation and for the supervised ceiling."""
+
+from pathlib import Path
+
+import numpy as np
+
+from experiments.segmentation.dataset import SplitName, step_cache
+from freerein.data.cache import StepCache
+
+
+def open_labels(folder: Path, name: SplitName) -> StepCache[np.int64]:
+    """Returns the true labels of a split, int64 (T,) per trajectory: indices into the world's skills."""
+    lengths = np.fromfile(folder / name / "lengths.raw", np.int64)
+    return step_cache(folder / "truth" / name / "labels.raw", lengths, np.dtype(np.int64), ())

@@ -1,0 +1,21 @@
+"""The segmentation service's learner on a dataset of the workbench."""
+
+from pathlib import Path
+
+import torch
+
+from experiments.segmentation.dataset import DatasetSpec, open_split
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
+
+
+def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> SegmentationLearner:
+    """Returns the learner of frames, actions and tags of the dataset in a folder, on the CPU."""
+    world = spec.world
+    return SegmentationLearner(
+        config,
+        network_spec(config, cameras=world.cameras[:1], action=world.action, skills=world.skills),
+        open_split(folder, spec, "train"),
+        open_split(folder, spec, "validation"),
+        fingerprint=spec.hash,
+        device=torch.device("cpu"),
+    )

@@ -1,0 +1,15 @@
+"""A tiny experiment that takes seconds, for tests; its figures mean nothing."""
+
+from experiments.segmentation.dataset import DatasetSpec, SplitSpec
+from experiments.segmentation.experiment import SegmentationExperiment
+from experiments.segmentation.report import Report
+
+EXPERIMENT = SegmentationExperiment(
+    data=DatasetSpec("grid", train=SplitSpec(24, 2, 4), validation=SplitSpec(6, 2, 4), test=SplitSpec(6, 5, 5)),
+    objectives=("lse",),
+    contexts=("causal",),
+    seeds=2,
+    settings={"steps": 12, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
+    train_evaluated=8,
+    report=Report("smoke", title="A tiny experiment", text="For tests: the figures mean nothing.", scale="reduced"),
+)

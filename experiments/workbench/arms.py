@@ -1,0 +1,77 @@
+"""An arm: one training, and the evaluation of what it made."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Protocol
+
+from experiments.workbench.results import ArmResult, Outcome
+from experiments.workbench.table import Table
+from freerein.errors import NotFound
+from freerein.learning.checkpoints import JSON
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One cell of an experiment's design.
+
+    Attributes:
+        world: Task of the sim service whose data it learns from.
+        method: Name of the method.
+        options: What else tells the arms of an experiment apart, in the same order in all.
+        seed: Seed of every random draw of the training.
+    """
+
+    world: str
+    method: str
+    options: Mapping[str, str] = field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """The arm's name, such as `grid-lse-causal-seed0`."""
+        return "-".join([self.world, self.method, *self.options.values(), f"seed{self.seed}"])
+
+
+class Experiment(Protocol):
+    """Arms, how one is run, and the table of their results."""
+
+    @property
+    def arms(self) -> Sequence[Arm]:
+        """All arms, in the order in which they run."""
+
+    def config(self, arm: Arm) -> dict[str, JSON]:
+        """Returns everything that the arm's result depends on, beside the world and the code."""
+
+    def world_hash(self, world: str) -> str:
+        """Returns the hash of what the world's generator draws."""
+
+    def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+        """Trains an arm, or resumes it, and evaluates it; returns None when it was stopped by SIGTERM.
+
+        Args:
+            arm: One of `arms`.
+            work: Folder that all arms share, for datasets.
+            folder: Folder of this arm, for checkpoints.
+            on_progress: Called now and then.
+        """
+
+    def table(self, results: Sequence[ArmResult]) -> Table:
+        """Returns the table of the arms that have results, at least one."""
+
+
+def choose(experiment: Experiment, patterns: Sequence[str]) -> list[Arm]:
+    """Returns the arms whose name matches one of the shell patterns, all arms without patterns.
+
+    Raises:
+        NotFound: A pattern matches no arm.
+    """
+    for pattern in patterns:
+        if not any(fnmatch(arm.name, pattern) for arm in experiment.arms):
+            raise NotFound(
+                f"A pattern must match one of {len(experiment.arms)} arms; one matches none.",
+                field="only",
+                hint=f"An arm's name is like {experiment.arms[0].name}.",
+            )
+    return [arm for arm in experiment.arms if not patterns or any(fnmatch(arm.name, each) for each in patterns)]

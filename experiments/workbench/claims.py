@@ -1,0 +1,99 @@
+"""Claims: figures with intervals, baselines and ceilings, as they stand in `table.json`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from experiments.workbench.results import Sample
+
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """One figure, and what it is compared with; None where a field means nothing.
+
+    Attributes:
+        claim: Name of the claim.
+        value: Mean over seeds.
+        low: Lower end of the 95 % interval; see `interval`.
+        high: Its upper end.
+        seeds: Number of independently trained networks.
+        trials: Number of trials of each: trajectories or episodes.
+        scale: `full` for the dissertation's amount of data, else `reduced`, which supports no claim.
+        baseline: Value of the dissertation's method here.
+        ceiling: Value with full supervision, or of the scripted expert.
+        gap_closed: (value - baseline) / (ceiling - baseline); None where the gap is small.
+        dissertation: The dissertation's figure.
+        target: Least value that the claim needs.
+        met: Whether the value is at least the target.
+        world_hash: Hash of what the world's generator drew.
+        command: The command that makes the results.
+        minutes: Wall-clock time of all seeds.
+    """
+
+    claim: str
+    value: float
+    low: float | None
+    high: float | None
+    seeds: int
+    trials: int
+    scale: Literal["full", "reduced"]
+    baseline: float | None
+    ceiling: float | None
+    gap_closed: float | None
+    dissertation: float | None
+    target: float | None
+    met: bool | None
+    world_hash: str
+    command: str
+    minutes: float
+
+
+def mean(samples: Sequence[Sample]) -> float:
+    """Returns the mean over seeds."""
+    return float(np.mean([sample.mean for sample in samples]))
+
+
+def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[float, float]:
+    """Returns the 95 % interval of the mean over seeds: percentile bootstrap over seeds, then over trials of each.
+
+    With one seed it is over its trials, and says nothing about other seeds.
+    """
+    arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
+
+    def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
+        return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
+
+    if len(samples) == 1:
+        low, high = np.percentile([_resampled_ratio(arrays[0], rng) for _ in range(_RESAMPLES)], [2.5, 97.5])
+        return float(low), float(high)
+    result = stats.bootstrap(
+        (np.arange(len(samples)),),
+        resampled_mean,
+        n_resamples=_RESAMPLES,
+        vectorized=False,
+        method="percentile",
+        rng=rng,
+    )
+    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+
+
+def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
+    """Returns the share of the gap between baseline and ceiling that a value closes.
+
+    None without a gap of at least `least_gap`: the share of a smaller one is noise.
+    """
+    if baseline is None or ceiling is None or ceiling - baseline < least_gap:
+        return None
+    return (value - baseline) / (ceiling - baseline)
+
+
+def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> float:
+    trials = rng.integers(sample.shape[1], size=sample.shape[1])
+    total, count = sample[:, trials].sum(axis=1)
+    return float(total / count)

@@ -1,0 +1,134 @@
+"""The result of an arm: one JSON file in `results/EXPERIMENT/`."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freerein.atomic_files import write_atomic
+from freerein.errors import FailedPrecondition
+from freerein.learning.checkpoints import JSON
+
+TABLE_FILE = "table.json"
+"""Name of the file of claims, which lies beside the results."""
+
+_PACKAGES = ("freerein", "numpy", "torch")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A figure of one network, measured over trials, as a ratio of sums.
+
+    A trial is a trajectory or an episode. For frame accuracy, totals are the correct timesteps of each trajectory and
+    counts its timesteps; for a mean return, counts are 1.
+
+    Attributes:
+        totals: Numerator of each trial.
+        counts: Denominator of each trial, positive.
+    """
+
+    totals: Sequence[float]
+    counts: Sequence[float]
+
+    @property
+    def mean(self) -> float:
+        """The figure."""
+        return float(np.sum(self.totals) / np.sum(self.counts))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an evaluation measured.
+
+    Attributes:
+        figures: Value by figure, such as `test.frame_accuracy`.
+        samples: Figures that claims are made of, by trial.
+    """
+
+    figures: Mapping[str, float]
+    samples: Mapping[str, Sample]
+
+
+@dataclass(frozen=True)
+class ArmResult:
+    """The result of a finished arm.
+
+    Attributes:
+        name: Name of the arm.
+        world: As in `Arm`, like the next three.
+        config: Everything that the result depends on, beside the world and the code.
+        world_hash: Hash of what the world's generator drew.
+        minutes: Wall-clock time of all attempts.
+        cpu_minutes: CPU time of all attempts.
+        machine: Processor, cores, system and package versions.
+        command: The command that makes it.
+    """
+
+    name: str
+    world: str
+    method: str
+    options: Mapping[str, str]
+    seed: int
+    config: Mapping[str, JSON]
+    world_hash: str
+    figures: Mapping[str, float]
+    samples: Mapping[str, Sample]
+    minutes: float
+    cpu_minutes: float
+    machine: Mapping[str, JSON]
+    command: str
+
+
+def save(result: ArmResult, folder: Path) -> None:
+    """Writes `folder / <name>.json`; each sample on lines of its own."""
+    document = {name: value for name, value in asdict(result).items() if name != "samples"}
+    head = json.dumps(document, indent=2, allow_nan=False).removesuffix("\n}")
+    samples = (f"    {json.dumps(name)}: {_compact(asdict(each))}" for name, each in result.samples.items())
+    text = head + ',\n  "samples": {\n' + ",\n".join(samples) + "\n  }\n}\n"
+    write_atomic(folder / f"{result.name}.json", text.encode())
+
+
+def load_all(folder: Path) -> list[ArmResult]:
+    """Returns the results in a folder, by name. Raises FailedPrecondition when a file is no result."""
+    return [load(path) for path in sorted(folder.glob("*.json")) if path.name != TABLE_FILE]
+
+
+def load(path: Path) -> ArmResult:
+    """Returns the result in a file. Raises FailedPrecondition when it is not one."""
+    try:
+        document: dict[str, Any] = json.loads(path.read_bytes())
+        samples = {name: Sample(**each) for name, each in document.pop("samples").items()}
+        return ArmResult(samples=samples, **document)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FailedPrecondition(
+            "The result of an arm must be JSON with the fields of an arm's result; one is not.",
+            hint="Delete the file and run the arm again.",
+        ) from error
+
+
+def machine() -> dict[str, JSON]:
+    """Returns the processor, its cores, the system and the versions of packages that results depend on."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in _PACKAGES},
+    }
+
+
+def _compact(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())

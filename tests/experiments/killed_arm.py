@@ -1,0 +1,28 @@
+"""An arm of the smoke experiment that kills its process in the middle of training: FOLDER WORK ARM."""
+
+import itertools
+import os
+import signal
+import sys
+from pathlib import Path
+
+from experiments import registry
+from experiments.workbench.arms import choose
+
+EVENTS = 4  # a checkpoint after 2 steps, an evaluation and a checkpoint after 4, a checkpoint after 6; 12 are due
+
+
+def main(folder: Path, work: Path, name: str) -> None:
+    experiment = registry.load("smoke")
+    (arm,) = choose(experiment, [name])
+    events = itertools.count(1)
+
+    def kill_in_the_middle() -> None:
+        if next(events) == EVENTS:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    experiment.run(arm, work=work, folder=folder, on_progress=kill_in_the_middle)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])

@@ -1,0 +1,119 @@
+"""Tiny arms from demonstrations to a table, through the commands; one of them is killed in the middle."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from experiments import registry
+from experiments.__main__ import main
+from experiments.workbench import results
+from experiments.workbench.arms import choose
+from experiments.workbench.runner import Places, arm_folder
+
+ROOT = Path(__file__).parents[2]
+ARM = "grid-lse-causal-seed0"
+FIELDS = (
+    "claim value low high seeds trials scale baseline ceiling gap_closed dissertation target met world_hash command "
+    "minutes"
+)
+
+
+@pytest.fixture(autouse=True)
+def _in_the_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+
+
+def options(places: Places) -> list[str]:
+    return ["--results", str(places.results), "--work", str(places.work)]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_an_arm_that_was_killed_in_the_middle_goes_on_to_the_same_result(tmp_path: Path) -> None:
+    smoke = registry.load("smoke")
+    (arm,) = choose(smoke, [ARM])
+    quiet, killed = (Places(tmp_path / name / "results", tmp_path / name / "work") for name in ("quiet", "killed"))
+    folder = arm_folder("smoke", smoke, arm, killed)
+
+    assert main(["run", "smoke", "--only", ARM, *options(quiet)]) == 0
+    script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(killed.work), ARM]
+    ended = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
+    reached = sorted(path.name for path in (folder / "checkpoints").iterdir())
+    assert main(["run", "smoke", "--only", ARM, *options(killed)]) == 0
+
+    theirs, ours = (results.load(places.results / "smoke" / f"{ARM}.json") for places in (quiet, killed))
+    assert ended.returncode == -signal.SIGKILL
+    assert reached
+    assert not any("12" in name for name in reached)
+    assert ours.figures == theirs.figures
+    assert ours.samples == theirs.samples
+    assert last_checkpoint(folder) == last_checkpoint(arm_folder("smoke", smoke, arm, quiet))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_arms_become_results_and_these_a_table_with_claims(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    arms = [ARM, "grid-supervised-causal-seed0", "grid-random_cls-seed0"]
+
+    assert main(["run", "smoke", "--jobs", "2", "--only", *arms, *options(places)]) == 0
+    assert main(["run", "smoke", "--only", *arms, *options(places)]) == 0
+    assert capfd.readouterr().out.count("present") == 3
+    assert main(["table", "smoke", "--results", str(places.results)]) == 0
+
+    folder = places.results / "smoke"
+    claims = json.loads((folder / "table.json").read_bytes())["claims"]
+    assert [claim["claim"].removeprefix("smoke.") for claim in claims if claim["claim"].endswith("test")] == [
+        "random_cls.test",
+        "lse.causal.test",
+        "supervised.causal.test",
+    ]
+    assert all(list(claim) == FIELDS.split() for claim in claims)
+    assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
+    assert {claim["scale"] for claim in claims} == {"reduced"}
+    by_name = {claim["claim"]: claim for claim in claims}
+    assert by_name["smoke.lse.causal.test"]["ceiling"] == by_name["smoke.supervised.causal.test"]["value"]
+    assert "| lse | causal |" in (folder / "table.md").read_text()
+    assert (folder / "table.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    assert main(["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]) == 1
+    assert "stopped" in capsys.readouterr().out
+    assert not places.results.exists()
+
+
+def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "smoke", "--only", "grid-lse-sideways-*"]) == 2
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 2
+    assert main(["table", "atlantis"]) == 2
+    assert "python -m experiments run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in registry.EXPERIMENTS if (ROOT / "experiments/results" / name).exists()]
+)
+def test_a_committed_table_follows_from_the_committed_results(name: str, tmp_path: Path) -> None:
+    committed = ROOT / "experiments/results" / name
+    for path in committed.glob("*.json"):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / path.name).write_bytes(path.read_bytes())
+
+    assert main(["table", name, "--results", str(tmp_path)]) == 0
+
+    for file in ("table.md", "table.json"):
+        assert (tmp_path / name / file).read_text() == (committed / file).read_text(), "stale: run make tables"
+
+
+def last_checkpoint(folder: Path) -> dict[str, bytes]:
+    newest = max((folder / "checkpoints").iterdir())
+    return {path.name: path.read_bytes() for path in newest.iterdir()}

@@ -1,0 +1,104 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiments import registry
+from experiments.workbench import claims, results
+from experiments.workbench.arms import Arm, choose
+from experiments.workbench.elapsed import Elapsed
+from experiments.workbench.results import ArmResult, Sample
+
+from freerein.errors import FailedPrecondition, NotFound
+
+RESULT = ArmResult(
+    name="grid-lse-causal-seed1",
+    world="grid",
+    method="lse",
+    options={"context": "causal"},
+    seed=1,
+    config={"fit": {"lr": 0.1}},
+    world_hash="ab",
+    figures={"test.frame_accuracy": 0.5},
+    samples={"test.frame_accuracy": Sample([1, 2], [3, 3])},
+    minutes=1.5,
+    cpu_minutes=1.25,
+    machine={"cores": 2},
+    command="python -m experiments run grid",
+)
+
+
+def test_a_result_comes_back_from_its_file(tmp_path: Path) -> None:
+    results.save(RESULT, tmp_path)
+    assert results.load_all(tmp_path) == [RESULT]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"samples": {}}'])
+def test_a_file_that_is_no_result_is_refused_with_a_hint(text: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.json").write_text(text)
+    with pytest.raises(FailedPrecondition) as refused:
+        results.load_all(tmp_path)
+    assert "run the arm again" in refused.value.hint
+
+
+def test_a_sample_is_a_ratio_of_sums() -> None:
+    assert Sample([1, 9], [10, 10]).mean == 0.5
+    assert Sample([1, 90], [10, 90]).mean == 0.91
+
+
+def test_the_interval_of_equal_trials_is_their_value() -> None:
+    constant = [Sample([2, 2, 2], [4, 4, 4])] * 3
+    assert claims.mean(constant) == 0.5
+    assert claims.interval(constant, rng=np.random.default_rng(0)) == (0.5, 0.5)
+
+
+def test_the_interval_of_one_network_is_that_of_a_binomial() -> None:
+    sample = Sample([1] * 50 + [0] * 50, [1] * 100)
+    low, high = claims.interval([sample], rng=np.random.default_rng(0))
+    assert (low, high) == pytest.approx((0.5 - 1.96 * 0.05, 0.5 + 1.96 * 0.05), abs=0.02)
+
+
+def test_the_interval_covers_seeds_before_trials() -> None:
+    networks = [Sample([trial] * 1000, [1] * 1000) for trial in (0.2, 0.5, 0.8)]
+    assert claims.interval(networks, rng=np.random.default_rng(0)) == pytest.approx((0.2, 0.8))
+
+
+def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
+    assert claims.gap_closed(0.9, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(0.75)
+    assert claims.gap_closed(0.5, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(-0.25)
+    assert claims.gap_closed(0.9, baseline=0.95, ceiling=1.0, least_gap=0.1) is None
+    assert claims.gap_closed(0.9, baseline=None, ceiling=1.0, least_gap=0.1) is None
+
+
+def test_arms_are_chosen_by_pattern() -> None:
+    grid = registry.load("grid")
+    assert [arm.seed for arm in choose(grid, ["grid-mil-causal-*"])] == [0, 1, 2]
+    assert choose(grid, []) == list(grid.arms)
+    with pytest.raises(NotFound):
+        choose(grid, ["grid-mil-*", "dial-*"])
+
+
+@pytest.mark.parametrize("name", registry.EXPERIMENTS)
+def test_every_arm_of_every_experiment_has_a_name(name: str) -> None:
+    experiment = registry.load(name)
+    assert len({arm.name for arm in experiment.arms}) == len(experiment.arms)
+
+
+def test_an_arm_is_named_by_world_method_options_and_seed() -> None:
+    assert Arm("dial", "lse", {"context": "causal"}, 2).name == "dial-lse-causal-seed2"
+
+
+def test_the_time_of_an_arm_includes_earlier_attempts(tmp_path: Path) -> None:
+    path = tmp_path / "elapsed.json"
+    path.write_text(json.dumps({"wall_s": 120.0, "cpu_s": 60.0}))
+
+    Elapsed(path).save()
+
+    assert 2.0 < Elapsed(path).minutes < 3.0
+    assert 1.0 <= Elapsed(path).cpu_minutes < 2.0
+
+
+def test_a_table_of_two_generators_is_refused() -> None:
+    with pytest.raises(FailedPrecondition, match="one world"):
+        registry.load("grid").table([RESULT, replace(RESULT, name="grid-lse-causal-seed2", world_hash="cd")])
