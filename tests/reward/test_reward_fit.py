@@ -54,7 +54,7 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     assert model.cameras == ("front",)
     card = json.loads((folder / "model" / "card.json").read_bytes())
     assert (card["method"], card["grounding"]) == ("relation_captions", version)
-    assert card["command"] == """freerein fit reward DATASET --set 'phrases=["a red block", "a blue block"]'"""
+    assert """--set 'phrases=["a red block", "a blue block"]' --set hidden_size=16""" in card["command"]
     assert "relation_accuracy" in card["figures"]
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)

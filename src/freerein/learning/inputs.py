@@ -42,10 +42,12 @@ class InputSpec:
                     field="dataset",
                     hint="Record frames of another size, or store them as gray or RGB.",
                 )
-        if not (1 <= self.action.size <= _MAX_ACTION_SIZE and 0 <= self.action.choices <= _MAX_ACTION_CHOICES):
+        action = self.action
+        is_discrete = action.size == 1 and 1 <= action.choices <= _MAX_ACTION_CHOICES
+        if not is_discrete and not (1 <= action.size <= _MAX_ACTION_SIZE and action.choices == 0):
             raise InvalidInput(
-                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or at most {_MAX_ACTION_CHOICES} choices; "
-                f"got {self.action.size} and {self.action.choices}.",
+                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or be one of at most {_MAX_ACTION_CHOICES} "
+                f"choices; got {action.size} numbers and {action.choices} choices.",
                 field="dataset",
             )
 
