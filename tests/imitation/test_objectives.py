@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.goal_conditioned import proximity_logit
+from freerein_imitation.model.goal_images import proximity_logit
 from freerein_imitation.objectives import (
     absolute_error,
     action_cross_entropy,

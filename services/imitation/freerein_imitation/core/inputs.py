@@ -35,7 +35,7 @@ class Subgoal:
 
 
 async def parse_frames(spec: PolicySpec, observation: Observation) -> CameraFrames:
-    """Returns the frame of each of the policy's cameras, uint8 (H, W, C); large files are decoded off the event loop.
+    """Returns the frame of each camera, uint8 (H, W, C); encoded images are decoded off the event loop.
 
     Raises:
         InvalidInput: The observation does not match the policy's spec.

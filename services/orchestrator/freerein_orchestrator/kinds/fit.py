@@ -1,12 +1,12 @@
 """Kind `fit`: starts a fit of a learned service once, and follows it to its end.
 
-<folder>/fit.json   the number of abandoned fits, failed or cancelled: each attempt has a key of its own
+<folder>/fit.json   id of the fit, and the number of abandoned ones, failed or cancelled: each has a key of its own
 """
 
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Literal, cast
 
@@ -100,16 +100,16 @@ def run(context: RunContext, config: FitRunConfig) -> None:
 
 
 def begin(context: RunContext, config: FitRunConfig) -> None:
-    """Starts the fit, or finds the one that was started, as `run` will."""
-    fits = context.fits(config.service)
-    context.retry().call(lambda: _start(fits, context, config))
+    """Starts the fit, unless it was started already; `run` will follow it."""
+    if not _saved(context).id:
+        fits = context.fits(config.service)
+        context.retry().call(lambda: _start(fits, context, config))
 
 
 def cancel(context: RunContext, config: FitRunConfig) -> None:
-    """Cancels the fit that was started; an unavailable service continues it."""
-    fits = context.fits(config.service)
-    with suppress(ServiceError):
-        _cancel(fits, _start(fits, context, config).id, context)
+    """Cancels the fit that was started, if any; an unavailable service continues it."""
+    if fit_id := _saved(context).id:
+        _cancel(context.fits(config.service), fit_id, context)
 
 
 KIND = Kind(
@@ -155,25 +155,44 @@ class _FitWatch:
 def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
     """Returns the one fit of this run that was not abandoned."""
     while True:
-        abandoned = _abandoned(context)
+        abandoned = _saved(context).abandoned
         key = f"{context.key}-{abandoned}" if abandoned else context.key
         request = StartFitRequest(config.dataset, config.model_name, config.config, idempotency_key=key)
         fit = cast(Fit, fits.start_fit(request).fit)
         if fit.state != "cancelled":
+            _save(context, _SavedFit(abandoned, fit.id))
             return fit
         _abandon(context)  # it was cancelled with the run, which is resumed now
 
 
 def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
     with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
-        fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S)
-        _abandon(context)
+        fit: Fit = fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S).fit
+        if fit.state != "succeeded":
+            _abandon(context)
 
 
-def _abandoned(context: RunContext) -> int:
+@dataclass(frozen=True)
+class _SavedFit:
+    """What is on disk.
+
+    Attributes:
+        abandoned: Number of abandoned fits.
+        id: Id of the fit that was started since; empty for none.
+    """
+
+    abandoned: int = 0
+    id: str = ""
+
+
+def _saved(context: RunContext) -> _SavedFit:
     path = context.folder / "fit.json"
-    return int(json.loads(path.read_bytes())["abandoned"]) if path.is_file() else 0
+    return _SavedFit(**json.loads(path.read_bytes())) if path.is_file() else _SavedFit()
+
+
+def _save(context: RunContext, saved: _SavedFit) -> None:
+    write_atomic(context.folder / "fit.json", json.dumps(asdict(saved)).encode())
 
 
 def _abandon(context: RunContext) -> None:
-    write_atomic(context.folder / "fit.json", json.dumps({"abandoned": _abandoned(context) + 1}).encode())
+    _save(context, _SavedFit(_saved(context).abandoned + 1))

@@ -28,7 +28,7 @@ from freerein_orchestrator.rl.errors import Stopped
 
 _MAX_NAME = 24
 """Characters: a step's key, and the names of its artifacts, must not exceed what names may have."""
-_DONE, _BEGUN = "done.json", "begun.json"
+_DONE = "done.json"
 
 STEPS = "steps.json"
 """The artifact that lists the steps that are done."""
@@ -115,8 +115,8 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
     def run(context: RunContext, pipeline: Pipeline) -> None:
         done = 0
         try:
-            for place, step in enumerate(pipeline.steps):
-                begin(context, pipeline.steps[place:])
+            for step in pipeline.steps:
+                _begin(kinds, context, _to_do(context, pipeline))
                 child = context.child(step.name, first_step=done)
                 child.folder.mkdir(parents=True, exist_ok=True)
                 if not _is_done(context, step.name):
@@ -127,30 +127,30 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
         except Stopped:
             if context.cancelled():
-                cancel(context, pipeline)
+                _cancel(kinds, context, _to_do(context, pipeline))
             raise
 
-    def begin(context: RunContext, steps: Sequence[Step]) -> None:
-        """Begins the fits whose turn may come later, once the steps that they come after are done."""
-        for step in steps:
-            remote = kinds[step.kind].remote
-            is_due = step.after and all(_is_done(context, name) for name in step.after)
-            if remote is not None and is_due and not _is_begun(context, step.name):
-                child = context.child(step.name, first_step=0)
-                with _step_errors(step.name), child.closing:
-                    remote.begin(child, step.config)
-                write_atomic(child.folder / _BEGUN, b"{}")
-
-    def cancel(context: RunContext, pipeline: Pipeline) -> None:
-        """Cancels the fits that have begun and whose turn has not come."""
-        for step in pipeline.steps:
-            remote = kinds[step.kind].remote
-            if remote is not None and _is_begun(context, step.name) and not _is_done(context, step.name):
-                child = context.child(step.name, first_step=0)
-                with child.closing:
-                    remote.cancel(child, step.config)
-
     return Kind(parse_pipeline, steps, run, check, dump)
+
+
+def _begin(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[Step]) -> None:
+    """Begins the fits among steps to do whose turn may come later, once the steps that they come after are done."""
+    for step in steps:
+        remote = kinds[step.kind].remote
+        if remote is not None and step.after and all(_is_done(context, name) for name in step.after):
+            child = context.child(step.name, first_step=0)
+            with _step_errors(step.name), child.closing:
+                remote.begin(child, step.config)
+
+
+def _cancel(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[Step]) -> None:
+    """Cancels the fits among steps that are not done, which have begun."""
+    for step in steps:
+        remote = kinds[step.kind].remote
+        if remote is not None:
+            child = context.child(step.name, first_step=0)
+            with child.closing:
+                remote.cancel(child, step.config)
 
 
 def _check_names(names: list[str]) -> None:
@@ -200,12 +200,12 @@ def _step_errors(name: str) -> Iterator[None]:
         ) from error
 
 
+def _to_do(context: RunContext, pipeline: Pipeline) -> list[Step]:
+    return [step for step in pipeline.steps if not _is_done(context, step.name)]
+
+
 def _is_done(context: RunContext, name: str) -> bool:
     return (context.folder / "parts" / name / _DONE).is_file()
-
-
-def _is_begun(context: RunContext, name: str) -> bool:
-    return (context.folder / "parts" / name / _BEGUN).is_file()
 
 
 def _finish(context: RunContext, child: RunContext, step: Step, *, seconds: float) -> None:

@@ -50,7 +50,7 @@ def _learn_from_data() -> list[Step]:
         _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
         _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES),
         _evaluate("two-blocks", "relations", task="blocks.scatter", model=REWARD_MODEL, episodes=320, num_envs=64),
-        _evaluate("four-blocks", "relations", task="blocks", model=REWARD_MODEL, episodes=320, num_envs=64),
+        _evaluate("four-blocks", "relations", task="blocks", model=REWARD_MODEL, episodes=192, num_envs=64, steps=24),
         _fit("fit-goal-images", "imitation", "goal-images", "exploration", method="goal_conditioned"),
     ]
 

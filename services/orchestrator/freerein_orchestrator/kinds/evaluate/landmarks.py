@@ -144,12 +144,12 @@ class LandmarksEvaluation:
         """Returns trials `first` to `first + count`."""
         setup, policy = self._setup, self._policy
         request = setup.session(count, first, height=policy.height, width=policy.width)
-        run = partial(run_episodes, setup.sim, request, interrupt=setup.interrupt, cameras=self._cameras)
+        run = partial(run_episodes, setup.sim, request, interrupt=setup.interrupt)
         random = partial(exploration_policy, setup.task.action)
-        explored = run(random(stream=_EXPLORATION), max_steps=int(self._steps[-1]))
+        explored = run(random(stream=_EXPLORATION), cameras=self._cameras, max_steps=int(self._steps[-1]))
         goals = [self._goal(each) for each in explored]
         steps = self._max_steps * len(self._steps)
-        followed = run(policy, goals=goals, max_steps=steps)
+        followed = run(policy, goals=goals, cameras=self._cameras, max_steps=steps)
         baseline = run(random(stream=_BASELINE), max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
             at = _at_landmarks(truth, followed, self._landmark_states(explored))
