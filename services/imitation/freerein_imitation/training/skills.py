@@ -189,8 +189,11 @@ class SkillsLearner:
         """Returns the state before the first update."""
         network = SkillsNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
-            own.copy_(normalised)
+        if self.encoder.is_trained:
+            for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
+                own.copy_(normalised)
+        else:
+            network.encoder.load_state_dict(self.encoder.state_dict())
         if self.training.features is not None:
             network.fit_feature_normalisation(torch.cat(list(self.training.features.values())), generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)

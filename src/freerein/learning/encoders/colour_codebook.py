@@ -33,6 +33,7 @@ class ColourCodebook(nn.Module):
     background: Tensor
     colours: Tensor
     is_trained = False
+    has_colour_moments = True
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()

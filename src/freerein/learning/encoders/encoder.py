@@ -11,10 +11,14 @@ class EncoderClass(Protocol):
     It also has `fit_normalisation(frames, *, generator)`, which sets what is not trained from training frames.
 
     Attributes:
-        is_trained: Whether it has weights to train; else frames may be encoded once, before training.
+        is_trained: Whether it has weights to train; else its parameters are frozen, and frames may be encoded once,
+            before training.
+        has_colour_moments: Whether features are `colour_codebook.MOMENTS` for each of as many colours as fit, then
+            zeros.
     """
 
     is_trained: bool
+    has_colour_moments: bool
 
     def __call__(self, *, height: int, width: int, channels: int, features: int) -> nn.Module:
         """Returns an encoder of frames of a size in pixels, with 1 or 3 channels, to `features` numbers."""
