@@ -86,6 +86,17 @@ def test_frozen_parameters_are_not_drawn() -> None:
 
 
 @pytest.mark.parametrize("name", ENCODERS)
+def test_every_encoder_has_as_few_features_as_it_says(name: str) -> None:
+    kind = ENCODERS[name]
+    encoders = CameraEncoders(kind, (Camera("front", 16, 16, 3),), features=kind.min_features)
+    generator = torch.Generator().manual_seed(0)
+    weights.initialise(encoders, generator=generator)
+    seen = {"front": frames(16, 16, 3)}
+    encoders.fit_normalisation(seen, generator=generator)
+    assert encoders(seen).shape == (4, kind.min_features)
+
+
+@pytest.mark.parametrize("name", ENCODERS)
 def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> None:
     cameras = (Camera("front", 33, 30, 3), Camera("wrist", 16, 24, 1))
     encoders = CameraEncoders(ENCODERS[name], cameras, features=12)

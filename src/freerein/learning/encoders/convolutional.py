@@ -20,6 +20,7 @@ class ConvolutionalEncoder(nn.Module):
     std: Tensor
     is_trained = True
     has_colour_moments = False
+    min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()

@@ -15,10 +15,12 @@ class EncoderClass(Protocol):
             before training.
         has_colour_moments: Whether features are `colour_codebook.MOMENTS` for each of as many colours as fit, then
             zeros.
+        min_features: Fewest features of a camera.
     """
 
     is_trained: bool
     has_colour_moments: bool
+    min_features: int
 
     def __call__(self, *, height: int, width: int, channels: int, features: int) -> nn.Module:
         """Returns an encoder of frames of a size in pixels, with 1 or 3 channels, to `features` numbers."""

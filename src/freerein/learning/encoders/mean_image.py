@@ -14,6 +14,7 @@ class PatchStem(nn.Module):
     pixel_std: Tensor
     is_trained = True
     has_colour_moments = False
+    min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, patches: int, outputs: int) -> None:
         super().__init__()
