@@ -1,11 +1,12 @@
 """One encoder per camera."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from freerein.learning.encoders.encoder import EncoderClass
+from freerein.learning.encoders.encoder import Encoder, EncoderClass
 from freerein.types.common import Camera
 
 Frames = Mapping[str, Tensor]
@@ -42,10 +43,12 @@ class CameraEncoders(nn.Module):
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
-        for name, encoder in zip(self._names, self.encoders, strict=True):
-            encoder.fit_normalisation(frames[name], generator=generator)  # type: ignore[operator]  # torch: a Tensor
+        for name, encoder in self._by_camera():
+            encoder.fit_normalisation(frames[name], generator=generator)
 
     def forward(self, frames: Frames) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
-        features = [encoder(frames[name]) for name, encoder in zip(self._names, self.encoders, strict=True)]
-        return torch.cat(features, dim=1)
+        return torch.cat([encoder(frames[name]) for name, encoder in self._by_camera()], dim=1)
+
+    def _by_camera(self) -> Iterable[tuple[str, Encoder]]:
+        return zip(self._names, cast(Iterable[Encoder], self.encoders), strict=True)
