@@ -1,6 +1,7 @@
 """Kind `evaluate`: measures policies and models against true states, which only an evaluation may see.
 
-`record.py` says what is on disk. A form is one module: `returns`, `landmarks`, `recipes`, `relations`, `segmentation`.
+`record.py` says what is on disk. A form is one module: `returns`, `sentences`, `landmarks`, `recipes`,
+`relations`, `segmentation`.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,7 +14,7 @@ from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.config import parse
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation
+from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation, sentences
 from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Setup
 from freerein_orchestrator.kinds.evaluate.record import TrialRecord
 from freerein_orchestrator.kinds.kind import Kind
@@ -21,6 +22,7 @@ from freerein_orchestrator.kinds.policy_store import PolicyStore
 
 FORMS: Mapping[str, Form[Any]] = {
     "returns": returns.FORM,
+    "sentences": sentences.FORM,
     "landmarks": landmarks.FORM,
     "recipes": recipes.FORM,
     "relations": relations.FORM,

@@ -101,6 +101,12 @@ class RelationsEvaluation:
         request = RewardRequest(goal, {self._camera: frames}, rivals=tuple(rivals), model=self._model)
         return cast(RewardResponse, self._reward.reward(request)).winners
 
+    def _similarities(self, texts: Sequence[str], frame: Frames) -> list[float]:
+        """Returns the cosine similarity of a frame, uint8 (H, W, C), and each text."""
+        frames = {self._camera: frame[None]}
+        requests = [RewardRequest(text, frames, mode="raw", model=self._model) for text in texts]
+        return [float(cast(RewardResponse, self._reward.reward(each)).similarities[0]) for each in requests]
+
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials."""
         answers = [[each for scene in trial.values["scenes"] for each in scene] for trial in trials]
@@ -141,8 +147,14 @@ class RelationsEvaluation:
                     truth = answer["truth"]
                     if truth not in pictures:
                         texts = [each.text for each in self._groups[answer["group"]]]
-                        pictures[truth] = {"frame": str(truth), "texts": texts, "truth": truth}
-                        frames[str(truth)] = trial.frames["scenes"][scene]
+                        frame = frames[str(truth)] = trial.frames["scenes"][scene]
+                        similarities = self._similarities(texts, frame)
+                        pictures[truth] = {
+                            "frame": str(truth),
+                            "texts": texts,
+                            "similarities": similarities,
+                            "truth": truth,
+                        }
         return [pictures[truth] for truth in sorted(pictures)], frames
 
 
