@@ -48,7 +48,7 @@ def evaluation(new_run: Callable[..., Any], tmp_path: Path, services: dict[str, 
 
 def finish_after_a_stop(run: Any) -> Any:
     """Stops a run after its first round, and finishes it; returns its result."""
-    assert not run.do(stop=(run.folder / "checkpoints" / "trials.json").exists)
+    assert not run.do(stop=(run.folder / "checkpoints" / "trials.jsonl").exists)
     assert 0 < len(run.rows) < run.config.episodes
     assert run.do()
     return run.artifact("result.json")

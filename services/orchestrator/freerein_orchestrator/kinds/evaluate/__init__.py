@@ -61,10 +61,10 @@ def run(context: RunContext, config: FormConfig) -> None:
     task = retry.call(lambda: find_task(sim, config.task))
     setup = Setup(context, config, task, sim, record.subject, retry.interrupt)
     evaluation = retry.call(lambda: FORMS[config.form].open(setup))
-    while (done := len(record.trials)) < config.episodes:
+    while (done := record.count) < config.episodes:
         count = min(config.num_envs, config.episodes - done)
         record.add(evaluation.subject, retry.call(partial(evaluation.run_round, done, count)))
-    result = retry.call(lambda: evaluation.result(record.trials))
+    result = retry.call(lambda: evaluation.result(record.trials()))
     header = {name: getattr(config, name) for name in ("form", "task", "episodes", "num_envs", "seed")}
     record.write_result(result, {**header, "privileged": True})
 

@@ -142,19 +142,13 @@ class RelationsEvaluation:
         pictures: dict[int, dict[str, Any]] = {}
         frames: dict[str, Frames] = {}
         for trial in trials:
-            for scene, answers in enumerate(trial.values["scenes"]):
-                for answer in answers:
-                    truth = answer["truth"]
-                    if truth not in pictures:
-                        texts = [each.text for each in self._groups[answer["group"]]]
-                        frame = frames[str(truth)] = trial.frames["scenes"][scene]
-                        similarities = self._similarities(texts, frame)
-                        pictures[truth] = {
-                            "frame": str(truth),
-                            "texts": texts,
-                            "similarities": similarities,
-                            "truth": truth,
-                        }
+            for answer in (each for scene in trial.values["scenes"] for each in scene):
+                truth, name = answer["truth"], str(answer["truth"])
+                if truth not in pictures:
+                    texts = [each.text for each in self._groups[answer["group"]]]
+                    frames[name] = trial.frames[name]
+                    similarities = self._similarities(texts, trial.frames[name])
+                    pictures[truth] = {"frame": name, "texts": texts, "similarities": similarities, "truth": truth}
         return [pictures[truth] for truth in sorted(pictures)], frames
 
 
@@ -193,7 +187,11 @@ def _trial(scenes: Sequence[Sequence[Mapping[str, Any]]], frames: Frames) -> Tri
     values: dict[str, Any] = {"scenes": [list(scene) for scene in scenes]}
     if answers:
         values["accuracy"] = float(np.mean([each["truth"] == each["winner"] for each in answers]))
-    return Trial(values, {"scenes": frames})
+    shown: dict[str, Frames] = {}  # by the place of the true caption in its group
+    for scene, frame in zip(scenes, frames, strict=True):
+        for answer in scene:
+            shown.setdefault(str(answer["truth"]), frame)
+    return Trial(values, shown)
 
 
 FORM = Form(RelationsConfig, RelationsEvaluation)
