@@ -20,7 +20,8 @@ from pydantic import SecretStr
 from pydantic_core import PydanticUndefined
 
 ROOT = Path(__file__).parents[2]
-TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)")
+TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)\n*")
+TEXT_BELOW_TABLE = re.compile(r"^\|.*\n(?P<text>[^|\n].*)", re.MULTILINE)
 TABLES = [
     pytest.param(page, *match.group("classes", "table"), id=match["classes"])
     for page in sorted((ROOT / "docs").glob("*.md"))
@@ -51,6 +52,12 @@ class Row(NamedTuple):
 @pytest.mark.parametrize(("page", "classes", "table"), TABLES)
 def test_a_table_says_what_its_classes_say(page: Path, classes: str, table: str) -> None:
     assert table == written(classes), f"{page} is stale: run python tests/architecture/test_docs.py"
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("**/*.md")), ids=lambda page: page.stem)
+def test_a_blank_line_follows_a_table(page: Path) -> None:
+    glued = [match["text"] for match in TEXT_BELOW_TABLE.finditer(page.read_text())]
+    assert not glued, "without a blank line such a text is shown as a row"
 
 
 def test_whatever_can_be_chosen_is_in_a_table() -> None:
@@ -131,4 +138,5 @@ def meanings_of(kind: type) -> dict[str, str]:
 
 if __name__ == "__main__":
     for page in (ROOT / "docs").glob("*.md"):
-        page.write_text(TABLE.sub(lambda match: match[1] + written(match["classes"]), page.read_text()))
+        text = TABLE.sub(lambda match: f"{match[1]}{written(match['classes'])}\n", page.read_text())
+        page.write_text(text.rstrip("\n") + "\n")

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from freerein.cli.demo.figures import Student
+from freerein.cli.demo.figures import policy_figures
 from freerein.cli.demo.output_folder import MARKER, prepare
-from freerein.cli.demo.pipeline import pipeline
-from freerein.cli.demo.report import Figure, Reporter, Returns, summary, write
-from freerein.cli.demo.results import noun_phrases
+from freerein.cli.demo.pipeline import TASKS, TEXTS, pipeline
+from freerein.cli.demo.report import Figure, Reporter, summary, write
+from freerein.cli.demo.results import Results, noun_phrases
 from freerein.cli.demo.run import isolated_environ, run
 from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -93,17 +93,38 @@ def test_the_summary_is_written_as_json_and_as_a_table(tmp_path: Path) -> None:
     assert rows[2] == "| x.y | 0.25 |  | 0.5 (a coin) | above baseline | not met |"
 
 
-def test_the_word_blind_student_is_told_the_better_sentence_everywhere() -> None:
-    returns = {
-        ("left", "left"): Returns((30.0, 40.0)),
-        ("left", "right"): Returns((10.0, 0.0)),
-        ("right", "left"): Returns((20.0, 30.0)),
-        ("right", "right"): Returns((35.0, 25.0)),
+def test_the_figures_of_ppo_and_distillation_are_those_of_the_evaluations() -> None:
+    def measured(value: float, baseline: float | None = None) -> dict[str, float | None]:
+        return {"value": value, "low": value - 1, "high": value + 1, "baseline": baseline}
+
+    told = [
+        {"task": task, "goal_text": text, "return_mean": measured(10 * row + column)}
+        for row, task in enumerate(TASKS.values())
+        for column, text in enumerate(TEXTS.values())
+    ]
+    sentences = {"own_text_return": measured(6, 5), "gain_by_words": measured(0.5, 0)}
+    documents = {
+        "random-left": {"figures": {"return_mean": measured(1)}},
+        "random-right": {"figures": {"return_mean": measured(2)}},
+        "ppo-returns": {
+            "figures": {"return_mean": measured(9, 7), "baseline_return_mean": measured(7), "gain": measured(2, 0)}
+        },
+        "sentences": {"figures": sentences, "told": told},
     }
-    student = Student(returns)
-    assert student.own_sentence.episodes == (30.0, 40.0, 35.0, 25.0)
-    assert student.word_blind.episodes == (30.0, 40.0, 20.0, 30.0)
-    assert (student.own_sentence - student.word_blind).mean == 2.5
+    results = Results({f"{step}.result.json": json.dumps(each).encode() for step, each in documents.items()})
+    found = {each.name: each for each in policy_figures(results)}
+    assert {name: (each.value, each.baseline, each.met) for name, each in found.items()} == {
+        "ppo.checkpoint_return": (7, 1, None),
+        "ppo.return": (9, 7, None),
+        "ppo.gain_since_checkpoint": (2, 0, True),
+        "distill.left_of.told_left": (0, 1, None),
+        "distill.left_of.told_right": (1, 1, None),
+        "distill.right_of.told_left": (10, 2, None),
+        "distill.right_of.told_right": (11, 2, None),
+        "distill.own_sentence_return": (6, 5, None),
+        "distill.gain_by_words": (0.5, 0, False),
+    }
+    assert found["ppo.return"].interval == (8, 10)
 
 
 def test_the_pipeline_is_one_that_the_orchestrator_takes(tmp_path: Path) -> None:

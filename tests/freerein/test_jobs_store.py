@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
-from freerein.jobs.json_lines import LineReader
+from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import MetricsWriter
 from freerein.jobs.store import JobEvent, JobStore
 from freerein.types.jobs import JobMetrics
@@ -183,6 +183,17 @@ def test_metrics_of_a_job_that_has_none_are_empty_and_too_many_are_refused(store
         store.metrics(run_id, from_step=0, max_rows=10_001)
     with pytest.raises(NotFound):
         store.metrics("0" * 32, from_step=0, max_rows=0)
+
+
+@pytest.mark.parametrize("length", [10, 1 << 16, 300_000])
+def test_lines_of_any_length_are_appended_after_what_a_crash_tore(tmp_path, length):
+    path = tmp_path / "lines.jsonl"
+    append(path, lambda last: [{"text": "a" * length, "last": last is not None}])
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"x" * length)
+    append(path, lambda last: [{"same": last == json.loads(whole)}])
+    assert path.read_bytes() == whole + b'{"same": true}\n'
+    assert last_document(path) == {"same": True}
 
 
 def test_a_file_of_lines_that_is_replaced_is_read_from_its_start(tmp_path):

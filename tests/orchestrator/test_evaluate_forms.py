@@ -25,6 +25,7 @@ EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes"
 LANDMARKS = {"form": "landmarks", "task": "blocks", "policy": {"model": "default"}, **EXPLORATION}
 RECIPES = {"form": "recipes", "task": "blocks", "policy": {"model": "skills"}, "episodes": 2, "num_envs": 1}
 RELATIONS = {"form": "relations", "task": "blocks.scatter", "episodes": 4, "num_envs": 2}
+TEXT = "a yellow block to the {} of a green block"
 SEGMENTATION = {"form": "segmentation", "task": "grid", "model": "grid", "min_skills": 2, "episodes": 4, "num_envs": 2}
 
 
@@ -47,7 +48,7 @@ def evaluation(new_run: Callable[..., Any], tmp_path: Path, services: dict[str, 
 
 def finish_after_a_stop(run: Any) -> Any:
     """Stops a run after its first round, and finishes it; returns its result."""
-    assert not run.do(stop=(run.folder / "checkpoints" / "trials.json").exists)
+    assert not run.do(stop=(run.folder / "checkpoints" / "trials.jsonl").exists)
     assert 0 < len(run.rows) < run.config.episodes
     assert run.do()
     return run.artifact("result.json")
@@ -151,7 +152,39 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
     assert result["model"]["version"]
     pictures, frames = run.artifact("frames.json"), frames_of(run)
     assert {picture["frame"] for picture in pictures} == set(frames)
-    assert all(len(picture["texts"]) == 5 for picture in pictures)
+    assert all(len(picture["texts"]) == len(picture["similarities"]) == 5 for picture in pictures)
+    assert all(-1.01 <= each <= 1.01 for picture in pictures for each in picture["similarities"])
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(240)
+def test_a_student_is_told_every_goal_text_in_every_task_and_compared_with_one_constant_text(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
+) -> None:
+    sides = ("left", "right")
+    tasks, texts = ([name.format(side) for side in sides] for name in ("blocks.yellow-{}-of-green", TEXT))
+    words = {"steps": 4, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
+    teachers = [f"yellow-{side}-of-green" for side in sides]
+    distill = {"teachers": teachers, "rollouts": 2, "num_envs": 2, "config": words}
+    sentences = {"form": "sentences", "task": tasks[0], "other_tasks": tasks[1:], "policy": {"run": "student"}}
+    steps = [
+        {"name": "student", "kind": "distill", "config": distill},
+        {"name": "told", "kind": "evaluate", "config": sentences | {"episodes": 3, "num_envs": 2}},
+    ]
+    imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address
+    run = new_run(tmp_path, "pipeline", {"steps": steps}, **services | {"FREEREIN_IMITATION_ADDRESS": imitation})
+    run.check()
+    assert run.do()
+    result = run.artifact("told.result.json")
+    assert (result["tasks"], result["goal_texts"], result["counts"]["episodes"]) == (tasks, texts, 2 * 2 * 3)
+    returns = {(each["task"], each["goal_text"]): each["return_mean"]["value"] for each in result["told"]}
+    own = np.mean([returns[pair] for pair in zip(tasks, texts, strict=True)])
+    constant = {text: np.mean([returns[task, text] for task in tasks]) for text in texts}
+    figures = result["figures"]
+    assert figures["own_text_return"]["value"] == pytest.approx(own)
+    assert figures["own_text_return"]["baseline"] == pytest.approx(constant[result["word_blind_text"]])
+    assert constant[result["word_blind_text"]] == max(constant.values())
+    assert figures["gain_by_words"]["value"] == pytest.approx(own - max(constant.values()))
 
 
 @pytest.mark.e2e
@@ -193,6 +226,7 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
         (RECIPES | {"task": "pendulum"}, "with skills; pendulum has none"),
         (SEGMENTATION | {"task": "pendulum"}, "an expert and skills; pendulum lacks them"),
         ({"task": "pendulum", "policy": "expert"}, "pendulum has none"),
+        ({"form": "sentences", "task": "grid", "policy": "random"}, "takes goal texts"),
     ],
 )
 def test_a_task_that_lacks_what_a_form_needs_is_refused(
@@ -218,6 +252,7 @@ def test_a_task_that_lacks_predicates_is_refused_by_their_names() -> None:
         LANDMARKS | {"policy": "expert"},
         LANDMARKS | {"policy": {"model": "default", "goal_text": "a red block"}},
         RECIPES | {"policy": {"model": "skills", "recipe": ["move-red"]}},
+        {"form": "sentences", "task": "blocks", "policy": {"model": "words", "goal_text": "a red block"}},
         RELATIONS | {"policy": "random"},
         SEGMENTATION | {"smoothing": -1},
     ],

@@ -134,6 +134,32 @@ def test_the_scripted_expert_earns_more_than_random_actions(evaluation: Callable
     assert expert == 1 > random
 
 
+def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callable[..., Any]) -> None:
+    config = RANDOM | {"policy": "expert", "episodes": 4}
+    run, random = evaluation(config | {"baseline": "random"}), evaluation(config | {"policy": "random"})
+    run.check()
+    assert run.do()
+    assert random.do()
+    result = run.artifact("result.json")
+    assert result["baseline"] == {"policy": "random"}
+    assert result["baseline_returns"] == random.artifact("result.json")["returns"]
+    figures = result["figures"]
+    assert figures["return_mean"]["baseline"] == figures["baseline_return_mean"]["value"]
+    gains = np.subtract(result["returns"], result["baseline_returns"])
+    assert figures["gain"]["value"] == pytest.approx(gains.mean())
+    assert gains.min() <= figures["gain"]["low"] <= figures["gain"]["high"] <= gains.max()
+    assert figures["gain"]["baseline"] == 0
+    same = evaluation(RANDOM | {"baseline": "random"})
+    assert same.do()
+    assert same.artifact("result.json")["figures"]["gain"]["high"] == 0
+
+
+@pytest.mark.parametrize("baseline", ["nobody", {}, {"run": "a", "model": "b"}, {"untrained": -1}])
+def test_an_invalid_baseline_is_refused(baseline: Any) -> None:
+    with pytest.raises(InvalidInput):
+        KINDS["evaluate"].parse(RANDOM | {"baseline": baseline})
+
+
 def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable[..., Any]) -> None:
     for name in ("nothing", ".."):
         with pytest.raises(InvalidInput):
@@ -156,6 +182,8 @@ def test_a_stored_policy_and_untrained_weights_can_be_evaluated(evaluation: Call
     assert result["model"]["version"]
     untrained = [evaluation(task | {"policy": {"untrained": 3}}) for _ in range(2)]
     assert all(run.do() for run in untrained)
-    assert untrained[0].artifact("result.json") == untrained[1].artifact("result.json")
+    result = untrained[0].artifact("result.json")
+    assert result == untrained[1].artifact("result.json")
+    assert (result["untrained"], len(result["sha256"])) == (3, 64)
     with pytest.raises(InvalidInput):
         evaluation(task | {"policy": {"stored": "nothing"}}).check()

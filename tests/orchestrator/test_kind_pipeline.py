@@ -1,5 +1,8 @@
 """Runs of kind `pipeline`, with the real sim and imitation services."""
 
+import json
+import socket
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -83,6 +86,37 @@ def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancel
         assert not run.do(stop=lambda: True, cancelled=True)
         (fit,) = fits.list_fits(ListFitsRequest()).fits
         assert fit.state == "cancelled"
+
+
+def test_fits_are_cancelled_at_once_though_their_service_does_not_answer(
+    new_run: Callable[..., Any], tmp_path: Path
+) -> None:
+    names = [f"fit-{number}" for number in range(8)]
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        nowhere = f"127.0.0.1:{silent.getsockname()[1]}"
+        steps = [COLLECT, *(FIT | {"name": name, "after": ["play"]} for name in names)]
+        addresses = {"FREEREIN_SIM_ADDRESS": nowhere, "FREEREIN_IMITATION_ADDRESS": nowhere}
+        run = new_run(tmp_path, "pipeline", {"steps": steps}, **addresses)
+        for name in names:
+            begun = run.folder / "parts" / name / "fit.json"
+            begun.parent.mkdir(parents=True)
+            begun.write_text(json.dumps({"abandoned": 0, "id": "a" * 32}))
+        started_s = time.monotonic()
+        assert not run.do(stop=lambda: True, cancelled=True)
+        assert time.monotonic() - started_s < 5
+
+
+def test_the_seconds_of_a_step_are_those_of_all_its_attempts(
+    new_run: Callable[..., Any], sim: str, tmp_path: Path
+) -> None:
+    run = new_run(tmp_path, "pipeline", {"steps": [CHANCE]}, FREEREIN_SIM_ADDRESS=sim)
+    assert not run.do(stop=lambda: True)
+    spent = run.folder / "parts" / "chance" / "seconds"
+    assert float(spent.read_text()) >= 0
+    spent.write_text("1000.0")
+    assert run.do()
+    (row,) = run.artifact("steps.json")
+    assert 1000 < row["seconds"] < 1100
 
 
 @pytest.mark.parametrize("steps", [[COLLECT, CHANCE | {"after": ["play"]}], [FIT | {"after": ["play"]}, COLLECT]])

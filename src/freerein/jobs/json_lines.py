@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-_TAIL_BYTES = 1 << 16  # longer than any line
+_TAIL_BYTES = 1 << 16  # at first; doubled until it holds a whole line
 _READ_BYTES = 1 << 20
 
 
@@ -66,5 +66,11 @@ def _last(file: BinaryIO) -> dict[str, Any] | None:
 
 
 def _tail(file: BinaryIO) -> bytes:
-    file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
-    return file.read(_TAIL_BYTES)
+    """Returns the end of a file: its last whole line at least, and what is torn after it."""
+    size, count = file.seek(0, os.SEEK_END), _TAIL_BYTES
+    while True:
+        file.seek(max(0, size - count))
+        tail = file.read(count)
+        if count >= size or tail.count(b"\n") > 1:
+            return tail
+        count *= 2

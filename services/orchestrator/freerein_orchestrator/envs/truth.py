@@ -15,6 +15,10 @@ States = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 _CLOSE_TIMEOUT_S = 1.0
+_MAX_ROWS = 1_000_000
+"""Limit of the sim service for one request."""
+_MAX_VALUES = 4_000_000
+"""Numbers per request: 32 MB, half of what a message may hold."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,13 @@ class TruthSession:
         Returns:
             bool (T,) per sequence: whether it holds at each timestep, given the sequence up to there.
         """
-        if not sequences:
-            return []
-        request = CheckRequest(self.id, predicate, _pad(sequences), _pad(references) if references else None)
-        reply: CheckResponse = self.sim.check(request)
-        return [row[: len(states)] for row, states in zip(reply.holds, sequences, strict=True)]
+        found: list[Flags] = []
+        for part in _parts(sequences, paired=bool(references)):
+            states = sequences[part]
+            request = CheckRequest(self.id, predicate, _pad(states), _pad(references[part]) if references else None)
+            reply: CheckResponse = self.sim.check(request)
+            found += [row[: len(each)] for row, each in zip(reply.holds, states, strict=True)]
+        return found
 
 
 @contextmanager
@@ -67,6 +73,20 @@ def check_predicates(task: Task, names: Iterable[str], *, form: str) -> None:
             field="config.task",
             hint="Choose a task of a world that offers them, or another form.",
         )
+
+
+def _parts(sequences: Sequence[States], *, paired: bool) -> Iterator[slice]:
+    """Yields the sequences of each request, so that padded ones, with references if `paired`, exceed no limit."""
+    first, length = 0, 0
+    for place, states in enumerate(sequences):
+        length = max(length, len(states))
+        rows = (place + 1 - first) * length
+        values = rows * states.shape[1] * (2 if paired else 1)
+        if place > first and (rows > _MAX_ROWS or values > _MAX_VALUES):
+            yield slice(first, place)
+            first, length = place, len(states)
+    if len(sequences):
+        yield slice(first, len(sequences))
 
 
 def _pad(sequences: Sequence[States]) -> States:

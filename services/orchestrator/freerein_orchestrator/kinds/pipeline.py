@@ -3,7 +3,8 @@
 A fit is work of another service: it may begin before its turn, beside the steps above it.
 
 <folder>/parts/<step>/           the step's own folder
-         parts/<step>/done.json  its number of steps, and the seconds it took, once it is done: it is not repeated
+         parts/<step>/seconds    how long its attempts have taken so far; one that is killed counts for nothing
+         parts/<step>/done.json  its number of steps, and those seconds, once it is done: it is not repeated
          artifacts/steps.json    name, kind, number of steps and seconds of the steps that are done
          artifacts/<step>.<name> the artifacts of the steps that are done
 """
@@ -12,7 +13,8 @@ import json
 import os
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +30,7 @@ from freerein_orchestrator.rl.errors import Stopped
 
 _MAX_NAME = 24
 """Characters: a step's key, and the names of its artifacts, must not exceed what names may have."""
-_DONE = "done.json"
+_DONE, _SECONDS = "done.json", "seconds"
 
 STEPS = "steps.json"
 """The artifact that lists the steps that are done."""
@@ -120,10 +122,9 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 child = context.child(step.name, first_step=done)
                 child.folder.mkdir(parents=True, exist_ok=True)
                 if not _is_done(context, step.name):
-                    started_s = time.monotonic()
-                    with _step_errors(step.name), child.closing:
+                    with _step_errors(step.name), _timed(child), child.closing:
                         kinds[step.kind].run(child, step.config)
-                    _finish(context, child, step, seconds=time.monotonic() - started_s)
+                    _finish(context, child, step)
                 done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
         except Stopped:
             if context.cancelled():
@@ -144,13 +145,18 @@ def _begin(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[
 
 
 def _cancel(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[Step]) -> None:
-    """Cancels the fits among steps that are not done, which have begun."""
-    for step in steps:
+    """Cancels the fits that have begun, among steps that are not done, all at once: a service may not answer."""
+
+    def cancel(step: Step, child: RunContext) -> None:
         remote = kinds[step.kind].remote
         if remote is not None:
-            child = context.child(step.name, first_step=0)
             with child.closing:
                 remote.cancel(child, step.config)
+
+    fits = [step for step in steps if kinds[step.kind].remote is not None]
+    children = [context.child(step.name, first_step=0) for step in fits]
+    with ThreadPoolExecutor(max(1, len(fits)), thread_name_prefix="cancel") as pool:
+        list(pool.map(cancel, fits, children))
 
 
 def _check_names(names: list[str]) -> None:
@@ -208,7 +214,24 @@ def _is_done(context: RunContext, name: str) -> bool:
     return (context.folder / "parts" / name / _DONE).is_file()
 
 
-def _finish(context: RunContext, child: RunContext, step: Step, *, seconds: float) -> None:
+@contextmanager
+def _timed(child: RunContext) -> Iterator[None]:
+    """Adds the duration of an attempt to the step's seconds, however it ends."""
+    started_s = time.monotonic()
+    try:
+        yield
+    finally:
+        seconds = _seconds(child) + time.monotonic() - started_s
+        with suppress(OSError):  # the attempt's own end is what matters
+            write_atomic(child.folder / _SECONDS, json.dumps(seconds).encode())
+
+
+def _seconds(child: RunContext) -> float:
+    path = child.folder / _SECONDS
+    return float(json.loads(path.read_bytes())) if path.is_file() else 0.0
+
+
+def _finish(context: RunContext, child: RunContext, step: Step) -> None:
     """Links a step's artifacts into the run's, and records that it is done."""
     for artifact in child.artifacts.iterdir():
         link = context.artifacts / f"{step.name}.{artifact.name}"
@@ -216,7 +239,7 @@ def _finish(context: RunContext, child: RunContext, step: Step, *, seconds: floa
         os.link(artifact, link)
     fsync_folder(context.artifacts)
     steps = max(0, last_step(context.run_folder) - child.first_step)
-    row = {"name": step.name, "kind": step.kind, "steps": steps, "seconds": seconds}
+    row = {"name": step.name, "kind": step.kind, "steps": steps, "seconds": _seconds(child)}
     path = context.artifacts / STEPS
     rows = json.loads(path.read_bytes()) if path.is_file() else []
     write_atomic(path, json.dumps([*(each for each in rows if each["name"] != step.name), row], indent=2).encode())

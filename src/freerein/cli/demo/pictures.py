@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.cli.demo.report import Returns
+from freerein.cli.demo.report import Measured
 
 Image = npt.NDArray[np.uint8]
 
@@ -162,7 +162,7 @@ def draw_rewards(path: Path, examples: Sequence[RewardExample]) -> None:
     figure.savefig(path)
 
 
-def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[str, Mapping[str, Returns]]) -> None:
+def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[str, Mapping[str, Measured]]) -> None:
     """Writes a PNG of a training: its learned return by iteration, and beside it panels of oracle returns by policy."""
     figure = _figure(
         5.2,
@@ -176,7 +176,7 @@ def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[s
     )
     figure.subplots_adjust(right=0.985, bottom=0.12)
     _draw_curve(left, curve)
-    top = 1.1 * max(returns.interval[1] for group in bars.values() for returns in group.values())
+    top = 1.1 * max(each.high or each.value for group in bars.values() for each in group.values())
     for panel, (name, group) in zip(panels, bars.items(), strict=True):
         _draw_bars(panel, group, name=name, top=top)
     figure.savefig(path)
@@ -285,10 +285,10 @@ def _draw_curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
     _style_axes(axes)
 
 
-def _draw_bars(axes: Any, bars: Mapping[str, Returns], *, name: str, top: float) -> None:
-    means = np.array([returns.mean for returns in bars.values()])
-    lower, upper = np.transpose([returns.interval for returns in bars.values()])
-    axes.bar(list(bars), means, yerr=(means - lower, upper - means), color=_QUIET, width=0.62, ecolor=_INK, capsize=5)
+def _draw_bars(axes: Any, bars: Mapping[str, Measured], *, name: str, top: float) -> None:
+    means = np.array([each.value for each in bars.values()])
+    low, high = np.transpose([each.interval or (each.value, each.value) for each in bars.values()])
+    axes.bar(list(bars), means, yerr=(means - low, high - means), color=_QUIET, width=0.62, ecolor=_INK, capsize=5)
     axes.set_title(name, fontsize=12, color=_INK, loc="left")
     axes.set(ylim=(0, top))
     _style_axes(axes)

@@ -13,7 +13,7 @@ TASKS = {side: f"blocks.yellow-{side}-of-green" for side in SIDES}
 """Task by side. The demo learns the left one by PPO: by true positions, the learned reward is precise for it."""
 
 TEXTS = {side: f"a yellow block to the {side} of a green block" for side in SIDES}
-"""Goal text by side."""
+"""Goal text of each task, by side."""
 
 INIT_FROM = "yellow-left-of-green"
 """Shipped policy that PPO starts from: 100 iterations from random weights, on another learned reward."""
@@ -58,22 +58,15 @@ def _learn_from_data() -> list[Step]:
 def _evaluate_and_practise() -> list[Step]:
     """What is measured of the policies, and PPO and distillation."""
     own, other = TASKS.values()
-    student = {
-        f"{side}-told-{told}": _returns(
-            f"{side}-told-{told}", TASKS[side], {"run": "distill", "goal_text": TEXTS[told]}
-        )
-        for side in SIDES
-        for told in SIDES
-    }
+    checkpoint = {"stored": INIT_FROM, "stochastic": True}
     return [
         _evaluate("landmarks", "landmarks", task="blocks", policy={"model": "goal-images"}, episodes=64, num_envs=64),
         _returns("random-left", own, "random"),
         _returns("random-right", other, "random"),
-        _returns("checkpoint", own, {"stored": INIT_FROM, "stochastic": True}),
         _fit("fit-skills", "imitation", "skills", "blocks-demos", after="label-blocks", method="skills"),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "skills"}, episodes=40, num_envs=40),
         _step("ppo", "ppo", task=own, reward_model=REWARD_MODEL, iterations=40, lr=3e-4, init_from=INIT_FROM),
-        _returns("ppo-returns", own, {"run": "ppo", "stochastic": True}),
+        _returns("ppo-returns", own, {"run": "ppo", "stochastic": True}, baseline=checkpoint),
         _step(
             "distill",
             "distill",
@@ -82,7 +75,15 @@ def _evaluate_and_practise() -> list[Step]:
             stochastic=False,  # the student would have to average noise away
             config={"steps": 600},
         ),
-        *student.values(),
+        _evaluate(
+            "sentences",
+            "sentences",
+            task=own,
+            other_tasks=[other],
+            policy={"run": "distill"},
+            episodes=_EPISODES,
+            num_envs=_EPISODES,
+        ),
     ]
 
 
@@ -104,8 +105,8 @@ def _evaluate(name: str, form: str, **config: Any) -> Step:
     return _step(name, "evaluate", form=form, **config)
 
 
-def _returns(name: str, task: str, policy: str | dict[str, Any]) -> Step:
-    return _evaluate(name, "returns", task=task, policy=policy, episodes=_EPISODES, num_envs=_EPISODES)
+def _returns(name: str, task: str, policy: str | dict[str, Any], **config: Any) -> Step:
+    return _evaluate(name, "returns", task=task, policy=policy, episodes=_EPISODES, num_envs=_EPISODES, **config)
 
 
 def _skills(count: int) -> dict[str, Any]:

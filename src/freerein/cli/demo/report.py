@@ -7,14 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from freerein.cli.jobs.progress import metrics_text
 from freerein.cli.output import print_json
-from freerein.metrics import mean_interval
 from freerein.types.orchestrator import Run
 
 _NOTE = 60  # characters
@@ -73,28 +71,25 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Returns:
-    """Oracle returns of a policy by episode: control steps at the goal, in the same episodes for every policy."""
+class Measured:
+    """A figure of an evaluation.
 
-    episodes: tuple[float, ...]
+    Attributes:
+        value: The value.
+        low: Lower end of its 95 % interval; None where there is none.
+        high: Upper end, likewise.
+        baseline: Value of the trivial answer; None where there is none.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    baseline: float | None
 
     @property
-    def mean(self) -> float:
-        """Mean return."""
-        return float(np.mean(self.episodes))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean."""
-        return mean_interval(self.episodes, rng=np.random.default_rng(0))
-
-    def __sub__(self, other: "Returns") -> "Returns":
-        """Returns the differences by episode."""
-        return Returns(tuple(np.subtract(self.episodes, other.episodes).tolist()))
-
-    def __add__(self, other: "Returns") -> "Returns":
-        """Returns the episodes of both."""
-        return Returns(self.episodes + other.episodes)
+    def interval(self) -> tuple[float, float] | None:
+        """Its 95 % interval; None where there is none."""
+        return None if self.low is None or self.high is None else (self.low, self.high)
 
 
 def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:

@@ -11,12 +11,11 @@ import safetensors.numpy
 
 from freerein import images
 from freerein.cli.demo.pictures import FilmstripGoal, LabelledTrajectory, RewardExample
-from freerein.cli.demo.pipeline import REWARD_MODEL
-from freerein.cli.demo.report import Returns
+from freerein.cli.demo.pipeline import TASKS, TEXTS
+from freerein.cli.demo.report import Measured
 from freerein.clients import OrchestratorClient, RewardClient
-from freerein.types.common import ModelRef
 from freerein.types.orchestrator import GetArtifactRequest, ListArtifactsRequest
-from freerein.types.reward import GroundRequest, RewardRequest
+from freerein.types.reward import GroundRequest
 
 _TWO_BLOCKS, _FOUR_BLOCKS = (0, 1, 2, 4), (0, 4)
 """Places of the captions in their group whose scenes are in the picture of rewards."""
@@ -36,14 +35,15 @@ class Results:
         """Returns the frames of an evaluation, uint8, by name."""
         return safetensors.numpy.load(self.artifacts[f"{step}.frames.safetensors"])
 
-    def figure(self, step: str, name: str) -> dict[str, float | None]:
-        """Returns a figure of an evaluation: `value`, `low`, `high` and `baseline`."""
-        figure: dict[str, float | None] = self.json(f"{step}.result.json")["figures"][name]
-        return figure
+    def figure(self, step: str, name: str) -> Measured:
+        """Returns a figure of an evaluation."""
+        return Measured(**self.json(f"{step}.result.json")["figures"][name])
 
-    def returns(self, step: str) -> Returns:
-        """Returns the oracle returns of an evaluation of form `returns`."""
-        return Returns(tuple(self.json(f"{step}.result.json")["returns"]))
+    def told(self) -> dict[tuple[str, str], Measured]:
+        """Returns the mean returns of the language policy, by the sides of the task and of the text."""
+        rows = self.json("sentences.result.json")["told"]
+        tasks, texts = ({each: side for side, each in names.items()} for names in (TASKS, TEXTS))
+        return {(tasks[row["task"]], texts[row["goal_text"]]): Measured(**row["return_mean"]) for row in rows}
 
     def seconds(self, step: str) -> float:
         """Returns the duration of a step."""
@@ -85,33 +85,28 @@ def filmstrip(results: Results) -> tuple[FilmstripGoal, ...]:
 
 
 async def reward_examples(results: Results, client: RewardClient) -> list[RewardExample]:
-    """Returns the first scene of some captions, of two blocks and of four, as the reward model sees it."""
+    """Returns the first scene of some captions, of two blocks and of four, with groundings to draw."""
     found = []
     for step, places in (("two-blocks", _TWO_BLOCKS), ("four-blocks", _FOUR_BLOCKS)):
         frames = results.frames(step)
         for scene in results.json(f"{step}.frames.json"):
             if scene["truth"] in places:
-                found.append(await _example(client, frames[scene["frame"]], scene["texts"], scene["truth"]))
+                found.append(await _example(client, frames[scene["frame"]], scene))
     return found
 
 
-async def _example(
-    client: RewardClient, frame: npt.NDArray[np.uint8], texts: Sequence[str], truth: int
-) -> RewardExample:
-    """Returns a scene with its groundings and the similarity of each caption."""
-    model, phrases = ModelRef(REWARD_MODEL), noun_phrases(texts)
-    camera = {"front": frame[None]}
-    asked = [RewardRequest(text, camera, mode="raw", model=model) for text in texts]
-    similarities = [(await client.reward(request)).similarities[0] for request in asked]
+async def _example(client: RewardClient, frame: npt.NDArray[np.uint8], scene: Mapping[str, Any]) -> RewardExample:
+    """Returns a scene of an evaluation of form `relations`, with the groundings of its noun phrases."""
+    phrases = noun_phrases(scene["texts"])
     grounded = await client.ground(GroundRequest(images.encode(frame, encoding="raw_rgb8"), phrases))
     return RewardExample(
         image=frame,
         phrases=phrases,
         heatmaps=[each.heatmap for each in grounded.groundings],
         pixels=[(each.x, each.y) for each in grounded.groundings],
-        texts=texts,
-        similarities=np.array(similarities, np.float32),
-        truth=truth,
+        texts=scene["texts"],
+        similarities=np.array(scene["similarities"], np.float32),
+        truth=scene["truth"],
     )
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from freerein.cli.connection import channel_to
 from freerein.cli.demo import output_folder, pictures, report
-from freerein.cli.demo.figures import figures, student_of
+from freerein.cli.demo.figures import figures
 from freerein.cli.demo.pipeline import INIT_FROM, SHIPPED_TEACHERS, SIDES, pipeline
-from freerein.cli.demo.report import Reporter, Returns
+from freerein.cli.demo.report import Measured, Reporter
 from freerein.cli.demo.results import Results, fetch, filmstrip, labelled_trajectory, reward_examples
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.streams import follow_run
@@ -93,17 +93,20 @@ async def _draw(out: Path, results: Results, curve: list[tuple[int, float]], rew
     pictures.draw_returns(out / "ppo.png", curve, _returns_by_panel(results))
 
 
-def _returns_by_panel(results: Results) -> dict[str, Mapping[str, Returns]]:
-    """Returns what the picture compares: returns by policy, by the title of their panel."""
-    student = student_of(results)
-    told = {
-        side: {f'student,\ntold "{told}"': student.returns[side, told] for told in sorted(SIDES, key=side.__ne__)}
+def _returns_by_panel(results: Results) -> dict[str, Mapping[str, Measured]]:
+    """Returns what the picture compares: mean returns by policy, by the title of their panel."""
+    told, random = results.told(), {side: results.figure(f"random-{side}", "return_mean") for side in SIDES}
+    student = {
+        side: {f'student,\ntold "{each}"': told[side, each] for each in sorted(SIDES, key=side.__ne__)}
         for side in SIDES
     }
-    names = {"random": "random-left", "checkpoint": "checkpoint", "ppo": "ppo-returns"}
+    ppo = {
+        "checkpoint": results.figure("ppo-returns", "baseline_return_mean"),
+        "ppo": results.figure("ppo-returns", "return_mean"),
+    }
     return {
-        "left-of: steps at the goal": {**{name: results.returns(step) for name, step in names.items()}, **told["left"]},
-        "right-of: steps at the goal": {"random": results.returns("random-right"), **told["right"]},
+        "left-of: steps at the goal": {"random": random["left"], **ppo, **student["left"]},
+        "right-of: steps at the goal": {"random": random["right"], **student["right"]},
     }
 
 

@@ -1,6 +1,7 @@
 """Kind `evaluate`: measures policies and models against true states, which only an evaluation may see.
 
-`record.py` says what is on disk. A form is one module: `returns`, `landmarks`, `recipes`, `relations`, `segmentation`.
+`record.py` says what is on disk. A form is one module: `returns`, `sentences`, `landmarks`, `recipes`,
+`relations`, `segmentation`.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,7 +14,7 @@ from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.config import parse
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation
+from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation, sentences
 from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Setup
 from freerein_orchestrator.kinds.evaluate.record import TrialRecord
 from freerein_orchestrator.kinds.kind import Kind
@@ -21,6 +22,7 @@ from freerein_orchestrator.kinds.policy_store import PolicyStore
 
 FORMS: Mapping[str, Form[Any]] = {
     "returns": returns.FORM,
+    "sentences": sentences.FORM,
     "landmarks": landmarks.FORM,
     "recipes": recipes.FORM,
     "relations": relations.FORM,
@@ -59,10 +61,10 @@ def run(context: RunContext, config: FormConfig) -> None:
     task = retry.call(lambda: find_task(sim, config.task))
     setup = Setup(context, config, task, sim, record.subject, retry.interrupt)
     evaluation = retry.call(lambda: FORMS[config.form].open(setup))
-    while (done := len(record.trials)) < config.episodes:
+    while (done := record.count) < config.episodes:
         count = min(config.num_envs, config.episodes - done)
         record.add(evaluation.subject, retry.call(partial(evaluation.run_round, done, count)))
-    result = retry.call(lambda: evaluation.result(record.trials))
+    result = retry.call(lambda: evaluation.result(record.trials()))
     header = {name: getattr(config, name) for name in ("form", "task", "episodes", "num_envs", "seed")}
     record.write_result(result, {**header, "privileged": True})
 

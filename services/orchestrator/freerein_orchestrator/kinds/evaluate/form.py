@@ -46,7 +46,8 @@ class Trial:
 
     Attributes:
         values: JSON; empty for a trial that could not be measured. Its numbers are the trial's metrics.
-        frames: What pictures may show of it, uint8, by name.
+        frames: What pictures may show of it, uint8, by name. Of the frames of one name only the first trial's are kept:
+            their number must not grow with that of the trials.
     """
 
     values: dict[str, Any]
@@ -131,7 +132,7 @@ class Evaluation(Protocol):
         """Returns trials `first` to `first + count`; the same however often it is called."""
 
     def result(self, trials: Sequence[Trial]) -> Result:
-        """Returns the figures of all trials."""
+        """Returns the figures of all trials; of their frames they hold those that were kept."""
 
 
 @dataclass(frozen=True)

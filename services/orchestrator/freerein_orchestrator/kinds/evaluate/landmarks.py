@@ -189,8 +189,9 @@ class LandmarksEvaluation:
             ],
             "landmarks_reached": float(pursuit.reached.mean()),
         }
-        shown = self._cameras[0]
-        return Trial(values, {"goals": self._goal_frames(explored)[shown], "ends": followed.frames[shown][ends]})
+        goals, ends_seen = (each[self._cameras[0]] for each in (self._goal_frames(explored), followed.frames))
+        recognized = pursuit.recognized.sum()
+        return Trial(values, {f"goals-{recognized}": goals, f"ends-{recognized}": ends_seen[ends]})
 
     def _goal(self, explored: Episode) -> Goal:
         """Returns the landmarks as goal images: for each landmark an image of every camera."""
@@ -208,7 +209,7 @@ class LandmarksEvaluation:
         return [each.states[np.minimum(self._steps, len(each.states) - 1)] for each in explored]
 
     def result(self, trials: Sequence[Trial]) -> Result:
-        """Returns figures over the episodes whose random rollout was long enough, and the median one as a picture."""
+        """Returns figures over the episodes whose random rollout was long enough, and a median one as a picture."""
         values = [trial.values for trial in trials if trial.values]
         if not values:
             raise InvalidInput(
@@ -222,9 +223,10 @@ class LandmarksEvaluation:
         if "recognized" not in values[0]:
             return Result(figures, counts)
         figures |= _recognizer_figures(values, seed=seed)
-        measured = [trial for trial in trials if trial.values]
-        shown = sorted(measured, key=lambda trial: float(np.mean(trial.values["recognized"])))[len(measured) // 2]
-        return Result(figures, counts, pictures=shown.values["pursuits"], frames=shown.frames)
+        median = sorted(sum(each["recognized"]) for each in values)[len(values) // 2]
+        shown = next(trial for trial in trials if f"goals-{median}" in trial.frames)
+        frames = {name: shown.frames[f"{name}-{median}"] for name in ("goals", "ends")}
+        return Result(figures, counts, pictures=shown.values["pursuits"], frames=frames)
 
 
 def _at_landmarks(

@@ -3,12 +3,13 @@
 import json
 from collections.abc import Collection, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.learning import weights
 from freerein.learning.config import bounded, parse
 from freerein.types.common import Goal, ModelRef
 from freerein.types.sim import CreateSessionRequest, Task
@@ -75,7 +76,7 @@ class StoredModelPolicy:
 
 @dataclass(frozen=True)
 class UntrainedPolicy:
-    """The policy that a ppo run of default size starts with.
+    """The policy that a ppo run starts with: a PPO network of default size with random weights.
 
     Attributes:
         untrained: Seed of its weights.
@@ -86,8 +87,8 @@ class UntrainedPolicy:
     stochastic: bool = True
 
 
-_Named: TypeAlias = RunPolicy | ModelPolicy | StoredModelPolicy | UntrainedPolicy
-PolicyChoice: TypeAlias = Literal["random", "expert"] | _Named
+NamedPolicy: TypeAlias = RunPolicy | ModelPolicy | StoredModelPolicy | UntrainedPolicy
+PolicyChoice: TypeAlias = Literal["random", "expert"] | NamedPolicy
 _CHOICES: Mapping[str, Any] = {
     "run": RunPolicy,
     "model": ModelPolicy,
@@ -108,18 +109,22 @@ class PolicyConfig(FormConfig):
 
     def __post_init__(self) -> None:
         if isinstance(self.policy, dict):
-            object.__setattr__(self, "policy", asdict(_parse_policy(self.policy)))  # defaults filled in
+            object.__setattr__(self, "policy", asdict(parse_policy(self.policy)))  # defaults filled in
 
     @property
     def choice(self) -> PolicyChoice:
         """The policy."""
-        return _parse_policy(self.policy) if isinstance(self.policy, dict) else self.policy
+        return parse_policy(self.policy) if isinstance(self.policy, dict) else self.policy
 
     @property
     def goal(self) -> Goal:
         """The goal that the policy is given; empty for none."""
-        choice = self.choice
-        return Goal(recipe=getattr(choice, "recipe", ()), text=getattr(choice, "goal_text", ""))
+        return goal_of(self.choice)
+
+
+def goal_of(choice: PolicyChoice) -> Goal:
+    """Returns the goal that a policy is given; empty for none."""
+    return Goal(recipe=getattr(choice, "recipe", ()), text=getattr(choice, "goal_text", ""))
 
 
 def check_no_goal(config: PolicyConfig) -> None:
@@ -136,7 +141,12 @@ def check_no_goal(config: PolicyConfig) -> None:
         )
 
 
-def _parse_policy(values: Mapping[str, Any]) -> _Named:
+def parse_policy(values: Mapping[str, Any]) -> NamedPolicy:
+    """Returns the policy that an object names.
+
+    Raises:
+        InvalidInput: It names none, or several.
+    """
     named = [name for name in _CHOICES if name in values]
     if len(named) != 1:
         raise InvalidInput(
@@ -145,7 +155,7 @@ def _parse_policy(values: Mapping[str, Any]) -> _Named:
             field=_FIELD,
             hint='{"run": "<id>"} is a policy of PPO, {"model": "default", "goal_text": "..."} one of imitation.',
         )
-    choice: _Named = parse(_CHOICES[named[0]], values)
+    choice: NamedPolicy = parse(_CHOICES[named[0]], values)
     return choice
 
 
@@ -155,7 +165,12 @@ def check_policy(config: PolicyConfig, store: PolicyStore, earlier: Collection[s
     Raises:
         InvalidInput: It does not.
     """
-    match config.choice:
+    check_choice(config.choice, store, earlier)
+
+
+def check_choice(choice: PolicyChoice, store: PolicyStore, earlier: Collection[str]) -> None:
+    """Checks a policy as `check_policy`."""
+    match choice:
         case RunPolicy(run=name) if name not in earlier:
             _made_by_run(store, name, device="cpu")
         case StoredModelPolicy(stored=name, version=version):
@@ -169,9 +184,14 @@ def find_policy(setup: Setup[Any], *, max_steps_per_goal: int = 0) -> PolicyHand
         setup: The evaluation's.
         max_steps_per_goal: Steps after which a served model abandons a goal; 0 for its own limit.
     """
+    return find_choice(setup, setup.config.choice, max_steps_per_goal=max_steps_per_goal)
+
+
+def find_choice(setup: Setup[Any], choice: PolicyChoice, *, max_steps_per_goal: int = 0) -> PolicyHandle:
+    """Returns a policy as `find_policy`; `setup.subject` describes it as it was in earlier attempts."""
     context, task, pinned = setup.context, setup.task, setup.subject.get("model")
     store = context.policies
-    match setup.config.choice:
+    match choice:
         case RunPolicy(run=name, stochastic=stochastic):
             made = _made_by_run(store, name, device=context.device)
             if isinstance(made, StoredPolicy):
@@ -184,7 +204,8 @@ def find_policy(setup: Setup[Any], *, max_steps_per_goal: int = 0) -> PolicyHand
             made = load_policy(store.model_folder(ref, field=_FIELD), device=context.device)
             return stored_policy(made, task, stochastic=stochastic, model=ref)
         case UntrainedPolicy(untrained=seed, stochastic=stochastic):
-            return stored_policy(_untrained(context, task, seed), task, stochastic=stochastic)
+            handle = stored_policy(_untrained(context, task, seed), task, stochastic=stochastic)
+            return replace(handle, description={**handle.description, "untrained": seed})
         case "expert":
             return expert_policy(setup.sim, task)
         case _:
@@ -230,4 +251,4 @@ def _untrained(context: RunContext, task: Task, seed: int) -> StoredPolicy:
     request = CreateSessionRequest(task.name, num_envs=config.num_envs, seed=seed)
     with closing(RemoteVectorEnv([context.client("sim")], request, camera=camera.name, reward_fn=zero_reward)) as envs:
         calibrate(network, envs, generator)
-    return StoredPolicy(network.eval(), {"camera": camera.name, "sha256": ""})
+    return StoredPolicy(network.eval(), {"camera": camera.name, "sha256": weights.sha256(network)})

@@ -76,9 +76,9 @@ class RecipesEvaluation:
         random = exploration_policy(setup.task.action)
         baseline = run_episodes(setup.sim, request, random, setup.interrupt, max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
-            judge = _Judge(truth, self._predicates, self._max_steps)
-            outcomes = judge.outcomes(recipes, executed)
-            by_chance = judge.outcomes(recipes, baseline)
+            checker = _AttemptChecker(truth, self._predicates, self._max_steps)
+            outcomes = checker.outcomes(recipes, executed)
+            by_chance = checker.outcomes(recipes, baseline)
         return [
             Trial(
                 {
@@ -103,12 +103,12 @@ class RecipesEvaluation:
 
 
 @dataclass(frozen=True)
-class _Judge:
-    """Judges attempts at skills by true states.
+class _AttemptChecker:
+    """Checks attempts at skills by true states.
 
     Attributes:
-        truth: Judges states.
-        predicates: What is judged: `completed`, `lifted`.
+        truth: The privileged session.
+        predicates: What is checked: `completed`, `lifted`.
         max_steps: Steps per skill of a policy that does not say which skill it executes.
     """
 

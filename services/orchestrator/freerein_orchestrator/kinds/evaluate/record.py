@@ -1,7 +1,7 @@
 """The trials of an evaluation so far, on disk, and its result.
 
-<folder>/checkpoints/trials.json               the trials so far, and what is evaluated
-         checkpoints/frames/<i>.safetensors    what pictures may show of trial i
+<folder>/checkpoints/trials.jsonl              a line per round: its trials, and what is evaluated
+         checkpoints/frames/<i>.safetensors    what pictures may show of trial i; of one name only the first trial's
          artifacts/result.json                 figures, counts, versions of models
          artifacts/frames.json                 what the pictures show, and
          artifacts/frames.safetensors          their frames, uint8; only of forms that have pictures
@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from freerein.atomic_files import write_atomic
+from freerein.jobs import json_lines
 from freerein.learning import tensor_files
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate.form import Figure, Frames, Result, Trial
@@ -32,7 +33,6 @@ class TrialRecord:
 
     Attributes:
         subject: What is evaluated; empty before the first round.
-        trials: In order.
     """
 
     def __init__(self, context: RunContext, episodes: int) -> None:
@@ -40,23 +40,55 @@ class TrialRecord:
         self._artifacts = context.artifacts
         self._episodes = episodes
         self._metrics = context.metrics_logger(0)
-        path = self._folder / "trials.json"
-        saved = json.loads(path.read_bytes()) if path.is_file() else {"subject": {}, "trials": []}
-        self.subject: dict[str, Any] = saved["subject"]
-        self.trials = [Trial(values, self._load_frames(index)) for index, values in enumerate(saved["trials"])]
+        self.subject: dict[str, Any] = {}
+        self._values: list[dict[str, Any]] = []
+        self._kept: dict[str, int] = {}  # first trial with frames of a name, by name
+        for line in self._whole_lines():
+            self._take(json.loads(line))
         self._log(0)
+
+    @property
+    def count(self) -> int:
+        """Number of trials."""
+        return len(self._values)
+
+    def trials(self) -> list[Trial]:
+        """Returns the trials in order, with the frames that were kept."""
+        found = [Trial(values) for values in self._values]
+        for index in set(self._kept.values()):
+            tensors = tensor_files.parse(self._frames_path(index).read_bytes())
+            found[index].frames.update({name: tensor.numpy() for name, tensor in tensors.items()})
+        return found
 
     def add(self, subject: dict[str, Any], trials: Sequence[Trial]) -> None:
         """Adds a round of trials, durably."""
-        first = len(self.trials)
-        self.subject = subject
-        self.trials += trials
+        first, kept = self.count, set(self._kept)
+        names = []
         for index, trial in enumerate(trials, first):
-            if trial.frames:
-                _write_frames(self._frames_path(index), trial.frames)
-        document = {"subject": subject, "trials": [trial.values for trial in self.trials]}
-        write_atomic(self._folder / "trials.json", json.dumps(document).encode())
+            new = {name: each for name, each in trial.frames.items() if name not in kept}
+            if new:
+                _write_frames(self._frames_path(index), new)
+            kept |= set(new)
+            names.append(sorted(new))
+        document = {"subject": subject, "trials": [trial.values for trial in trials], "frames": names}
+        self._folder.mkdir(parents=True, exist_ok=True)
+        json_lines.append(self._path, lambda _last: [document])
+        self._take(document)
         self._log(first)
+
+    def _take(self, document: Mapping[str, Any]) -> None:
+        """Takes a round from its line."""
+        for index, names in enumerate(document["frames"], self.count):
+            self._kept.update(dict.fromkeys(names, index))
+        self.subject = document["subject"]
+        self._values += document["trials"]
+
+    @property
+    def _path(self) -> Path:
+        return self._folder / "trials.jsonl"
+
+    def _whole_lines(self) -> list[bytes]:
+        return self._path.read_bytes().rpartition(b"\n")[0].splitlines() if self._path.is_file() else []
 
     def write_result(self, result: Result, header: Mapping[str, Any]) -> None:
         """Writes the result, and its figures as the last row of metrics."""
@@ -71,18 +103,13 @@ class TrialRecord:
             **result.details,
         }
         write_atomic(self._artifacts / RESULT, json.dumps(document, indent=2).encode() + b"\n")
-        self._metrics.append(self._episodes, _numbers(self.trials[-1].values) | _rows(result.figures))
+        self._metrics.append(self._episodes, _numbers(self._values[-1]) | _rows(result.figures))
 
     def _log(self, first: int) -> None:
         """Logs trials, all but the last one: its row holds the figures, too."""
-        for index, trial in enumerate(self.trials[first:], first + 1):
+        for index, values in enumerate(self._values[first:], first + 1):
             if index < self._episodes:
-                self._metrics.append(index, _numbers(trial.values))
-
-    def _load_frames(self, index: int) -> dict[str, Frames]:
-        path = self._frames_path(index)
-        tensors = tensor_files.parse(path.read_bytes()) if path.is_file() else {}
-        return {name: tensor.numpy() for name, tensor in tensors.items()}
+                self._metrics.append(index, _numbers(values))
 
     def _frames_path(self, index: int) -> Path:
         return self._folder / "frames" / f"{index}.safetensors"

@@ -101,6 +101,12 @@ class RelationsEvaluation:
         request = RewardRequest(goal, {self._camera: frames}, rivals=tuple(rivals), model=self._model)
         return cast(RewardResponse, self._reward.reward(request)).winners
 
+    def _similarities(self, texts: Sequence[str], frame: Frames) -> list[float]:
+        """Returns the cosine similarity of a frame, uint8 (H, W, C), and each text."""
+        frames = {self._camera: frame[None]}
+        requests = [RewardRequest(text, frames, mode="raw", model=self._model) for text in texts]
+        return [float(cast(RewardResponse, self._reward.reward(each)).similarities[0]) for each in requests]
+
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials."""
         answers = [[each for scene in trial.values["scenes"] for each in scene] for trial in trials]
@@ -136,13 +142,13 @@ class RelationsEvaluation:
         pictures: dict[int, dict[str, Any]] = {}
         frames: dict[str, Frames] = {}
         for trial in trials:
-            for scene, answers in enumerate(trial.values["scenes"]):
-                for answer in answers:
-                    truth = answer["truth"]
-                    if truth not in pictures:
-                        texts = [each.text for each in self._groups[answer["group"]]]
-                        pictures[truth] = {"frame": str(truth), "texts": texts, "truth": truth}
-                        frames[str(truth)] = trial.frames["scenes"][scene]
+            for answer in (each for scene in trial.values["scenes"] for each in scene):
+                truth, name = answer["truth"], str(answer["truth"])
+                if truth not in pictures:
+                    texts = [each.text for each in self._groups[answer["group"]]]
+                    frames[name] = trial.frames[name]
+                    similarities = self._similarities(texts, trial.frames[name])
+                    pictures[truth] = {"frame": name, "texts": texts, "similarities": similarities, "truth": truth}
         return [pictures[truth] for truth in sorted(pictures)], frames
 
 
@@ -181,7 +187,11 @@ def _trial(scenes: Sequence[Sequence[Mapping[str, Any]]], frames: Frames) -> Tri
     values: dict[str, Any] = {"scenes": [list(scene) for scene in scenes]}
     if answers:
         values["accuracy"] = float(np.mean([each["truth"] == each["winner"] for each in answers]))
-    return Trial(values, {"scenes": frames})
+    shown: dict[str, Frames] = {}  # by the place of the true caption in its group
+    for scene, frame in zip(scenes, frames, strict=True):
+        for answer in scene:
+            shown.setdefault(str(answer["truth"]), frame)
+    return Trial(values, shown)
 
 
 FORM = Form(RelationsConfig, RelationsEvaluation)
