@@ -63,6 +63,12 @@ class SegmentationExperiment:
         ]
         return (*guesses, *networks)
 
+    @property
+    def trajectories_seen(self) -> int:
+        """Number of training trajectories that a network is trained on."""
+        fit_config = SegmentationConfig.from_mapping(self.settings)
+        return min(fit_config.steps * fit_config.batch_size, self.data.train.count)
+
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the data and, for a network, the segmentation service's configuration."""
         config: dict[str, JSON] = {"data": asdict(self.data), "train_evaluated": self.train_evaluated}
@@ -93,7 +99,8 @@ class SegmentationExperiment:
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
         by_name = {result.name: result for result in results}
-        return report.table(self.report, [by_name[arm.name] for arm in self.arms if arm.name in by_name])
+        ordered = [by_name[arm.name] for arm in self.arms if arm.name in by_name]
+        return report.table(self.report, ordered, trajectories_seen=self.trajectories_seen)
 
     def _fit_config(self, arm: Arm) -> SegmentationConfig:
         objective = {} if arm.method == SUPERVISED else {"objective": arm.method}

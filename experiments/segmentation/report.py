@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.segmentation.dataset import SPLITS, SplitName
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
-from experiments.workbench.claims import Claim
+from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Table
 from freerein.errors import FailedPrecondition
@@ -51,19 +51,21 @@ class Report:
         experiment: Name of the experiment.
         title: Heading of the table.
         text: What was measured, and how, in Markdown.
-        scale: `full` for the dissertation's amount of data.
+        dissertation_trajectories: Number of training trajectories in the dissertation; None where it has no such table.
         dissertation: The dissertation's accuracies in per cent, by row: train, validation, test.
     """
 
     experiment: str
     title: str
     text: str
-    scale: Literal["full", "reduced"]
+    dissertation_trajectories: int | None = None
     dissertation: Mapping[Row, tuple[float, float, float]] = field(default_factory=dict)
 
 
-def table(report: Report, results: Sequence[ArmResult]) -> Table:
+def table(report: Report, results: Sequence[ArmResult], *, trajectories_seen: int) -> Table:
     """Returns the table of the given results: rows in their order, with a claim for each split.
+
+    Its scale is `full` when a network sees at least the dissertation's number of training trajectories.
 
     Raises:
         FailedPrecondition: The results are of different generators of the world.
@@ -76,10 +78,11 @@ def table(report: Report, results: Sequence[ArmResult]) -> Table:
     rows: dict[Row, list[ArmResult]] = {}
     for result in results:
         rows.setdefault(_row(result), []).append(result)
-    made = {row: [_claim(report, rows, row, split) for split in SPLITS] for row in rows}
+    scale = _scale(report, trajectories_seen)
+    made = {row: [_claim(report, scale, rows, row, split) for split in SPLITS] for row in rows}
     return Table(
         title=report.title,
-        text=report.text,
+        text=f"{report.text}\n\n{_scale_text(report, scale, trajectories_seen)}",
         header=_HEADER,
         rows=tuple(_cells(row, rows[row], made[row]) for row in rows),
         claims=tuple(claim for each in made.values() for claim in each),
@@ -88,11 +91,25 @@ def table(report: Report, results: Sequence[ArmResult]) -> Table:
     )
 
 
+def _scale(report: Report, seen: int) -> Scale:
+    return "reduced" if report.dissertation_trajectories is None or seen < report.dissertation_trajectories else "full"
+
+
+def _scale_text(report: Report, scale: Scale, seen: int) -> str:
+    theirs = report.dissertation_trajectories
+    amount = _spaced(seen) if theirs is None else f"{_spaced(seen)} of the dissertation's {_spaced(theirs)}"
+    return f"Scale `{scale}`: a network sees {amount} training trajectories."
+
+
+def _spaced(count: int) -> str:
+    return f"{count:,}".replace(",", " ")
+
+
 def _row(result: ArmResult) -> Row:
     return Row(result.method, result.options.get("context", ""))
 
 
-def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
+def _claim(report: Report, scale: Scale, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
     arms = rows[row]
     pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
     samples = [arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms]
@@ -109,7 +126,7 @@ def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, sp
         high=round(100 * high, 3),
         seeds=len(arms),
         trials=len(samples[0].totals),
-        scale=report.scale,
+        scale=scale,
         baseline=None if baseline is None else round(baseline, 3),
         ceiling=None if ceiling is None else round(ceiling, 3),
         gap_closed=None if gap_closed is None else round(gap_closed, 3),

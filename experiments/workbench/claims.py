@@ -10,6 +10,9 @@ from scipy import stats
 
 from experiments.workbench.results import Sample
 
+Scale = Literal["full", "reduced"]
+"""`full` for the dissertation's amount of training data, else `reduced`, which supports no claim."""
+
 _RESAMPLES = 2000
 
 
@@ -24,7 +27,7 @@ class Claim:
         high: Its upper end.
         seeds: Number of independently trained networks.
         trials: Number of trials of each: trajectories or episodes.
-        scale: `full` for the dissertation's amount of data, else `reduced`, which supports no claim.
+        scale: Whether the training data are as many as the dissertation's.
         baseline: Value of the dissertation's method here.
         ceiling: Value with full supervision, or of the scripted expert.
         gap_closed: (value - baseline) / (ceiling - baseline); None where the gap is small.
@@ -42,7 +45,7 @@ class Claim:
     high: float | None
     seeds: int
     trials: int
-    scale: Literal["full", "reduced"]
+    scale: Scale
     baseline: float | None
     ceiling: float | None
     gap_closed: float | None

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import registry
+from experiments.grid import EXPERIMENT as GRID
 from experiments.workbench import claims, results
 from experiments.workbench.arms import Arm, choose
 from experiments.workbench.elapsed import Elapsed
@@ -26,6 +27,12 @@ RESULT = ArmResult(
     cpu_minutes=1.25,
     machine={"cores": 2},
     command="python -m experiments run grid",
+)
+
+EVALUATED = replace(
+    RESULT,
+    figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+    samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
 )
 
 
@@ -97,6 +104,16 @@ def test_the_time_of_an_arm_includes_earlier_attempts(tmp_path: Path) -> None:
 
     assert 2.0 < Elapsed(path).minutes < 3.0
     assert 1.0 <= Elapsed(path).cpu_minutes < 2.0
+
+
+@pytest.mark.parametrize(("steps", "scale"), [(150, "reduced"), (390, "reduced"), (391, "full")])
+def test_the_scale_is_full_when_a_network_sees_as_many_trajectories_as_the_dissertations(
+    steps: int, scale: str
+) -> None:
+    grid = replace(GRID, settings={"steps": steps, "batch_size": 128})
+    table = grid.table([EVALUATED])
+    assert {claim.scale for claim in table.claims} == {scale}
+    assert f"{min(steps * 128, 50_000):,}".replace(",", " ") + " of the dissertation's 50 000" in table.text
 
 
 def test_a_table_of_two_generators_is_refused() -> None:
