@@ -12,7 +12,6 @@ from experiments.workbench import claims
 from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Table
-from freerein.errors import FailedPrecondition
 
 SUPERVISED = "supervised"
 """Method of the ceiling: cross-entropy on true labels."""
@@ -66,15 +65,7 @@ def table(report: Report, results: Sequence[ArmResult], *, trajectories_seen: in
     """Returns the table of the given results: rows in their order, with a claim for each split.
 
     Its scale is `full` when a network sees at least the dissertation's number of training trajectories.
-
-    Raises:
-        FailedPrecondition: The results are of different generators of the world.
     """
-    if len({result.world_hash for result in results}) > 1:
-        raise FailedPrecondition(
-            "The results of a table must be of one world; the world's generator changed between them.",
-            hint="Run the experiment again: python -m experiments run NAME.",
-        )
     rows: dict[Row, list[ArmResult]] = {}
     for result in results:
         rows.setdefault(_row(result), []).append(result)

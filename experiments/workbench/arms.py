@@ -1,5 +1,6 @@
 """An arm: one training, and the evaluation of what it made."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
@@ -58,7 +59,13 @@ class Experiment(Protocol):
         """
 
     def table(self, results: Sequence[ArmResult]) -> Table:
-        """Returns the table of the arms that have results, at least one."""
+        """Returns the table of the arms that have results, at least one; all are current, see `is_current`."""
+
+
+def is_current(experiment: Experiment, arm: Arm, result: ArmResult) -> bool:
+    """Returns whether the arm's present configuration and the world's present generator made a result."""
+    config = json.loads(json.dumps(experiment.config(arm)))
+    return result.config == config and result.world_hash == experiment.world_hash(arm.world)
 
 
 def choose(experiment: Experiment, patterns: Sequence[str]) -> list[Arm]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.workbench import results
-from experiments.workbench.arms import Arm, Experiment
+from experiments.workbench.arms import Arm, Experiment, is_current
 from freerein.atomic_files import write_atomic
 from freerein.jobs.child import STOPPED
 
@@ -76,10 +76,7 @@ def arm_folder(name: str, experiment: Experiment, arm: Arm, places: Places) -> P
 
 def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> bool:
     path = places.results / name / f"{arm.name}.json"
-    if not path.is_file():
-        return False
-    found, config = results.load(path), json.loads(json.dumps(experiment.config(arm)))
-    return found.config == config and found.world_hash == experiment.world_hash(arm.world)
+    return path.is_file() and is_current(experiment, arm, results.load(path))
 
 
 def _run_child(name: str, experiment: Experiment, arm: Arm, places: Places, *, deadline: float) -> Ending:

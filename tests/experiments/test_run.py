@@ -5,13 +5,17 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from experiments import registry
 from experiments.__main__ import main
+from experiments.smoke import EXPERIMENT as SMOKE
 from experiments.workbench import results
 from experiments.workbench.arms import choose
+from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.runner import Places, arm_folder
 
 ROOT = Path(__file__).parents[2]
@@ -88,6 +92,65 @@ def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
     assert main(["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]) == 1
     assert "stopped" in capsys.readouterr().out
     assert not places.results.exists()
+
+
+@pytest.fixture
+def current() -> ArmResult:
+    """A result that the smoke experiment would not replace."""
+    (arm,) = choose(SMOKE, [ARM])
+    return ArmResult(
+        name=ARM,
+        world=arm.world,
+        method=arm.method,
+        options=arm.options,
+        seed=arm.seed,
+        config=json.loads(json.dumps(SMOKE.config(arm))),
+        world_hash=SMOKE.world_hash(arm.world),
+        figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+        samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
+        minutes=1.5,
+        cpu_minutes=1.25,
+        machine={},
+        command="",
+    )
+
+
+CHANGES = pytest.mark.parametrize("change", [{"config": {"data": {}}}, {"world_hash": "ab"}])
+
+
+@CHANGES
+def test_an_arm_runs_again_when_another_configuration_or_world_made_its_result(
+    change: dict[str, Any], current: ArmResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    run = ["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]
+
+    results.save(current, places.results / "smoke")
+    assert main(run) == 0
+    assert capsys.readouterr().out == f"{ARM}: present\n"
+
+    results.save(replace(current, **change), places.results / "smoke")
+    assert main(run) == 1
+    assert capsys.readouterr().out == f"{ARM}: stopped\n"
+
+
+@CHANGES
+def test_a_table_leaves_out_what_another_configuration_or_world_made(
+    change: dict[str, Any], current: ArmResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = next(arm for arm in SMOKE.arms if arm.name == "grid-lse-causal-seed1")
+    stale = replace(replace(current, name=other.name, seed=1, config=SMOKE.config(other)), **change)
+    results.save(stale, tmp_path / "smoke")
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 2
+    assert "python -m experiments run" in capsys.readouterr().err
+
+    results.save(current, tmp_path / "smoke")
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == f"{other.name} is left out: another configuration or another world made it.\n"
+    claims = json.loads((tmp_path / "smoke" / "table.json").read_bytes())["claims"]
+    assert {(claim["claim"], claim["seeds"]) for claim in claims} == {
+        (f"smoke.lse.causal.{split}", 1) for split in ("train", "validation", "test")
+    }
 
 
 def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(

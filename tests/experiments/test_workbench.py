@@ -114,8 +114,3 @@ def test_the_scale_is_full_when_a_network_sees_as_many_trajectories_as_the_disse
     table = grid.table([EVALUATED])
     assert {claim.scale for claim in table.claims} == {scale}
     assert f"{min(steps * 128, 50_000):,}".replace(",", " ") + " of the dissertation's 50 000" in table.text
-
-
-def test_a_table_of_two_generators_is_refused() -> None:
-    with pytest.raises(FailedPrecondition, match="one world"):
-        registry.load("grid").table([RESULT, replace(RESULT, name="grid-lse-causal-seed2", world_hash="cd")])
