@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,14 +28,14 @@ def main(words: Sequence[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    experiment = registry.load(arguments.name)
+    experiment, deadline = registry.load(arguments.name), time.monotonic() + 60 * arguments.minutes
     endings = run_arms(
         arguments.name,
         experiment,
         choose(experiment, arguments.only),
         places=Places(arguments.results, arguments.work),
         jobs=arguments.jobs,
-        minutes=arguments.minutes,
+        should_stop=lambda: time.monotonic() >= deadline,
         on_end=_report,
     )
     return int(any(ending in ("stopped", "failed") for ending in endings))
