@@ -80,6 +80,10 @@ class SegmentationExperiment:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
+    def prepare(self, work: Path) -> None:
+        """Draws the demonstrations, or waits until another arm has drawn them."""
+        dataset.open_or_draw(self.data, work)
+
     def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
         """Trains and evaluates an arm; see `Experiment`."""
         data = dataset.open_or_draw(self.data, work)

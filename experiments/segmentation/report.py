@@ -27,6 +27,7 @@ _HEADER = (
     "gap closed, test",
     "seeds",
     "minutes",
+    "CPU minutes",
 )
 _LEAST_GAP = 0.5  # per cent
 _OTHER_FIGURES = ("balanced_accuracy", "edit_score", "f1_at_50")
@@ -147,4 +148,5 @@ def _cells(row: Row, arms: Sequence[ArmResult], made: Sequence[Claim]) -> tuple[
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
         str(test.seeds),
         f"{test.minutes:.1f}",
+        f"{sum(arm.cpu_minutes for arm in arms):.1f}",
     )
