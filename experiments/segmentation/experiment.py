@@ -25,8 +25,8 @@ GUESSES = {
 }
 """Baselines without a network."""
 
-Predict = Callable[[SplitName, Sequence[evaluation.Labels]], Sequence[evaluation.Labels]]
-"""Returns the labels of a split's trajectories, int64 (T,) each, given the true ones."""
+Predict = Callable[[SplitName, int], Sequence[evaluation.Labels]]
+"""Returns the labels of the first trajectories of a split, int64 (T,) each, given their number."""
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,14 @@ class SegmentationExperiment:
     def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
         """Trains and evaluates an arm; see `Experiment`."""
         data = dataset.open_or_draw(self.data, work)
-        predict = self._guess(arm) if arm.method in GUESSES else self._fit(arm, data, folder, on_progress)
+        predict = self._guess(arm, data) if arm.method in GUESSES else self._fit(arm, data, folder, on_progress)
         if predict is None:
             return None
         figures: dict[str, float] = {}
         samples: dict[str, Sample] = {}
         for split in SPLITS:
-            labels = truth.open_labels(data, split)
-            known = [labels[index] for index in range(self._evaluated(split))]
-            outcome = evaluation.score(predict(split, known), known, split=split)
+            count = self._evaluated(split)
+            outcome = evaluation.score(predict(split, count), truth.first_labels(data, split, count), split=split)
             figures |= outcome.figures
             samples |= outcome.samples
         return Outcome(figures, samples)
@@ -114,10 +113,13 @@ class SegmentationExperiment:
         count = self.data.split(split).count
         return min(count, self.train_evaluated) if split == "train" else count
 
-    def _guess(self, arm: Arm) -> Predict:
+    def _guess(self, arm: Arm, data: Path) -> Predict:
+        """Returns guesses, which know the true labels: their lengths, their skills or the longest one."""
         guess, skills = GUESSES[arm.method], len(self.data.world.skills)
         rng = np.random.default_rng(arm.seed)
-        return lambda _, known: [guess(each, skills=skills, rng=rng) for each in known]
+        return lambda split, count: [
+            guess(each, skills=skills, rng=rng) for each in truth.first_labels(data, split, count)
+        ]
 
     def _fit(self, arm: Arm, data: Path, folder: Path, on_progress: Callable[[], None]) -> Predict | None:
         """Returns the predictions of the trained network; None when training was stopped."""
@@ -130,7 +132,4 @@ class SegmentationExperiment:
             return None
         network = fitted.network
 
-        def predict(split: SplitName, known: Sequence[evaluation.Labels]) -> Sequence[evaluation.Labels]:
-            return evaluation.predict(network, dataset.open_split(data, self.data, split), count=len(known))
-
-        return predict
+        return lambda split, count: evaluation.predict(network, dataset.open_split(data, self.data, split), count=count)
