@@ -116,7 +116,7 @@ def _claim(report: Report, scale: Scale, rows: Mapping[Row, Sequence[ArmResult]]
         value=round(value, 3),
         low=round(100 * low, 3),
         high=round(100 * high, 3),
-        seeds=len(arms),
+        seeds=len(arms) if row.context else None,
         trials=len(samples[0].totals),
         scale=scale,
         baseline=None if baseline is None else round(baseline, 3),
@@ -146,7 +146,7 @@ def _cells(row: Row, arms: Sequence[ArmResult], made: Sequence[Claim]) -> tuple[
         "" if test.dissertation is None else " / ".join(f"{claim.dissertation:g}" for claim in made),
         *(f"{100 * value:.2f}" for value in others),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
-        str(test.seeds),
+        "" if test.seeds is None else str(test.seeds),
         f"{test.minutes:.1f}",
         f"{sum(arm.cpu_minutes for arm in arms):.1f}",
     )

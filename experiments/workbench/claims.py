@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from experiments.workbench.results import Sample
 
@@ -25,8 +24,8 @@ class Claim:
         value: Mean over seeds.
         low: Lower end of the 95 % interval; see `interval`.
         high: Its upper end.
-        seeds: Number of independently trained networks.
-        trials: Number of trials of each: trajectories or episodes.
+        seeds: Number of independently trained networks; None for a guess.
+        trials: Number of trials of each network, or of the guess: trajectories or episodes.
         scale: Whether the training data are as many as the dissertation's.
         baseline: Value of the dissertation's method here.
         ceiling: Value with full supervision, or of the scripted expert.
@@ -43,7 +42,7 @@ class Claim:
     value: float
     low: float | None
     high: float | None
-    seeds: int
+    seeds: int | None
     trials: int
     scale: Scale
     baseline: float | None
@@ -69,21 +68,12 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     """
     arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
 
-    def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
+    def resampled_mean() -> float:
+        seeds = rng.integers(len(arrays), size=len(arrays))
         return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
 
-    if len(samples) == 1:
-        low, high = np.percentile([_resampled_ratio(arrays[0], rng) for _ in range(_RESAMPLES)], [2.5, 97.5])
-        return float(low), float(high)
-    result = stats.bootstrap(
-        (np.arange(len(samples)),),
-        resampled_mean,
-        n_resamples=_RESAMPLES,
-        vectorized=False,
-        method="percentile",
-        rng=rng,
-    )
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+    low, high = np.percentile([resampled_mean() for _ in range(_RESAMPLES)], [2.5, 97.5])
+    return float(low), float(high)
 
 
 def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:

@@ -117,6 +117,7 @@ def test_arms_become_results_and_these_a_table_with_claims(tmp_path: Path, capfd
     ]
     assert all(list(claim) == FIELDS.split() for claim in claims)
     assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
+    assert {claim["seeds"] for claim in claims if "random_cls" in claim["claim"]} == {None}
     assert {claim["scale"] for claim in claims} == {"reduced"}
     by_name = {claim["claim"]: claim for claim in claims}
     assert by_name["smoke.lse.causal.test"]["ceiling"] == by_name["smoke.supervised.causal.test"]["value"]

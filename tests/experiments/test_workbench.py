@@ -36,6 +36,9 @@ EVALUATED = replace(
 )
 
 
+GUESSED = replace(EVALUATED, name="grid-majority-seed0", method="majority", options={}, seed=0)
+
+
 def test_a_result_comes_back_from_its_file(tmp_path: Path) -> None:
     results.save(RESULT, tmp_path)
     assert results.load_all(tmp_path) == [RESULT]
@@ -114,3 +117,11 @@ def test_the_scale_is_full_when_a_network_sees_as_many_trajectories_as_the_disse
     table = grid.table([EVALUATED])
     assert {claim.scale for claim in table.claims} == {scale}
     assert f"{min(steps * 128, 50_000):,}".replace(",", " ") + " of the dissertation's 50 000" in table.text
+
+
+def test_networks_have_seeds_and_guesses_have_none() -> None:
+    claims_made = GRID.table([EVALUATED, GUESSED]).claims
+    assert [(claim.claim, claim.seeds) for claim in claims_made if claim.claim.endswith("test")] == [
+        ("grid.majority.test", None),
+        ("grid.lse.causal.test", 1),
+    ]
