@@ -20,7 +20,8 @@ steps was set by the time at hand. The weights of the lowest validation loss are
 trajectories, as the dissertation prints), `majority` always the trajectory's longest skill.
 
 `gap closed` is (value - lse causal) / (supervised in the same context - lse causal), where that gap is at least half a
-point. Intervals are by bootstrap over seeds, then over trajectories.
+point. Intervals are by bootstrap over seeds, then over trajectories. With one seed, and for guesses, they are over
+trajectories only, and say nothing about other seeds.
 """
 
 EXPERIMENT = SegmentationExperiment(
