@@ -78,6 +78,24 @@ def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:
         weights.initialise(torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2)), generator=torch.Generator())
 
 
+def test_frozen_parameters_are_not_drawn() -> None:
+    network = torch.nn.Sequential(torch.nn.Bilinear(2, 2, 2), torch.nn.Linear(2, 2)).requires_grad_(False)
+    before = weights.sha256(network)
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    assert weights.sha256(network) == before
+
+
+@pytest.mark.parametrize("name", ENCODERS)
+def test_every_encoder_has_as_few_features_as_it_says(name: str) -> None:
+    kind = ENCODERS[name]
+    encoders = CameraEncoders(kind, (Camera("front", 16, 16, 3),), features=kind.min_features)
+    generator = torch.Generator().manual_seed(0)
+    weights.initialise(encoders, generator=generator)
+    seen = {"front": frames(16, 16, 3)}
+    encoders.fit_normalisation(seen, generator=generator)
+    assert encoders(seen).shape == (4, kind.min_features)
+
+
 @pytest.mark.parametrize("name", ENCODERS)
 def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> None:
     cameras = (Camera("front", 33, 30, 3), Camera("wrist", 16, 24, 1))
@@ -89,5 +107,5 @@ def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> No
     features = encoders(seen)
     assert features.shape == (4, encoders.size) == (4, 24)
     assert features.isfinite().all()
-    assert encoders.is_trained == any(True for _ in encoders.parameters())
+    assert encoders.is_trained == any(each.requires_grad for each in encoders.parameters())
     torch.testing.assert_close(encoders(seen | {"wrist": seen["wrist"].flip(0)})[:, :12], features[:, :12])

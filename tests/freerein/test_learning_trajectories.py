@@ -17,9 +17,8 @@ def actions() -> list[npt.NDArray[np.float32]]:
 
 
 def make() -> Trajectories:
-    done = [np.arange(length) == length - 1 for length in LENGTHS]
     tags = [("pick",), ("push",), ("pick", "push"), ("pick",)]
-    return Trajectories({"front": frames(4), "wrist": frames(6)}, actions(), tags, ["a", "b", "a", "b"], done)
+    return Trajectories({"front": frames(4), "wrist": frames(6)}, actions(), tags, ["a", "b", "a", "b"])
 
 
 def test_the_split_is_of_whole_trajectories_without_copying_frames() -> None:
@@ -35,8 +34,6 @@ def test_a_subset_keeps_everything_of_its_trajectories() -> None:
     part = make().subset([2, 0])
     assert part.lengths().tolist() == [4, 3]
     assert (list(part.skills), list(part.goal_texts)) == ([("pick", "push"), ("pick",)], ["a", "a"])
-    assert part.terminated is not None
-    assert part.terminated[0].tolist() == [False, False, False, True]
 
 
 def test_trajectories_that_are_too_short_are_left_out_of_the_split() -> None:

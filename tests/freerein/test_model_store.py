@@ -39,8 +39,11 @@ class Loader:
         self.loaded: list[str] = []
 
     def __call__(self, folder: Path) -> str:
-        self.loaded.append((folder / "weights").read_text())
-        return self.loaded[-1]
+        weights = (folder / "weights").read_text()
+        if weights == "malformed":
+            raise InvalidInput("A card must be one; it is not.")
+        self.loaded.append(weights)
+        return weights
 
 
 @pytest.fixture
@@ -202,6 +205,19 @@ async def test_a_damaged_active_model_stops_the_start(
     (store.folder(ref) / "weights").write_text("b")
     with pytest.raises(FailedPrecondition, match=ref.version):
         await models.start()
+
+
+async def test_an_active_model_of_another_format_is_refused_where_it_is_named_and_the_others_are_served(
+    store: ModelStore, publish: Publish, models: ModelCache[str]
+) -> None:
+    old, other = publish("malformed", "old"), publish("a")
+    store.activate(old)
+    store.activate(other)
+    await models.start()
+    assert not models.not_ready()
+    assert await models.resolve(ModelRef()) == (other, "a")
+    with pytest.raises(InvalidInput, match="card"):
+        await models.resolve(ModelRef("old"))
 
 
 @pytest.mark.parametrize(

@@ -206,7 +206,7 @@ async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots
 async def test_time_goes_on_for_those_that_were_not_answered_in_time(open_stream: Any, robots: Any) -> None:
     busy, late = open_stream(), open_stream()
     await busy.ask(robots.hello())
-    await late.ask(robots.hello(max_steps_per_goal=4, valid_for_s=0.2))
+    await late.ask(robots.hello(max_steps_per_goal=4, valid_for_s=0.6))
     assert (await late.ask(robots.seen(0))).chunk is not None
     working = asyncio.create_task(busy.ask(robots.seen(0, hundredths=100)))
     await robots.turns()

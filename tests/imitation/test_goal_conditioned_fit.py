@@ -8,6 +8,7 @@ import pytest
 from freerein.data import DatasetSpec, create, dataset_path, labels
 from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput
+from freerein.learning.encoders.colour_codebook import MOMENTS
 from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 
@@ -64,6 +65,15 @@ def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_
     for method in ("goal_conditioned", "skills"):
         with pytest.raises(InvalidInput, match=r"4 to 1024 pixels high and wide.*; got 8 x 1280 x 3"):
             METHODS.resolve(data_dir, "wide", {"method": method}, threads=1)
+
+
+@pytest.mark.parametrize("method", ["goal_conditioned", "inverse_model"])
+def test_an_embedding_too_small_for_one_colour_is_refused_before_a_fit_begins(data_dir: Path, method: str) -> None:
+    asked = LEFT | {"method": method, "encoder": "colour_codebook", "embedding_size": MOMENTS}
+    assert METHODS.resolve(data_dir, "play", asked, threads=1)["embedding_size"] == MOMENTS
+    with pytest.raises(InvalidInput, match="at least 5 with the encoder colour_codebook; got 4") as error:
+        METHODS.resolve(data_dir, "play", asked | {"embedding_size": MOMENTS - 1}, threads=1)
+    assert error.value.field == "config.embedding_size"
 
 
 def test_a_fit_is_asked_for_precisely(data_dir: Path) -> None:

@@ -8,6 +8,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
+from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
@@ -20,7 +21,13 @@ from freerein_imitation.training.skill_segments import (
     find_segments,
     split_segments,
 )
-from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
+from freerein_imitation.training.skills import (
+    TERMINATION_THRESHOLD,
+    SkillsConfig,
+    SkillsLearner,
+    encode,
+    network_spec,
+)
 
 SKILLS = ("to-red", "to-blue")
 MORE_SKILLS = ("wave", *SKILLS, "jump")
@@ -127,6 +134,15 @@ def test_skills_are_learned_by_an_encoder_that_is_trained_with_them(encoder: str
     assert fitted.network.attention is None
     assert fitted.validation_loss < 0.8 * cloned.evaluate(before)
     assert not torch.equal(*(next(each.encoder.parameters()) for each in (fitted.network, before.network)))
+
+
+def test_a_frozen_encoder_keeps_the_weights_that_made_the_features(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SpatialEncoder, "is_trained", False)
+    demonstrations, labels = demonstrate(6, seed=0)
+    cloned = prepare(demonstrations, labels, config=replace(FAST, encoder="spatial", features=16))
+    state, _ = cloned.update(cloned.init(torch.Generator().manual_seed(0)), np.arange(4))
+    assert cloned.training.features is not None
+    assert torch.equal(encode(state.network.encoder, demonstrations, [0])[0], cloned.training.features[0])
 
 
 @pytest.mark.parametrize("encoder", ["colour_codebook", "spatial"])

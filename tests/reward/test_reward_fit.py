@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from freerein.data.layout import DatasetSpec
+from freerein.data.lookup import open_dataset
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding
+from freerein_reward.training import RewardConfig, caption_images
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 PHRASES = ["a red block", "a blue block"]
@@ -46,18 +48,31 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
     arguments = [str(folder), str(data_dir), "cpu", str(store.folder(ModelRef("grounding", version)))]
     command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as child:
-        assert child.wait(timeout=50) == 0, child.communicate()[1]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        stderr = child.stderr.read()  # a fit ends when its standard input is closed
+        assert (child.wait(), stderr) == (0, "")
     model = load(folder / "model", "cpu")
     assert isinstance(model, DualEncoderModel)
     assert not isinstance(model, GradCamModel)
     assert model.cameras == ("front",)
     card = json.loads((folder / "model" / "card.json").read_bytes())
     assert (card["method"], card["grounding"]) == ("relation_captions", version)
-    assert card["command"] == """freerein fit reward DATASET --set 'phrases=["a red block", "a blue block"]'"""
+    assert """--set 'phrases=["a red block", "a blue block"]' --set hidden_size=16""" in card["command"]
     assert "relation_accuracy" in card["figures"]
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)
+
+
+def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> None:
+    store, cache = ModelStore(SHIPPED), data_dir / "captions.safetensors"
+    grounding = load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    dataset, config = open_dataset(data_dir, "squares"), RewardConfig(cameras=("front",), phrases=tuple(PHRASES))
+    for _ in range(2):
+        caption_images(dataset, grounding, config, cache)
+        cache.unlink()  # as if the fit had been killed before the captions were saved
+    rows = (data_dir / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line) for line in rows] == [{"step": 0, "captioned": 1.0}]
 
 
 def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:

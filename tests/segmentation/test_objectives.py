@@ -6,6 +6,7 @@ from torch import Tensor
 
 from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.lse import lse, lse_per_timestep
+from freerein_segmentation.objectives.mil import mil
 
 B, T, K = 3, 7, 4
 MASK = torch.arange(T) < torch.tensor([[7], [5], [1]])
@@ -30,6 +31,15 @@ def test_lse_per_timestep_is_the_mean_over_time_of_each_timesteps_probabilities(
     one = torch.tensor([[[0.0, math.log(2.0)], [math.log(3.0), 0.0]]])  # probabilities 1/3 2/3, 3/4 1/4
     mask, tags = torch.ones(1, 2, dtype=torch.bool), torch.tensor([[True, False]])
     assert lse_per_timestep(one, mask, tags).item() == pytest.approx(-math.log((1 / 3 + 3 / 4) / 2))
+
+
+def test_mil_is_the_softmax_of_each_skills_highest_score_and_trains_its_timestep_only() -> None:
+    one = torch.tensor([[[0.0, math.log(2.0)], [math.log(3.0), 0.0]]], requires_grad=True)  # highest: log 3, log 2
+    loss = mil(one, torch.ones(1, 2, dtype=torch.bool), torch.tensor([[True, False]]))
+    loss.sum().backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
+    assert loss.item() == pytest.approx(-math.log(3 / 5))
+    assert one.grad is not None
+    assert one.grad.ne(0).tolist() == [[[False, True], [True, False]]]
 
 
 @both

@@ -78,6 +78,19 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
     assert digest("first", 0) == digest("again", 0) != digest("other", 1)
 
 
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    config = replace(FAST, steps=12, evaluate_every=4, checkpoint_every=5, log_every=3, stride=2)
+    asked = iter(range(8))
+    whole = fit(learner(config), tmp_path / "whole")
+    assert fit(learner(config), tmp_path / "parts", stop=lambda: next(asked) == 7) is None
+    parts = fit(learner(config), tmp_path / "parts")
+    assert whole is not None
+    assert parts is not None
+    assert weights.sha256(whole.network) == weights.sha256(parts.network)
+    rows = [(tmp_path / name / "metrics.jsonl").read_text() for name in ("whole", "parts")]
+    assert rows[0] == rows[1]
+
+
 def test_the_loss_on_held_out_trajectories_is_their_mean_however_they_are_batched() -> None:
     whole = learner()
     state = whole.init(torch.Generator().manual_seed(0))

@@ -37,11 +37,10 @@ def change(snapshot: bytes, place: int, value: object) -> bytes:
 
 
 def walk_to_the_end(world: ReplayedWorld) -> bytes:
-    """Returns a snapshot with one action after the end of its episode."""
+    """Returns a snapshot of an episode that is over, which no session makes."""
     expert = world.expert((), np.random.default_rng(0))
     while (chosen := expert.act()) is not None:
         world.step(chosen.action)
-    world.step(DOWN)
     return world.snapshot()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from freerein.data import Dataset
 from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
@@ -19,7 +20,12 @@ from freerein_segmentation.training import SegmentationConfig, SegmentationLearn
 
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
-    dataset = source.dataset
+    _check_tags(source.dataset)
+    _spec(source, config)  # rejects frames and actions that are out of bounds
+    return config
+
+
+def _check_tags(dataset: Dataset) -> None:
     if not dataset.spec.skills or not all(dataset.skills):
         raise InvalidInput(
             f"Each of the dataset's {len(dataset)} trajectories must name its skills; some do not.",
@@ -33,11 +39,10 @@ def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConf
             field="dataset",
             hint="Correct the tags; run: freerein dataset check NAME.",
         )
-    _spec(source, config)  # rejects frames and actions that are out of bounds
-    return config
 
 
 def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:
+    _check_tags(source.dataset)  # trajectories may have been added while the fit was queued
     training, validation = source.trajectories(config.cameras).split(
         fraction=config.validation_fraction, seed=config.seed
     )

@@ -29,7 +29,7 @@ class DatasetRecorder:
     Raises:
         NotFound: Unknown task.
         InvalidInput: Unknown camera.
-        FailedPrecondition: The dataset was recorded with another request, or has another writer.
+        FailedPrecondition: The dataset was recorded with another request or by another version, or has another writer.
     """
 
     def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
@@ -93,6 +93,12 @@ def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) ->
             raise FailedPrecondition(
                 "A recording can be resumed only with its own request; this dataset was recorded with another.",
                 hint="Choose another name for the dataset, or ask for the same with a larger count.",
+            )
+        if writer.spec != spec:
+            raise FailedPrecondition(
+                "A recording can be resumed only by a version of freerein that stores the same features; this dataset "
+                "was begun by another.",
+                hint="Choose another name for the dataset.",
             )
         if earlier != request:
             write_atomic(path, json.dumps(request).encode())

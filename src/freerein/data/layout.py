@@ -5,7 +5,6 @@ import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 
 from freerein.errors import InvalidInput
@@ -80,11 +79,6 @@ class DatasetSpec:
                 f"got {self.action.size} with {self.action.choices} choices.",
                 field="action",
             )
-
-    @property
-    def action_dtype(self) -> np.dtype[np.float32] | np.dtype[np.int64]:
-        """float32 for continuous actions, int64 for discrete ones."""
-        return np.dtype(np.int64) if self.action.choices else np.dtype(np.float32)
 
 
 def integer_fps(control_dt_s: float) -> int:
@@ -193,7 +187,7 @@ def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
         for camera, size in spec.cameras.items()
     }
     names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
-    features["action"] = {"dtype": str(spec.action_dtype), "shape": [spec.action.size], "names": names}
+    features["action"] = {"dtype": str(spec.action.dtype), "shape": [spec.action.size], "names": names}
     for name, dtype in _number_columns(spec).items():
         features[name] = {"dtype": dtype, "shape": [1], "names": None}
     return features
@@ -221,7 +215,7 @@ def info(spec: DatasetSpec, *, trajectories: int, frames: int, tasks: int) -> di
 def data_schema(spec: DatasetSpec) -> pa.Schema:
     """Returns the schema of a data file; an image is a struct of encoded bytes and an unused path."""
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-    number = pa.from_numpy_dtype(spec.action_dtype)
+    number = pa.from_numpy_dtype(spec.action.dtype)
     action = number if spec.action.size == 1 else pa.list_(number, spec.action.size)
     numbers = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _number_columns(spec).items()]
     return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *numbers])

@@ -32,7 +32,7 @@ def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:
     if len(set(chosen)) != len(chosen) or not set(chosen) <= set(cameras) or (not asked and len(cameras) > 1):
         raise InvalidInput(
             f"`cameras` must be among the dataset's, {', '.join(cameras)}, each once; "
-            f"got {'others' if asked else 'none'}.",
+            f"got {'others, or one twice' if asked else 'none'}.",
             field="config.cameras",
             hint=f"For example: --set 'cameras=[\"{cameras[0]}\"]'.",
         )

@@ -115,7 +115,7 @@ class Dataset:
             FailedPrecondition: The disk is full.
         """
         parts = (self.actions(index) for index in range(len(self)))
-        shape, dtype = (self.spec.action.size,), self.spec.action_dtype
+        shape, dtype = (self.spec.action.size,), self.spec.action.dtype
         cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
         return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 

@@ -131,7 +131,7 @@ def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
             f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
             hint="Record the trajectory again.",
         )
-    actions: Actions = flat.to_numpy(zero_copy_only=False).astype(spec.action_dtype)
+    actions: Actions = flat.to_numpy(zero_copy_only=False).astype(spec.action.dtype)
     return actions.reshape(len(rows), spec.action.size)
 
 

@@ -192,8 +192,8 @@ def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
 
 
 def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
-    expected = f"{spec.action_dtype} (T, {spec.action.size}) with T >= 1"
-    if actions.dtype != spec.action_dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
+    expected = f"{spec.action.dtype} (T, {spec.action.size}) with T >= 1"
+    if actions.dtype != spec.action.dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
         raise InvalidInput(f"Actions must be {expected}; got {actions.dtype} {actions.shape}.", field="actions")
     low, high = (0, spec.action.choices - 1) if spec.action.choices else (-1, 1)
     if not np.all((actions >= low) & (actions <= high)):

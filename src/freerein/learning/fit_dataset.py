@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from freerein.data.layout import dataset_path
-from freerein.data.lookup import choose_cameras, open_dataset
+from freerein.data.lookup import open_dataset
 from freerein.data.reader import Dataset
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import Camera
@@ -28,10 +28,6 @@ class FitDataset:
         """Returns the dataset of a name; raises as `freerein.data.lookup.open_dataset`."""
         return cls(dataset_path(data_dir, name), open_dataset(data_dir, name))
 
-    def choose_cameras(self, asked: Sequence[str]) -> tuple[str, ...]:
-        """Returns the cameras to learn from: those asked for, or the only one; raises as `choose_cameras`."""
-        return choose_cameras(self.dataset, asked)
-
     def cameras(self, names: Sequence[str]) -> tuple[Camera, ...]:
         """Returns cameras with their frame sizes."""
         return tuple(Camera(name, *self.dataset.spec.cameras[name]) for name in names)
@@ -48,5 +44,4 @@ class FitDataset:
             actions=self.dataset.cached_actions(),
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
-            terminated=self.dataset.cached_terminations(),
         )

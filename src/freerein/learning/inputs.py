@@ -1,8 +1,10 @@
 """What every network knows of its robot: cameras and actions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 from freerein.errors import InvalidInput
+from freerein.learning.fit_config import FitConfig
 from freerein.types.common import ActionSpec, Camera
 
 _SIDE = (4, 1024)
@@ -42,10 +44,12 @@ class InputSpec:
                     field="dataset",
                     hint="Record frames of another size, or store them as gray or RGB.",
                 )
-        if not (1 <= self.action.size <= _MAX_ACTION_SIZE and 0 <= self.action.choices <= _MAX_ACTION_CHOICES):
+        action = self.action
+        is_discrete = action.size == 1 and 1 <= action.choices <= _MAX_ACTION_CHOICES
+        if not is_discrete and not (1 <= action.size <= _MAX_ACTION_SIZE and action.choices == 0):
             raise InvalidInput(
-                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or at most {_MAX_ACTION_CHOICES} choices; "
-                f"got {self.action.size} and {self.action.choices}.",
+                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or be one of at most {_MAX_ACTION_CHOICES} "
+                f"choices; got {action.size} numbers and {action.choices} choices.",
                 field="dataset",
             )
 
@@ -53,3 +57,26 @@ class InputSpec:
     def encoded_action_size(self) -> int:
         """Numbers of an action as a network takes it: its one-hot code when discrete, else its values."""
         return self.action.choices or self.action.size
+
+
+S = TypeVar("S", bound=InputSpec)
+
+
+def spec_of(
+    config: FitConfig, spec_class: type[S], *, cameras: tuple[Camera, ...], action: ActionSpec, **others: object
+) -> S:
+    """Returns the spec of a network, with the values of a configuration's fields of the same names.
+
+    Args:
+        config: Configuration of the fit.
+        spec_class: Class of the spec.
+        cameras: The cameras.
+        action: The action space.
+        others: Fields that the configuration does not have.
+
+    Raises:
+        InvalidInput: A value is out of bounds.
+    """
+    given: dict[str, Any] = {"cameras": cameras, "action": action, **others}
+    names = {each.name for each in fields(spec_class)} & {each.name for each in fields(config)}
+    return spec_class(**{name: getattr(config, name) for name in names - given.keys()}, **given)

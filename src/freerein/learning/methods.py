@@ -4,19 +4,22 @@ A method is one `Method`, registered by its name in the service's `Methods`. A f
 `method`, and so does the card of the model that the fit makes.
 """
 
+import json
+import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import torch
 
 from freerein.atomic_files import write_atomic
+from freerein.data.lookup import choose_cameras
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
 from freerein.learning.config import parse
 from freerein.learning.fit import FitResult, Learner, fit_and_save
-from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.model_files import choose_device, read_card, save_model
 from freerein.learning.train_state import N
@@ -74,7 +77,7 @@ class Methods(Generic[M_co]):
         name, method, given = self._choose(values)
         source = FitDataset.open(data_dir, dataset)
         config = parse(method.config, {"threads": threads, **given})
-        config = method.resolve(source, replace(config, cameras=source.choose_cameras(config.cameras)))
+        config = method.resolve(source, replace(config, cameras=choose_cameras(source.dataset, config.cameras)))
         return {"method": name, **asdict(config)}
 
     def run_fit(self, folder: Path, data_dir: Path, device: str, **resources: Path) -> int:
@@ -130,12 +133,20 @@ class Methods(Generic[M_co]):
         self, name: str, source: FitDataset, learner: Learner[Any], fitted: FitResult[Any]
     ) -> dict[str, Any]:
         """Returns the entries that every card has."""
-        option = "" if name == next(iter(self.by_name)) else f" --set method={name}"
         return {
             "method": name,
-            "command": f"freerein fit {self.service} DATASET{option}",
+            "command": f"freerein fit {self.service} DATASET{self._options(name, learner.config)}",
             "task": source.dataset.spec.task,
             "data": {"trajectories": len(source.dataset), "fingerprint": learner.fingerprint},
             "config": asdict(learner.config),
             "figures": fitted.figures,
         }
+
+    def _options(self, name: str, config: FitConfig) -> str:
+        """Returns the options of the command line that makes the same configuration."""
+        given = {} if name == next(iter(self.by_name)) else {"method": name}
+        for each in fields(config):
+            value = getattr(config, each.name)
+            if value != each.default:
+                given[each.name] = value if isinstance(value, str) else json.dumps(value)
+        return "".join(f" --set {shlex.quote(f'{key}={text}')}" for key, text in given.items())

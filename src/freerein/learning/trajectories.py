@@ -30,8 +30,6 @@ class Trajectories:
         actions: By trajectory, float32 (T, A) in [-1, 1] or int64 (T, 1).
         skills: The set of skills of each trajectory; empty where unknown.
         goal_texts: Goal text of each trajectory; empty where unknown.
-        terminated: By trajectory, whether the episode terminated after action t, as by a crash, bool (T,); None where
-            unknown.
 
     Raises:
         InvalidInput: There are no trajectories, one is empty, or arrays differ in their lengths.
@@ -41,10 +39,9 @@ class Trajectories:
     actions: TrajectoryArrays[np.float32] | TrajectoryArrays[np.int64]
     skills: Sequence[tuple[str, ...]] = ()
     goal_texts: Sequence[str] = ()
-    terminated: TrajectoryArrays[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        arrays = [*self.frames.values(), self.actions, *([self.terminated] if self.terminated is not None else [])]
+        arrays = [*self.frames.values(), self.actions]
         counts = {len(each) for each in (*arrays, *filter(None, (self.skills, self.goal_texts)))}
         if len(counts) != 1 or 0 in counts or not self.frames:
             raise InvalidInput(
@@ -72,7 +69,6 @@ class Trajectories:
             "actions": [self.actions[item] for item in items],
             "skills": [self.skills[item] for item in items] if self.skills else (),
             "goal_texts": [self.goal_texts[item] for item in items] if self.goal_texts else (),
-            "terminated": [self.terminated[item] for item in items] if self.terminated is not None else None,
         }
         frames = {camera: [each[item] for item in items] for camera, each in self.frames.items()}
         return replace(self, frames=frames, **chosen)
@@ -88,6 +84,7 @@ class Trajectories:
             fraction=fraction,
             seed=seed,
             unit="trajectories" if min_length == 1 else f"trajectories of {min_length} or more timesteps",
+            hint="Record more, or longer ones: freerein sim demonstrate TASK --out NAME.",
         )
         return self.subset(training), self.subset(validation)
 

@@ -18,18 +18,21 @@ class CustomInitialisation(Protocol):
 
 
 def initialise(network: nn.Module, *, generator: torch.Generator) -> None:
-    """Initialises every parameter: uniform in ±1/sqrt(fan-in), as torch's layers do by default.
+    """Initialises every parameter but frozen ones: uniform in ±1/sqrt(fan-in), as torch's layers do by default.
 
     An embedding's fan-in is its number of features, so that embeddings are as large as what they are added to.
 
     Args:
-        network: Made of Linear, Conv2d, LSTM, Embedding, LayerNorm, BatchNorm2d and `CustomInitialisation` layers.
+        network: Made of Linear, Conv2d, LSTM, Embedding, LayerNorm, BatchNorm2d and `CustomInitialisation` layers;
+            others may have frozen parameters only.
         generator: Source of all randomness, on the CPU.
 
     Raises:
         TypeError: The network has parameters in another kind of layer.
     """
     for layer in network.modules():
+        if _is_frozen(layer):
+            continue
         if isinstance(layer, CustomInitialisation):
             layer.initialise(generator)
         elif isinstance(layer, nn.LayerNorm | nn.BatchNorm2d):
@@ -45,6 +48,12 @@ def initialise(network: nn.Module, *, generator: torch.Generator) -> None:
 def sha256(network: nn.Module) -> str:
     """Returns the hexadecimal sha256 over the names, shapes and bits of a network's parameters and buffers."""
     return hashlib.sha256(tensor_files.dump(network.state_dict())).hexdigest()
+
+
+def _is_frozen(layer: nn.Module) -> bool:
+    """Returns whether a layer has parameters of its own, none of which is trained."""
+    trained = [parameter.requires_grad for parameter in layer.parameters(recurse=False)]
+    return bool(trained) and not any(trained)
 
 
 def _initialise_uniform(layer: nn.Module, bound: float, generator: torch.Generator) -> None:

@@ -1,12 +1,13 @@
 """Models in memory: the core of `ModelService`, and the source of a learned core's models."""
 
 import asyncio
+import logging
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
@@ -16,6 +17,8 @@ from freerein.types.learning import (
     ListModelsResponse,
     Model,
 )
+
+_log = logging.getLogger(__name__)
 
 M = TypeVar("M")
 
@@ -40,10 +43,17 @@ class ModelCache(Generic[M]):
         self._started = False
 
     async def start(self) -> None:
-        """Loads the active version of every model. Raises FailedPrecondition when files are missing or changed."""
+        """Loads the active version of every model. Raises FailedPrecondition when files are missing or changed.
+
+        A model that this version of freerein cannot load is logged, and answers with the same error when it is named:
+        the others must be served, and a fit makes it anew.
+        """
         for name in self._store.names():
             if version := self._store.active_version(name):
-                await self._get(ModelRef(name, version))
+                try:
+                    await self._get(ModelRef(name, version))
+                except InvalidInput as error:
+                    _log.error("a model cannot be loaded: %s", error.detail, extra={"model": f"{name} {version}"})
         self._started = True
 
     def not_ready(self) -> str:

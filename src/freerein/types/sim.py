@@ -54,7 +54,7 @@ class Task:
     skills: tuple[str, ...]
     max_episode_steps: int
     predicates: tuple[Predicate, ...] = ()
-    has_expert: bool = True
+    has_expert: bool = False
 
 
 @dataclass(frozen=True)

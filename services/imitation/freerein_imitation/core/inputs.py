@@ -145,7 +145,10 @@ def _parse_goal_images(spec: PolicySpec, goal: tuple[Image, ...]) -> tuple[Subgo
 
 
 def _decode_views(spec: PolicySpec, views: Sequence[Image], field: str, *, first: int = 0) -> CameraFrames:
-    """Returns the image of each camera, in the spec's order, of as many images; they are `field` from `first` on."""
+    """Returns the image of each camera, in the spec's order.
+
+    `first` is the index in `field` of the first view, for errors.
+    """
     frames: dict[str, npt.NDArray[np.uint8]] = {}
     cameras = {camera.name: camera for camera in spec.cameras}
     if len(cameras) == 1:

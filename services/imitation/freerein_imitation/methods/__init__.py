@@ -1,4 +1,4 @@
-"""The methods of the service, by name. A new one is a module here and a line in `METHODS`."""
+"""The methods of the service, by name. A new one is a module here and a line in `METHODS`, with its import."""
 
 from types import MappingProxyType
 

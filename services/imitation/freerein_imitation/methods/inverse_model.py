@@ -18,6 +18,7 @@ from freerein.learning.config import bounded
 from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation import objectives
 from freerein_imitation.methods import goal_images
@@ -106,14 +107,8 @@ def _load(folder: Path, device: str) -> GoalImagesPolicy:
 
 
 def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
-    return GoalImagesSpec(
-        cameras=source.cameras(config.cameras),
-        action=source.dataset.spec.action,
-        encoder=config.encoder,
-        features=config.features,
-        hidden_size=config.hidden_size,
-        embedding_size=config.embedding_size,
-    )
+    cameras, action = source.cameras(config.cameras), source.dataset.spec.action
+    return spec_of(config, GoalImagesSpec, cameras=cameras, action=action)
 
 
 METHOD = Method(InverseModelConfig, _resolve, _prepare, _card, _load)

@@ -1,7 +1,7 @@
-"""What only the colour codebook has: skills attend to its features, moments of colours, and frames can be shifted.
+"""What only colour moments allow: skills attend to the features of colours, and frames can be shifted.
 
 A few attention heads per skill choose whose position matters; differences between heads are relative positions. What is
-learned of one skill so serves all. Networks with another encoder have no `ColourAttention`.
+learned of one skill so serves all. Networks whose encoder has other features have no `ColourAttention`.
 """
 
 import torch

@@ -8,6 +8,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
 from freerein.learning.inputs import InputSpec
@@ -27,12 +28,25 @@ class GoalImagesSpec(InputSpec):
         features: Image features per camera of the policy.
         hidden_size: Units of the policy's hidden layers.
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+
+    Raises:
+        InvalidInput: Cameras, actions or `embedding_size` are out of bounds; an encoder may need more features.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     embedding_size: int = bounded(64, least=2, most=1024)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        least = ENCODERS[self.encoder].min_features
+        if self.embedding_size < least:
+            raise InvalidInput(
+                f"`embedding_size` must be at least {least} with the encoder {self.encoder}; "
+                f"got {self.embedding_size}.",
+                field="config.embedding_size",
+            )
 
     @property
     def categories(self) -> int:

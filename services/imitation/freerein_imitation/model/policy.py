@@ -19,7 +19,7 @@ from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GoalForm
 
 CameraFrames: TypeAlias = Mapping[str, npt.NDArray[np.uint8]]
-"""By camera: uint8 (N, H, W, C)."""
+"""By camera: uint8 (N, H, W, C), or (H, W, C) of one timestep."""
 
 LSTMState: TypeAlias = tuple[Tensor, Tensor]
 """Hidden state and cell, float32 (1, B, units) each."""

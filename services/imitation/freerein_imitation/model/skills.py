@@ -14,7 +14,7 @@ from torch.nn import functional
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, ColourCodebook
+from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.colour_attention import ColourAttention
@@ -63,7 +63,7 @@ class SkillsNetwork(nn.Module):
         spec: Inputs, outputs and sizes.
 
     Attributes:
-        attention: Of skills over colours; None with another encoder than the colour codebook.
+        attention: Of skills over colours; None where features are no colour moments.
     """
 
     feature_mean: Tensor
@@ -72,13 +72,10 @@ class SkillsNetwork(nn.Module):
     def __init__(self, spec: SkillsSpec) -> None:
         super().__init__()
         self.spec = spec
-        encoder = ENCODERS[spec.encoder]
-        self.encoder = CameraEncoders(encoder, spec.cameras, features=spec.features)
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
         size, cameras, skills = self.encoder.size, len(spec.cameras), len(spec.skills)
-        is_codebook = encoder is ColourCodebook
-        self.attention = (
-            ColourAttention(cameras=cameras, features=spec.features, skills=skills) if is_codebook else None
-        )
+        moments = self.encoder.has_colour_moments
+        self.attention = ColourAttention(cameras=cameras, features=spec.features, skills=skills) if moments else None
         attended = self.attention.size if self.attention else 0
         self.input_layer = nn.Linear(size + attended + spec.encoded_action_size + skills, spec.hidden_size)
         self.hidden_layer = nn.Linear(spec.hidden_size, spec.hidden_size)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from freerein.learning.config import bounded
+from freerein.learning.inputs import spec_of
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
@@ -34,16 +35,8 @@ def network_spec(
     Raises:
         InvalidInput: Frames or actions are out of bounds.
     """
-    return GoalConditionedSpec(
-        cameras=cameras,
-        action=action,
-        encoder=config.encoder,
-        use_previous_action=config.use_previous_action,
-        forward_model=config.forward_consistency_weight > 0,
-        features=config.features,
-        hidden_size=config.hidden_size,
-        embedding_size=config.embedding_size,
-    )
+    forward_model = config.forward_consistency_weight > 0
+    return spec_of(config, GoalConditionedSpec, cameras=cameras, action=action, forward_model=forward_model)
 
 
 def policy_losses(

@@ -35,7 +35,7 @@ _THRESHOLD_FRAMES = 256
 
 @dataclass(frozen=True)
 class GoalImagesConfig(DatasetFitConfig):
-    """Base configuration of a fit to goal images.
+    """Base configuration of a fit to goal images; validation trajectories choose the reached threshold, too.
 
     Attributes:
         encoder: Image encoder of the policy and of the goal recognizer.
@@ -47,7 +47,6 @@ class GoalImagesConfig(DatasetFitConfig):
         features: Image features per camera of the policy.
         hidden_size: Units of the policy's hidden layers.
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
-        validation_fraction: Fraction of trajectories held out to choose weights and the reached threshold.
 
     Raises:
         InvalidInput: A minimum is above its maximum.
@@ -64,7 +63,6 @@ class GoalImagesConfig(DatasetFitConfig):
     features: int = bounded(128, least=8, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     embedding_size: int = bounded(64, least=2, most=1024)
-    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
     evaluate_every: int = bounded(50, least=1, most=1_000_000)
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
@@ -33,7 +34,7 @@ _EVALUATION_BATCH = 128
 
 @dataclass(frozen=True)
 class LanguageConfig(DatasetFitConfig):
-    """Configuration of a fit of a language policy.
+    """Configuration of a fit of a language policy; `validation_fraction` is that of each goal text's trajectories.
 
     Attributes:
         encoder: Image encoder.
@@ -42,7 +43,6 @@ class LanguageConfig(DatasetFitConfig):
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
-        validation_fraction: Fraction of each goal text's trajectories held out to choose the best weights.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
@@ -52,7 +52,6 @@ class LanguageConfig(DatasetFitConfig):
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
-    validation_fraction: float = bounded(0.1, least=0.01, most=0.5)
 
 
 def network_spec(
@@ -68,16 +67,8 @@ def network_spec(
     Raises:
         InvalidInput: Frames or actions are out of bounds.
     """
-    return LanguageSpec(
-        cameras=cameras,
-        action=action,
-        text_size=text_size,
-        text_components=text_components,
-        encoder=config.encoder,
-        features=config.features,
-        text_features=config.text_features,
-        hidden_size=config.hidden_size,
-    )
+    texts = {"text_size": text_size, "text_components": text_components}
+    return spec_of(config, LanguageSpec, cameras=cameras, action=action, **texts)
 
 
 @dataclass(frozen=True, eq=False)

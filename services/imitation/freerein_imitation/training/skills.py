@@ -16,6 +16,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
@@ -89,15 +90,7 @@ def network_spec(
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
     """
-    return SkillsSpec(
-        cameras=cameras,
-        action=action,
-        skills=skills,
-        encoder=config.encoder,
-        features=config.features,
-        hidden_size=config.hidden_size,
-        recurrent_size=config.recurrent_size,
-    )
+    return spec_of(config, SkillsSpec, cameras=cameras, action=action, skills=skills)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +182,11 @@ class SkillsLearner:
         """Returns the state before the first update."""
         network = SkillsNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
-            own.copy_(normalised)
+        if self.encoder.is_trained:
+            for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
+                own.copy_(normalised)
+        else:
+            network.encoder.load_state_dict(self.encoder.state_dict())
         if self.training.features is not None:
             network.fit_feature_normalisation(torch.cat(list(self.training.features.values())), generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)

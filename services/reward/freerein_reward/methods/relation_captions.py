@@ -1,6 +1,5 @@
 """The method `relation_captions`: a dual encoder trained on captions of the grounding model (section 4.2)."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +50,7 @@ def _prepare(
 
 
 def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:
-    phrases = json.dumps(learner.config.phrases)
     return {
-        "command": f"freerein fit reward DATASET --set 'phrases={phrases}'",
         "data": {"trajectories": len(source.dataset), "fingerprint": source.dataset.fingerprint},
         "grounding": learner.grounding_version,
         "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},

@@ -114,7 +114,7 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
         cached = tensor_files.parse(path.read_bytes())
         relations, sides = cached["relations"].numpy(), cached["sides"].numpy()
     else:
-        rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=0)
+        rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
         relations, sides = _relations(views[0], grounding, config, rows)
         tensors = {"relations": torch.from_numpy(relations), "sides": torch.from_numpy(sides)}
         write_atomic(path, tensor_files.dump(tensors))

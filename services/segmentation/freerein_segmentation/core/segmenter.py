@@ -85,7 +85,7 @@ class Segmenter:
         """
         timer = CallTimer()
         ref, model, frames = await timer.decode(self._inputs(request))
-        item = _Item(model, frames, request.actions)
+        item = _Item(model, frames, request.actions if model.action else None)
         probabilities = await timer.infer(self.batcher.submit(item, key=ref, timeout_s=self.timeout_s))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,

@@ -1,6 +1,6 @@
 """Weakly supervised losses of chapter 2, by name; only the pooling over time differs.
 
-A new objective is a module here and a line in `OBJECTIVES`.
+A new objective is a module here and a line in `OBJECTIVES`, with its import.
 """
 
 from collections.abc import Mapping

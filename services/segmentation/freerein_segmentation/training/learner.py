@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
+from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
@@ -30,17 +31,7 @@ def network_spec(
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
     """
-    return ModelSpec(
-        cameras=cameras,
-        action=action,
-        skills=skills,
-        use_actions=config.use_actions,
-        encoder=config.encoder,
-        stride=config.stride,
-        context=config.context,
-        features=config.features,
-        hidden_size=config.hidden_size,
-    )
+    return spec_of(config, ModelSpec, cameras=cameras, action=action, skills=skills)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,8 @@ def _act(
     rng: np.random.Generator,
 ) -> RecordedEpisode:
     if request.behaviour == "expert":
-        number = rng.integers(request.min_skills or 1, request.max_skills or len(skills), endpoint=True)
+        least, most = _number_of_skills(request, skills)
+        number = rng.integers(least, most, endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
         world.reset(rng, recipe=chosen)
         policy = expert_of(world)(chosen, rng)
@@ -75,7 +76,8 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
     skills = request.skills or spec.skills
     if len(set(skill_indices(spec, skills))) != len(skills):
         raise InvalidInput("`skills` must name each skill once; got one twice.", field="skills")
-    if not 1 <= (request.min_skills or 1) <= (request.max_skills or len(skills)) <= len(skills):
+    least, most = _number_of_skills(request, skills)
+    if not least <= most <= len(skills):
         raise InvalidInput(
             f"1 <= `min_skills` <= `max_skills` <= {len(skills)} must hold, the number of skills to choose from; got "
             f"{request.min_skills} and {request.max_skills}.",
@@ -83,6 +85,11 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
             hint="Each skill occurs once at most. 0 means no bound.",
         )
     return skills
+
+
+def _number_of_skills(request: DemonstrateRequest, skills: Sequence[str]) -> tuple[int, int]:
+    """Returns the fewest and the most skills of a trajectory; 0 of an expert that has none."""
+    return request.min_skills or min(1, len(skills)), request.max_skills or len(skills)
 
 
 def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:

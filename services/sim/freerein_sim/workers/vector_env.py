@@ -14,7 +14,6 @@ from freerein_sim.worlds import generators
 from freerein_sim.worlds.world import (
     ScriptedPolicy,
     TaskDefinition,
-    action_dtype,
     check_actions,
     expert_of,
     sized_cameras,
@@ -136,7 +135,7 @@ class VectorEnv:
             if i not in self._experts:
                 self._experts[i] = expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
         chosen = [self._experts[i].act() for i in range(self.num_envs)]
-        nothing = np.zeros(self.task.spec.action.size, action_dtype(self.task.spec.action))
+        nothing = np.zeros(self.task.spec.action.size, self.task.spec.action.dtype)
         return ExpertActionsResponse(
             actions=np.stack([nothing if each is None else each.action for each in chosen]),
             finished=np.array([each is None for each in chosen]),

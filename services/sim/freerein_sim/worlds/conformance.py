@@ -126,7 +126,7 @@ def refuses_bad_views(task: TaskDefinition) -> None:
 def refuses_bad_actions(task: TaskDefinition) -> None:
     """Actions of the wrong dtype, shape or range are refused, and change nothing."""
     spec = task.spec.action
-    dtype = np.int64 if spec.choices else np.float32
+    dtype = spec.dtype
     bad: list[npt.NDArray[Any]] = [
         np.zeros(spec.size + 1, dtype),
         np.zeros((1, spec.size), dtype),
@@ -255,9 +255,10 @@ def _act_randomly(world: World) -> Iterator[Action]:
 
 
 def _observed(world: World) -> tuple[bytes, ...]:
-    """Returns the true state and all cameras' frames as bytes."""
+    """Returns true state, oracle reward and all cameras' frames as bytes."""
     views: list[Frame] = [world.render(each.name, height=each.height, width=each.width) for each in world.spec.cameras]
-    return world.truth().state.tobytes(), *(view.tobytes() for view in views)
+    truth = world.truth()
+    return truth.state.tobytes(), np.float64(truth.reward).tobytes(), *(view.tobytes() for view in views)
 
 
 def _continued(world: World) -> list[tuple[bytes, ...]]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import Camera
-from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World, action_dtype
+from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ def record_episode(
             camera.name: np.array(seen, np.uint8).reshape(-1, camera.height, camera.width, camera.channels)
             for camera, seen in frames.items()
         },
-        actions=np.array(actions, action_dtype(action)).reshape(-1, action.size),
+        actions=cast(Action, np.array(actions, action.dtype).reshape(-1, action.size)),
         labels=np.array(labels, np.int64),
         terminated=np.array(terminated, np.bool_),
         success=policy.succeeded() and not diverged,

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 _HEADER = struct.Struct("<4sI")
-_MAGIC = b"fblk"
+_MAGIC = b"fmjc"
 
 
 @dataclass(frozen=True, eq=False)

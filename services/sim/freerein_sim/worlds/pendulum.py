@@ -3,12 +3,15 @@
 Dynamics, initial noise, termination and oracle reward are Gymnasium's; its MJCF is read as data from its wheel.
 """
 
+import math
+import struct
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import (
@@ -40,6 +43,7 @@ _FALLEN_M = 1.0
 """Height of the tip at which the episode terminates; upright it is 1.2 m."""
 
 _ALIVE = 10.0
+_REWARD = struct.Struct("<d")
 _CAMERA_AT_M, _CAMERA_QUATERNION = (0.0, -2.9, 0.5), (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # looks along y; z is up
 
 
@@ -53,7 +57,7 @@ class PendulumWorld:
         self.fingerprint = simulation.fingerprint
         self._simulation = simulation
         self._reward = 0.0
-        self.snapshot, self.render, self.close = simulation.snapshot, simulation.render, simulation.close
+        self.render, self.close = simulation.render, simulation.close
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws positions and velocities near the upright pose; the recipe has no effect."""
@@ -63,28 +67,35 @@ class PendulumWorld:
         data.qpos += rng.uniform(-_NOISE, _NOISE, size=data.qpos.shape)
         data.qvel += _NOISE * rng.standard_normal(data.qvel.shape)
         self._simulation.refresh()
-        self._judge()
+        self._update_reward()
 
     def step(self, action: Action) -> StepResult:
         """Pushes the cart for one control step."""
         check_actions(SPEC.action, action)
         self._simulation.data.ctrl[:] = action
         diverged = self._simulation.step(_SUBSTEPS)
-        terminated = diverged or self._judge()
+        terminated = diverged or self._update_reward()
         self._simulation.refresh()
         return StepResult(terminated, diverged)
 
+    def snapshot(self) -> bytes:
+        """Returns MuJoCo's integration state and the reward, which is of poses that are not part of it."""
+        return self._simulation.snapshot() + _REWARD.pack(self._reward)
+
     def restore(self, snapshot: bytes) -> None:
-        """Sets MuJoCo's integration state."""
-        self._simulation.restore(snapshot)
-        self._judge()
+        """Sets MuJoCo's integration state and the reward."""
+        state, packed = snapshot[: -_REWARD.size], snapshot[-_REWARD.size :]
+        if len(packed) != _REWARD.size or not math.isfinite(_REWARD.unpack(packed)[0]):
+            raise InvalidInput("Expected a snapshot of this world; got something else.", field="snapshot")
+        self._simulation.restore(state)
+        (self._reward,) = _REWARD.unpack(packed)
 
     def truth(self) -> GroundTruth:
         """Returns positions and velocities; the pendulum has no goal to reach."""
         data = self._simulation.data
         return GroundTruth(np.concatenate([data.qpos, data.qvel]), self._reward, success=False)
 
-    def _judge(self) -> bool:
+    def _update_reward(self) -> bool:
         """Computes the reward; returns whether the pendulum has fallen.
 
         As in Gymnasium, the tip's position is where the last substep began, and the velocities where it ended.

@@ -15,7 +15,6 @@ from freerein_sim.worlds.world import (
     StepResult,
     UnsavedWorld,
     WorldSpec,
-    action_dtype,
     check_actions,
     skill_indices,
 )
@@ -77,13 +76,13 @@ class ReplayedWorld:
         if not self._replay(_decode(self.spec, snapshot)):
             if before.start:
                 self._replay(before)
-            raise _not_of_this_world("one that ends before its last action")
+            raise _not_of_this_world("one that is over")
 
     def _replay(self, episode: _Episode) -> bool:
-        """Repeats an episode; returns whether it went on up to its last action."""
+        """Repeats an episode; returns whether it goes on after its last action."""
         self.reset(generators.unpack(episode.start), recipe=episode.recipe)
         ended = [self.step(action).terminated for action in episode.actions]
-        return not any(ended[:-1])
+        return not any(ended)
 
 
 def _decode(spec: WorldSpec, snapshot: bytes) -> _Episode:
@@ -96,7 +95,7 @@ def _decode(spec: WorldSpec, snapshot: bytes) -> _Episode:
     if version != _FORMAT_VERSION or steps > spec.max_episode_steps or len(snapshot) != length:
         raise _not_of_this_world("another version or length")
     recipe = np.frombuffer(snapshot[_HEADER.size : middle], _RECIPE_DTYPE)
-    actions = np.frombuffer(snapshot[middle:], dtype).astype(action_dtype(spec.action)).reshape(steps, spec.action.size)
+    actions = np.frombuffer(snapshot[middle:], dtype).astype(spec.action.dtype).reshape(steps, spec.action.size)
     if (recipe >= len(spec.skills)).any():
         raise _not_of_this_world("an unknown skill")
     try:
@@ -107,7 +106,7 @@ def _decode(spec: WorldSpec, snapshot: bytes) -> _Episode:
 
 
 def _wire_dtype(spec: WorldSpec) -> np.dtype[Any]:
-    return action_dtype(spec.action).newbyteorder("<")
+    return spec.action.dtype.newbyteorder("<")
 
 
 def _not_of_this_world(got: str) -> InvalidInput:

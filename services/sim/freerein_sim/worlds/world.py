@@ -33,6 +33,7 @@ class WorldSpec:
         skills: Skills that the expert can execute; labels are indices into them. Empty for a task without an expert.
         max_episode_steps: Steps after which the caller truncates an episode.
         state_names: Name of each number of the true state.
+        has_expert: Whether worlds of this spec have a scripted expert.
         max_size: Greatest frame height and width, in pixels.
     """
 
@@ -42,12 +43,8 @@ class WorldSpec:
     skills: tuple[str, ...]
     max_episode_steps: int
     state_names: tuple[str, ...]
+    has_expert: bool = False
     max_size: int = 256
-
-    @property
-    def has_expert(self) -> bool:
-        """Whether worlds of this spec have a scripted expert."""
-        return bool(self.skills)
 
 
 @dataclass(frozen=True)
@@ -211,24 +208,18 @@ class TaskDefinition:
         )
 
 
-def action_dtype(spec: ActionSpec) -> np.dtype[Any]:
-    """Returns the dtype of actions: int64 for discrete ones, float32 for continuous ones."""
-    return np.dtype(np.int64 if spec.choices else np.float32)
-
-
 def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[int, ...] = ()) -> None:
     """Raises InvalidInput where one action, or a batch of shape (*batch, A), does not match the spec."""
-    dtype = action_dtype(spec)
-    low, high = (0, spec.choices - 1) if spec.choices else (-1, 1)
-    shape = (*batch, spec.size)
-    if not isinstance(actions, np.ndarray) or actions.dtype != dtype or actions.shape != shape:
+    (low, high), shape = spec.bounds, (*batch, spec.size)
+    if not isinstance(actions, np.ndarray) or actions.dtype != spec.dtype or actions.shape != shape:
         got = f"{actions.dtype} {actions.shape}" if isinstance(actions, np.ndarray) else type(actions).__name__
     elif wrong := int((~((actions >= low) & (actions <= high))).sum()):  # NaN is neither
         got = f"{wrong} of {actions.size} numbers outside"
     else:
         return
     raise InvalidInput(
-        f"`actions` must be {dtype} {shape}, finite and within [{low}, {high}]: {', '.join(spec.names)}; got {got}.",
+        f"`actions` must be {spec.dtype} {shape}, finite and within [{low:g}, {high:g}]: {', '.join(spec.names)}; "
+        f"got {got}.",
         field="actions",
         hint="See the task's `action` in ListTasks.",
     )

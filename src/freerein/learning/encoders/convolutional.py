@@ -19,6 +19,8 @@ class ConvolutionalEncoder(nn.Module):
     mean: Tensor
     std: Tensor
     is_trained = True
+    has_colour_moments = False
+    min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()

@@ -12,6 +12,9 @@ class PatchStem(nn.Module):
 
     mean_image: Tensor
     pixel_std: Tensor
+    is_trained = True
+    has_colour_moments = False
+    min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, patches: int, outputs: int) -> None:
         super().__init__()
@@ -32,7 +35,10 @@ class PatchStem(nn.Module):
         self.pixel_std.copy_((pixels - self.mean_image).std().clamp(min=1.0))
 
     def pixels(self, frames: Tensor) -> Tensor:
-        """Returns frames uint8 (N, H, W, C) as float32 (N, C, H, W), padded to whole patches, channels last."""
+        """Returns frames uint8 (N, H, W, C), padded to whole patches: float32 (N, C, H, W).
+
+        They are in channels-last memory format.
+        """
         return functional.pad(frames.permute(0, 3, 1, 2), self._padding).float()
 
     def padded_mean(self) -> Tensor:

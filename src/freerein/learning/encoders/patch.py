@@ -18,8 +18,6 @@ class PatchEncoder(PatchStem):
     and width in pixels, and 1 or 3 channels.
     """
 
-    is_trained = True
-
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__(height=height, width=width, channels=channels, patches=_PATCHES, outputs=_STEM)
         self.conv1 = nn.Conv2d(_STEM, _BODY, kernel_size=3, stride=2, padding=1)

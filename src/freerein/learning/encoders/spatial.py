@@ -17,8 +17,6 @@ class SpatialEncoder(PatchStem):
     Frames are as in `PatchEncoder`.
     """
 
-    is_trained = True
-
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__(height=height, width=width, channels=channels, patches=_PATCHES, outputs=_CHANNELS)
         self.conv1 = nn.Conv2d(_CHANNELS, _CHANNELS, kernel_size=3, stride=2, padding=1)

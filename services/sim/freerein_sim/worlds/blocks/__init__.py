@@ -46,6 +46,7 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
             "gripper.opening",
             *(f"{colour}.{part}" for colour in colours for part in _POSE),
         ),
+        has_expert=bool(moved),
     )
 
 

@@ -1,0 +1,63 @@
+"""A fit that is stopped between two optimiser steps and resumed, by method; the language policy's is beside its own."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.data import DatasetSpec, create, dataset_path, labels
+from freerein.data.labels import LabelsInfo
+from freerein.learning import weights
+from freerein.learning.config import parse
+from freerein.learning.fit import fit
+from freerein.learning.fit_dataset import FitDataset
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein_imitation.methods import METHODS
+
+CUT = 7
+TINY = {
+    "encoder": "patch",
+    "features": 8,
+    "hidden_size": 8,
+    "batch_size": 2,
+    "steps": 12,
+    "evaluate_every": 4,
+    "checkpoint_every": 5,
+    "log_every": 3,
+}
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> FitDataset:
+    """A labelled dataset of noise."""
+    data_dir, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
+    action = ActionSpec(1, 0, ("right",))
+    root = dataset_path(data_dir, "noise")
+    spec = DatasetSpec(fps=10, cameras={"front": (8, 8, 1)}, action=action, robot_type="test", skills=("pick", "push"))
+    with create(root, spec) as writer:
+        for _ in range(6):
+            frames = {"front": rng.integers(0, 256, (20, 8, 8, 1), np.uint8)}
+            writer.append(Trajectory(frames, rng.uniform(-1, 1, (20, 1)).astype(np.float32), ("pick", "push")))
+    for index in range(6):
+        labels.save(root, index, np.repeat([1, 0], [8, 12]))
+    labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
+    return FitDataset.open(data_dir, "noise")
+
+
+@pytest.mark.parametrize("method", ["goal_conditioned", "inverse_model", "skills"])
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(method: str, source: FitDataset, tmp_path: Path) -> None:
+    def run(folder: Path, stop: Callable[[], bool] = lambda: False) -> str:
+        """Fits with a learner of its own; returns the sha256 of the best weights."""
+        chosen = METHODS.by_name[method]
+        config = parse(chosen.config, {**TINY, "cameras": ("front",)})
+        fitted = fit(chosen.prepare(source, config, torch.device("cpu")), folder, stop=stop)
+        return "" if fitted is None else weights.sha256(fitted.network)
+
+    asked = iter(range(CUT + 1))
+    whole = run(tmp_path / "whole")
+    assert run(tmp_path / "parts", stop=lambda: next(asked) == CUT) == ""
+    assert run(tmp_path / "parts") == whole
+    rows = [(tmp_path / name / "metrics.jsonl").read_text() for name in ("whole", "parts")]
+    assert rows[0] == rows[1]
