@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from experiments.workbench.results import Sample
 
@@ -68,12 +69,16 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     """
     arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
 
-    def resampled_mean() -> float:
-        seeds = rng.integers(len(arrays), size=len(arrays))
-        return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
+    def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
+        resampled = (rng.choice(arrays[seed], arrays[seed].shape[1], axis=1) for seed in seeds)
+        return float(np.mean([_ratio(*each) for each in resampled]))
 
-    low, high = np.percentile([resampled_mean() for _ in range(_RESAMPLES)], [2.5, 97.5])
-    return float(low), float(high)
+    options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "rng": rng}
+    if len(arrays) > 1:
+        found = stats.bootstrap((np.arange(len(arrays)),), resampled_mean, vectorized=False, **options)
+    else:
+        found = stats.bootstrap(arrays[0], _ratio, paired=True, **options)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
@@ -86,7 +91,5 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     return (value - baseline) / (ceiling - baseline)
 
 
-def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> float:
-    trials = rng.integers(sample.shape[1], size=sample.shape[1])
-    total, count = sample[:, trials].sum(axis=1)
-    return float(total / count)
+def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:
+    return totals.sum(axis=axis) / counts.sum(axis=axis)
