@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import registry
 from experiments.workbench import results, table
-from experiments.workbench.arms import Arm, choose
+from experiments.workbench.arms import Arm, Experiment, choose, is_current
+from experiments.workbench.results import ArmResult
 from experiments.workbench.runner import Ending, Places, run_arms
 from freerein.errors import NotFound, ServiceError
 
@@ -26,14 +28,14 @@ def main(words: Sequence[str]) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    experiment = registry.load(arguments.name)
+    experiment, deadline = registry.load(arguments.name), time.monotonic() + 60 * arguments.minutes
     endings = run_arms(
         arguments.name,
         experiment,
         choose(experiment, arguments.only),
         places=Places(arguments.results, arguments.work),
         jobs=arguments.jobs,
-        minutes=arguments.minutes,
+        should_stop=lambda: time.monotonic() >= deadline,
         on_end=_report,
     )
     return int(any(ending in ("stopped", "failed") for ending in endings))
@@ -43,16 +45,29 @@ def _table(arguments: argparse.Namespace) -> int:
     """Makes the tables of the named experiments, else of all that have results."""
     for name in arguments.names or registry.EXPERIMENTS:
         experiment, folder = registry.load(name), arguments.results / name
-        found = results.load_all(folder)
+        found = _load_current(experiment, folder)
         if found:
             made = experiment.table(found)
             table.save(made, folder)
             print(table.markdown(made))
         elif arguments.names:
             raise NotFound(
-                "The experiment must have results; it has none.", hint="Run: python -m experiments run NAME."
+                "The experiment must have results of its present configuration and world; it has none.",
+                hint="Run: python -m experiments run NAME.",
             )
     return 0
+
+
+def _load_current(experiment: Experiment, folder: Path) -> list[ArmResult]:
+    """Returns the results that the present arms would not replace; names the others on standard error."""
+    arms = {arm.name: arm for arm in experiment.arms}
+    current = []
+    for result in results.load_all(folder):
+        if result.name in arms and is_current(experiment, arms[result.name], result):
+            current.append(result)
+        else:
+            print(f"{result.name} is left out: another configuration or another world made it.", file=sys.stderr)
+    return current
 
 
 def _report(arm: Arm, ending: Ending) -> None:

@@ -23,6 +23,7 @@ def main(folder: Path) -> int:
     def work(job: Mapping[str, Any]) -> bool:
         experiment = registry.load(job["experiment"])
         (arm,) = choose(experiment, [job["arm"]])
+        experiment.prepare(Path(job["work"]))
         elapsed = Elapsed(folder / "elapsed.json")
         outcome = experiment.run(arm, work=Path(job["work"]), folder=folder, on_progress=elapsed.save)
         elapsed.save()

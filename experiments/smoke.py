@@ -9,7 +9,7 @@ EXPERIMENT = SegmentationExperiment(
     objectives=("lse",),
     contexts=("causal",),
     seeds=2,
-    settings={"steps": 12, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
+    settings={"steps": 24, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
     train_evaluated=8,
-    report=Report("smoke", title="A tiny experiment", text="For tests: the figures mean nothing.", scale="reduced"),
+    report=Report("smoke", title="A tiny experiment", text="For tests: the figures mean nothing."),
 )

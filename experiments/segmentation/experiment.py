@@ -25,8 +25,8 @@ GUESSES = {
 }
 """Baselines without a network."""
 
-Predict = Callable[[SplitName, Sequence[evaluation.Labels]], Sequence[evaluation.Labels]]
-"""Returns the labels of a split's trajectories, int64 (T,) each, given the true ones."""
+Predict = Callable[[SplitName, int], Sequence[evaluation.Labels]]
+"""Returns the labels of the first trajectories of a split, int64 (T,) each, given their number."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,12 @@ class SegmentationExperiment:
         ]
         return (*guesses, *networks)
 
+    @property
+    def trajectories_seen(self) -> int:
+        """Number of training trajectories that a network is trained on."""
+        fit_config = SegmentationConfig.from_mapping(self.settings)
+        return min(fit_config.steps * fit_config.batch_size, self.data.train.count)
+
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the data and, for a network, the segmentation service's configuration."""
         config: dict[str, JSON] = {"data": asdict(self.data), "train_evaluated": self.train_evaluated}
@@ -74,18 +80,21 @@ class SegmentationExperiment:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
+    def prepare(self, work: Path) -> None:
+        """Draws the demonstrations, or waits until another arm has drawn them."""
+        dataset.open_or_draw(self.data, work)
+
     def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
         """Trains and evaluates an arm; see `Experiment`."""
         data = dataset.open_or_draw(self.data, work)
-        predict = self._guess(arm) if arm.method in GUESSES else self._fit(arm, data, folder, on_progress)
+        predict = self._guess(arm, data) if arm.method in GUESSES else self._fit(arm, data, folder, on_progress)
         if predict is None:
             return None
         figures: dict[str, float] = {}
         samples: dict[str, Sample] = {}
         for split in SPLITS:
-            labels = truth.open_labels(data, split)
-            known = [labels[index] for index in range(self._evaluated(split))]
-            outcome = evaluation.score(predict(split, known), known, split=split)
+            count = self._evaluated(split)
+            outcome = evaluation.score(predict(split, count), truth.first_labels(data, split, count), split=split)
             figures |= outcome.figures
             samples |= outcome.samples
         return Outcome(figures, samples)
@@ -93,7 +102,8 @@ class SegmentationExperiment:
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
         by_name = {result.name: result for result in results}
-        return report.table(self.report, [by_name[arm.name] for arm in self.arms if arm.name in by_name])
+        ordered = [by_name[arm.name] for arm in self.arms if arm.name in by_name]
+        return report.table(self.report, ordered, trajectories_seen=self.trajectories_seen)
 
     def _fit_config(self, arm: Arm) -> SegmentationConfig:
         objective = {} if arm.method == SUPERVISED else {"objective": arm.method}
@@ -103,10 +113,13 @@ class SegmentationExperiment:
         count = self.data.split(split).count
         return min(count, self.train_evaluated) if split == "train" else count
 
-    def _guess(self, arm: Arm) -> Predict:
+    def _guess(self, arm: Arm, data: Path) -> Predict:
+        """Returns guesses, which know the true labels: their lengths, their skills or the longest one."""
         guess, skills = GUESSES[arm.method], len(self.data.world.skills)
         rng = np.random.default_rng(arm.seed)
-        return lambda _, known: [guess(each, skills=skills, rng=rng) for each in known]
+        return lambda split, count: [
+            guess(each, skills=skills, rng=rng) for each in truth.first_labels(data, split, count)
+        ]
 
     def _fit(self, arm: Arm, data: Path, folder: Path, on_progress: Callable[[], None]) -> Predict | None:
         """Returns the predictions of the trained network; None when training was stopped."""
@@ -119,7 +132,4 @@ class SegmentationExperiment:
             return None
         network = fitted.network
 
-        def predict(split: SplitName, known: Sequence[evaluation.Labels]) -> Sequence[evaluation.Labels]:
-            return evaluation.predict(network, dataset.open_split(data, self.data, split), count=len(known))
-
-        return predict
+        return lambda split, count: evaluation.predict(network, dataset.open_split(data, self.data, split), count=count)

@@ -2,17 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.segmentation.dataset import SPLITS, SplitName
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
-from experiments.workbench.claims import Claim
+from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Table
-from freerein.errors import FailedPrecondition
 
 SUPERVISED = "supervised"
 """Method of the ceiling: cross-entropy on true labels."""
@@ -28,6 +27,7 @@ _HEADER = (
     "gap closed, test",
     "seeds",
     "minutes",
+    "CPU minutes",
 )
 _LEAST_GAP = 0.5  # per cent
 _OTHER_FIGURES = ("balanced_accuracy", "edit_score", "f1_at_50")
@@ -51,35 +51,30 @@ class Report:
         experiment: Name of the experiment.
         title: Heading of the table.
         text: What was measured, and how, in Markdown.
-        scale: `full` for the dissertation's amount of data.
+        dissertation_trajectories: Number of training trajectories in the dissertation; None where it has no such table.
         dissertation: The dissertation's accuracies in per cent, by row: train, validation, test.
     """
 
     experiment: str
     title: str
     text: str
-    scale: Literal["full", "reduced"]
+    dissertation_trajectories: int | None = None
     dissertation: Mapping[Row, tuple[float, float, float]] = field(default_factory=dict)
 
 
-def table(report: Report, results: Sequence[ArmResult]) -> Table:
+def table(report: Report, results: Sequence[ArmResult], *, trajectories_seen: int) -> Table:
     """Returns the table of the given results: rows in their order, with a claim for each split.
 
-    Raises:
-        FailedPrecondition: The results are of different generators of the world.
+    Its scale is `full` when a network sees at least the dissertation's number of training trajectories.
     """
-    if len({result.world_hash for result in results}) > 1:
-        raise FailedPrecondition(
-            "The results of a table must be of one world; the world's generator changed between them.",
-            hint="Run the experiment again: python -m experiments run NAME.",
-        )
     rows: dict[Row, list[ArmResult]] = {}
     for result in results:
         rows.setdefault(_row(result), []).append(result)
-    made = {row: [_claim(report, rows, row, split) for split in SPLITS] for row in rows}
+    scale = _scale(report, trajectories_seen)
+    made = {row: [_claim(report, scale, rows, row, split) for split in SPLITS] for row in rows}
     return Table(
         title=report.title,
-        text=report.text,
+        text=f"{report.text}\n\n{_scale_text(report, scale, trajectories_seen)}",
         header=_HEADER,
         rows=tuple(_cells(row, rows[row], made[row]) for row in rows),
         claims=tuple(claim for each in made.values() for claim in each),
@@ -88,11 +83,25 @@ def table(report: Report, results: Sequence[ArmResult]) -> Table:
     )
 
 
+def _scale(report: Report, seen: int) -> Scale:
+    return "reduced" if report.dissertation_trajectories is None or seen < report.dissertation_trajectories else "full"
+
+
+def _scale_text(report: Report, scale: Scale, seen: int) -> str:
+    theirs = report.dissertation_trajectories
+    amount = _spaced(seen) if theirs is None else f"{_spaced(seen)} of the dissertation's {_spaced(theirs)}"
+    return f"Scale `{scale}`: a network sees {amount} training trajectories."
+
+
+def _spaced(count: int) -> str:
+    return f"{count:,}".replace(",", " ")
+
+
 def _row(result: ArmResult) -> Row:
     return Row(result.method, result.options.get("context", ""))
 
 
-def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
+def _claim(report: Report, scale: Scale, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
     arms = rows[row]
     pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
     samples = [arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms]
@@ -107,9 +116,9 @@ def _claim(report: Report, rows: Mapping[Row, Sequence[ArmResult]], row: Row, sp
         value=round(value, 3),
         low=round(100 * low, 3),
         high=round(100 * high, 3),
-        seeds=len(arms),
+        seeds=len(arms) if row.context else None,
         trials=len(samples[0].totals),
-        scale=report.scale,
+        scale=scale,
         baseline=None if baseline is None else round(baseline, 3),
         ceiling=None if ceiling is None else round(ceiling, 3),
         gap_closed=None if gap_closed is None else round(gap_closed, 3),
@@ -137,6 +146,7 @@ def _cells(row: Row, arms: Sequence[ArmResult], made: Sequence[Claim]) -> tuple[
         "" if test.dissertation is None else " / ".join(f"{claim.dissertation:g}" for claim in made),
         *(f"{100 * value:.2f}" for value in others),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
-        str(test.seeds),
+        "" if test.seeds is None else str(test.seeds),
         f"{test.minutes:.1f}",
+        f"{sum(arm.cpu_minutes for arm in arms):.1f}",
     )

@@ -1,5 +1,6 @@
 """An arm: one training, and the evaluation of what it made."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
@@ -47,18 +48,27 @@ class Experiment(Protocol):
     def world_hash(self, world: str) -> str:
         """Returns the hash of what the world's generator draws."""
 
+    def prepare(self, work: Path) -> None:
+        """Makes what all arms share, such as datasets, unless it is there; its time is no arm's."""
+
     def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
         """Trains an arm, or resumes it, and evaluates it; returns None when it was stopped by SIGTERM.
 
         Args:
             arm: One of `arms`.
-            work: Folder that all arms share, for datasets.
+            work: Folder that all arms share, for datasets; see `prepare`.
             folder: Folder of this arm, for checkpoints.
             on_progress: Called now and then.
         """
 
     def table(self, results: Sequence[ArmResult]) -> Table:
-        """Returns the table of the arms that have results, at least one."""
+        """Returns the table of the arms that have results, at least one; all are current, see `is_current`."""
+
+
+def is_current(experiment: Experiment, arm: Arm, result: ArmResult) -> bool:
+    """Returns whether the arm's present configuration and the world's present generator made a result."""
+    config = json.loads(json.dumps(experiment.config(arm)))
+    return result.config == config and result.world_hash == experiment.world_hash(arm.world)
 
 
 def choose(experiment: Experiment, patterns: Sequence[str]) -> list[Arm]:

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from experiments.workbench.results import Sample
+
+Scale = Literal["full", "reduced"]
+"""`full` for the dissertation's amount of training data, else `reduced`, which supports no claim."""
 
 _RESAMPLES = 2000
 
@@ -22,9 +25,9 @@ class Claim:
         value: Mean over seeds.
         low: Lower end of the 95 % interval; see `interval`.
         high: Its upper end.
-        seeds: Number of independently trained networks.
-        trials: Number of trials of each: trajectories or episodes.
-        scale: `full` for the dissertation's amount of data, else `reduced`, which supports no claim.
+        seeds: Number of independently trained networks; None for a guess.
+        trials: Number of trials of each network, or of the guess: trajectories or episodes.
+        scale: Whether the training data are as many as the dissertation's.
         baseline: Value of the dissertation's method here.
         ceiling: Value with full supervision, or of the scripted expert.
         gap_closed: (value - baseline) / (ceiling - baseline); None where the gap is small.
@@ -40,9 +43,9 @@ class Claim:
     value: float
     low: float | None
     high: float | None
-    seeds: int
+    seeds: int | None
     trials: int
-    scale: Literal["full", "reduced"]
+    scale: Scale
     baseline: float | None
     ceiling: float | None
     gap_closed: float | None
@@ -67,20 +70,15 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
 
     def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
-        return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
+        resampled = (rng.choice(arrays[seed], arrays[seed].shape[1], axis=1) for seed in seeds)
+        return float(np.mean([_ratio(*each) for each in resampled]))
 
-    if len(samples) == 1:
-        low, high = np.percentile([_resampled_ratio(arrays[0], rng) for _ in range(_RESAMPLES)], [2.5, 97.5])
-        return float(low), float(high)
-    result = stats.bootstrap(
-        (np.arange(len(samples)),),
-        resampled_mean,
-        n_resamples=_RESAMPLES,
-        vectorized=False,
-        method="percentile",
-        rng=rng,
-    )
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+    options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "rng": rng}
+    if len(arrays) > 1:
+        found = stats.bootstrap((np.arange(len(arrays)),), resampled_mean, vectorized=False, **options)
+    else:
+        found = stats.bootstrap(arrays[0], _ratio, paired=True, **options)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
@@ -93,7 +91,5 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     return (value - baseline) / (ceiling - baseline)
 
 
-def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> float:
-    trials = rng.integers(sample.shape[1], size=sample.shape[1])
-    total, count = sample[:, trials].sum(axis=1)
-    return float(total / count)
+def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:
+    return totals.sum(axis=axis) / counts.sum(axis=axis)

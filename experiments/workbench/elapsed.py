@@ -1,4 +1,4 @@
-"""The time that an arm takes, over all attempts."""
+"""The time that an arm takes, over all attempts, without that of what arms share."""
 
 import json
 import time

@@ -64,8 +64,8 @@ class ArmResult:
         world: As in `Arm`, like the next three.
         config: Everything that the result depends on, beside the world and the code.
         world_hash: Hash of what the world's generator drew.
-        minutes: Wall-clock time of all attempts.
-        cpu_minutes: CPU time of all attempts.
+        minutes: Wall-clock time of all attempts, without drawing the dataset.
+        cpu_minutes: Their CPU time.
         machine: Processor, cores, system and package versions.
         command: The command that makes it.
     """

@@ -2,24 +2,30 @@
 
     <work>/arms/<experiment>/<arm>-<hash>/   configuration, checkpoints and metrics of an arm
 
-An arm that was killed resumes from its newest checkpoint.
+An arm that was killed resumes from its newest checkpoint. The lock of its folder excludes a second runner.
 """
 
+import fcntl
 import hashlib
 import json
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from experiments.workbench import results
-from experiments.workbench.arms import Arm, Experiment
-from freerein.atomic_files import write_atomic
+from experiments.workbench.arms import Arm, Experiment, is_current
+from freerein.atomic_files import make_folder, write_atomic
+from freerein.jobs.attempt import KEEP_FREED_MEMORY
 from freerein.jobs.child import STOPPED
+
+_POLL_S = 0.1
 
 Ending = Literal["present", "finished", "stopped", "failed"]
 
@@ -39,7 +45,7 @@ def run_arms(
     *,
     places: Places,
     jobs: int,
-    minutes: float,
+    should_stop: Callable[[], bool],
     on_end: Callable[[Arm, Ending], None],
 ) -> list[Ending]:
     """Runs arms that have no result yet; returns how each ended, in order.
@@ -52,15 +58,14 @@ def run_arms(
         arms: Arms of it.
         places: Folders.
         jobs: Arms at a time.
-        minutes: Time limit; then unfinished arms are stopped, and resume in the next run.
+        should_stop: Polled on any thread; when True, unfinished arms are stopped, and resume in the next run.
         on_end: Called as each arm ends, on any thread.
     """
-    deadline = time.monotonic() + 60 * minutes
 
     def run_one(arm: Arm) -> Ending:
         ending: Ending = "present"
         if not _has_result(name, experiment, arm, places):
-            ending = _run_child(name, experiment, arm, places, deadline=deadline)
+            ending = _run_locked(name, experiment, arm, places, should_stop)
         on_end(arm, ending)
         return ending
 
@@ -76,26 +81,52 @@ def arm_folder(name: str, experiment: Experiment, arm: Arm, places: Places) -> P
 
 def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> bool:
     path = places.results / name / f"{arm.name}.json"
-    if not path.is_file():
-        return False
-    found, config = results.load(path), json.loads(json.dumps(experiment.config(arm)))
-    return found.config == config and found.world_hash == experiment.world_hash(arm.world)
+    return path.is_file() and is_current(experiment, arm, results.load(path))
 
 
-def _run_child(name: str, experiment: Experiment, arm: Arm, places: Places, *, deadline: float) -> Ending:
-    """Starts or resumes the child process of an arm; it ends with this process."""
-    if time.monotonic() >= deadline:
-        return "stopped"
+def _run_locked(name: str, experiment: Experiment, arm: Arm, places: Places, should_stop: Callable[[], bool]) -> Ending:
+    """Starts or resumes the child process of an arm, unless another runner has finished it meanwhile."""
     folder = arm_folder(name, experiment, arm, places)
-    job = {"experiment": name, "arm": arm.name, "results": str(places.results / name), "work": str(places.work)}
-    write_atomic(folder / "config.json", json.dumps(job).encode())
-    command = [sys.executable, "-m", "experiments.child", str(folder)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
-        try:
-            code = child.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            child.terminate()
-            code = STOPPED if child.wait() else 0
-    if code == 0:
+    with _locked(folder, should_stop) as lock:
+        if lock is None:
+            return "stopped"
+        if _has_result(name, experiment, arm, places):
+            return "present"
+        job = {"experiment": name, "arm": arm.name, "results": str(places.results / name), "work": str(places.work)}
+        write_atomic(folder / "config.json", json.dumps(job).encode())
+        return _run_child(folder, lock, should_stop)
+
+
+@contextmanager
+def _locked(folder: Path, should_stop: Callable[[], bool]) -> Iterator[int | None]:
+    """Yields the lock of an arm's folder, once other runners and left-over children have let go; None when stopped."""
+    make_folder(folder)
+    with (folder / "lock").open("ab") as lock:
+        while not should_stop():
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_POLL_S)
+            else:
+                yield lock.fileno()
+                return
+        yield None
+
+
+def _run_child(folder: Path, lock: int, should_stop: Callable[[], bool]) -> Ending:
+    """Returns how the child process of an arm ended; it ends with this process."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "experiments.child", str(folder)],
+        stdin=subprocess.PIPE,
+        env={**KEEP_FREED_MEMORY, **os.environ},
+        pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
+    ) as child:
+        while child.poll() is None:
+            if should_stop():
+                child.terminate()
+                return "stopped" if child.wait() else "finished"
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(_POLL_S)
+    if child.returncode == 0:
         return "finished"
-    return "stopped" if code == STOPPED else "failed"
+    return "stopped" if child.returncode == STOPPED else "failed"

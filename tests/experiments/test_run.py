@@ -1,18 +1,24 @@
 """Tiny arms from demonstrations to a table, through the commands; one of them is killed in the middle."""
 
+import fcntl
 import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from experiments import registry
 from experiments.__main__ import main
+from experiments.smoke import EXPERIMENT as SMOKE
 from experiments.workbench import results
 from experiments.workbench.arms import choose
-from experiments.workbench.runner import Places, arm_folder
+from experiments.workbench.results import ArmResult, Sample
+from experiments.workbench.runner import Ending, Places, arm_folder, run_arms
 
 ROOT = Path(__file__).parents[2]
 ARM = "grid-lse-causal-seed0"
@@ -31,27 +37,64 @@ def options(places: Places) -> list[str]:
     return ["--results", str(places.results), "--work", str(places.work)]
 
 
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Places:
+    """Places in which the arm ran without interruption."""
+    root = tmp_path_factory.mktemp("uninterrupted")
+    places = Places(root / "results", root / "work")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
+    return places
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_an_arm_that_was_killed_in_the_middle_goes_on_to_the_same_result(tmp_path: Path) -> None:
-    smoke = registry.load("smoke")
-    (arm,) = choose(smoke, [ARM])
-    quiet, killed = (Places(tmp_path / name / "results", tmp_path / name / "work") for name in ("quiet", "killed"))
-    folder = arm_folder("smoke", smoke, arm, killed)
-
-    assert main(["run", "smoke", "--only", ARM, *options(quiet)]) == 0
-    script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(killed.work), ARM]
+def test_an_arm_that_was_killed_in_the_middle_goes_on_to_the_same_result(tmp_path: Path, uninterrupted: Places) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    folder = smoke_folder(places)
+    script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(places.work), ARM]
     ended = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
-    reached = sorted(path.name for path in (folder / "checkpoints").iterdir())
-    assert main(["run", "smoke", "--only", ARM, *options(killed)]) == 0
-
-    theirs, ours = (results.load(places.results / "smoke" / f"{ARM}.json") for places in (quiet, killed))
     assert ended.returncode == -signal.SIGKILL
-    assert reached
-    assert not any("12" in name for name in reached)
-    assert ours.figures == theirs.figures
-    assert ours.samples == theirs.samples
-    assert last_checkpoint(folder) == last_checkpoint(arm_folder("smoke", smoke, arm, quiet))
+    assert_unfinished(folder)
+
+    assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
+
+    assert_same_result(places, uninterrupted)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_an_arm_that_was_stopped_at_its_first_checkpoint_goes_on_to_the_same_result(
+    tmp_path: Path, uninterrupted: Places
+) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    folder = smoke_folder(places)
+    children_with_lock: set[str] = set()
+
+    def has_checkpoint() -> bool:
+        children_with_lock.update(children_with(folder / "lock"))
+        return any(folder.glob("checkpoints/*/*"))
+
+    assert run_smoke(places, should_stop=has_checkpoint) == ["stopped"]
+    assert len(children_with_lock) == 1
+    assert_unfinished(folder)
+    assert json.loads((folder / "elapsed.json").read_bytes())["cpu_s"] > 0
+
+    assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
+
+    assert_same_result(places, uninterrupted)
+
+
+def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    folder = smoke_folder(places)
+    folder.mkdir(parents=True)
+    polls = iter([False, False, True])
+    with (folder / "lock").open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert run_smoke(places, should_stop=lambda: next(polls)) == ["stopped"]
+    assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
 @pytest.mark.slow
@@ -74,6 +117,7 @@ def test_arms_become_results_and_these_a_table_with_claims(tmp_path: Path, capfd
     ]
     assert all(list(claim) == FIELDS.split() for claim in claims)
     assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
+    assert {claim["seeds"] for claim in claims if "random_cls" in claim["claim"]} == {None}
     assert {claim["scale"] for claim in claims} == {"reduced"}
     by_name = {claim["claim"]: claim for claim in claims}
     assert by_name["smoke.lse.causal.test"]["ceiling"] == by_name["smoke.supervised.causal.test"]["value"]
@@ -88,6 +132,65 @@ def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
     assert main(["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]) == 1
     assert "stopped" in capsys.readouterr().out
     assert not places.results.exists()
+
+
+@pytest.fixture
+def current() -> ArmResult:
+    """A result that the smoke experiment would not replace."""
+    (arm,) = choose(SMOKE, [ARM])
+    return ArmResult(
+        name=ARM,
+        world=arm.world,
+        method=arm.method,
+        options=arm.options,
+        seed=arm.seed,
+        config=json.loads(json.dumps(SMOKE.config(arm))),
+        world_hash=SMOKE.world_hash(arm.world),
+        figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+        samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
+        minutes=1.5,
+        cpu_minutes=1.25,
+        machine={},
+        command="",
+    )
+
+
+CHANGES = pytest.mark.parametrize("change", [{"config": {"data": {}}}, {"world_hash": "ab"}])
+
+
+@CHANGES
+def test_an_arm_runs_again_when_another_configuration_or_world_made_its_result(
+    change: dict[str, Any], current: ArmResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    run = ["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]
+
+    results.save(current, places.results / "smoke")
+    assert main(run) == 0
+    assert capsys.readouterr().out == f"{ARM}: present\n"
+
+    results.save(replace(current, **change), places.results / "smoke")
+    assert main(run) == 1
+    assert capsys.readouterr().out == f"{ARM}: stopped\n"
+
+
+@CHANGES
+def test_a_table_leaves_out_what_another_configuration_or_world_made(
+    change: dict[str, Any], current: ArmResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = next(arm for arm in SMOKE.arms if arm.name == "grid-lse-causal-seed1")
+    stale = replace(replace(current, name=other.name, seed=1, config=SMOKE.config(other)), **change)
+    results.save(stale, tmp_path / "smoke")
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 2
+    assert "python -m experiments run" in capsys.readouterr().err
+
+    results.save(current, tmp_path / "smoke")
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == f"{other.name} is left out: another configuration or another world made it.\n"
+    claims = json.loads((tmp_path / "smoke" / "table.json").read_bytes())["claims"]
+    assert {(claim["claim"], claim["seeds"]) for claim in claims} == {
+        (f"smoke.lse.causal.{split}", 1) for split in ("train", "validation", "test")
+    }
 
 
 def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(
@@ -112,6 +215,36 @@ def test_a_committed_table_follows_from_the_committed_results(name: str, tmp_pat
 
     for file in ("table.md", "table.json"):
         assert (tmp_path / name / file).read_text() == (committed / file).read_text(), "stale: run make tables"
+
+
+def smoke_folder(places: Places) -> Path:
+    (arm,) = choose(SMOKE, [ARM])
+    return arm_folder("smoke", SMOKE, arm, places)
+
+
+def run_smoke(places: Places, *, should_stop: Callable[[], bool]) -> list[Ending]:
+    arms = choose(SMOKE, [ARM])
+    return run_arms("smoke", SMOKE, arms, places=places, jobs=1, should_stop=should_stop, on_end=lambda *_: None)
+
+
+def children_with(path: Path) -> set[str]:
+    """Returns the ids of this process's children that have a file open."""
+    children = [child for each in Path("/proc/self/task").glob("*/children") for child in each.read_text().split()]
+    opened = {child: Path("/proc", child, "fd").glob("*") for child in children}
+    return {child for child, files in opened.items() if any(os.path.realpath(each) == str(path) for each in files)}
+
+
+def assert_unfinished(folder: Path) -> None:
+    reached = [path.name for path in (folder / "checkpoints").iterdir()]
+    assert reached
+    assert not any("24" in name for name in reached)
+
+
+def assert_same_result(places: Places, expected: Places) -> None:
+    ours, theirs = (results.load(each.results / "smoke" / f"{ARM}.json") for each in (places, expected))
+    assert ours.figures == theirs.figures
+    assert ours.samples == theirs.samples
+    assert last_checkpoint(smoke_folder(places)) == last_checkpoint(smoke_folder(expected))
 
 
 def last_checkpoint(folder: Path) -> dict[str, bytes]:

@@ -86,8 +86,7 @@ def test_predictions_do_not_depend_on_the_batch(folder: Path) -> None:
 
 
 def test_perfect_labels_score_one_and_an_unknown_method_is_refused(folder: Path) -> None:
-    labels = truth.open_labels(folder, "test")
-    known = [labels[index] for index in range(3)]
+    known = truth.first_labels(folder, "test", 3)
     outcome = evaluation.score(known, known, split="test")
     assert set(outcome.figures.values()) == {1.0}
     assert outcome.samples["test.frame_accuracy"].counts == [len(each) for each in known]

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import registry
+from experiments.grid import EXPERIMENT as GRID
 from experiments.workbench import claims, results
 from experiments.workbench.arms import Arm, choose
 from experiments.workbench.elapsed import Elapsed
@@ -27,6 +28,15 @@ RESULT = ArmResult(
     machine={"cores": 2},
     command="python -m experiments run grid",
 )
+
+EVALUATED = replace(
+    RESULT,
+    figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+    samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
+)
+
+
+GUESSED = replace(EVALUATED, name="grid-majority-seed0", method="majority", options={}, seed=0)
 
 
 def test_a_result_comes_back_from_its_file(tmp_path: Path) -> None:
@@ -99,6 +109,19 @@ def test_the_time_of_an_arm_includes_earlier_attempts(tmp_path: Path) -> None:
     assert 1.0 <= Elapsed(path).cpu_minutes < 2.0
 
 
-def test_a_table_of_two_generators_is_refused() -> None:
-    with pytest.raises(FailedPrecondition, match="one world"):
-        registry.load("grid").table([RESULT, replace(RESULT, name="grid-lse-causal-seed2", world_hash="cd")])
+@pytest.mark.parametrize(("steps", "scale"), [(150, "reduced"), (390, "reduced"), (391, "full")])
+def test_the_scale_is_full_when_a_network_sees_as_many_trajectories_as_the_dissertations(
+    steps: int, scale: str
+) -> None:
+    grid = replace(GRID, settings={"steps": steps, "batch_size": 128})
+    table = grid.table([EVALUATED])
+    assert {claim.scale for claim in table.claims} == {scale}
+    assert f"{min(steps * 128, 50_000):,}".replace(",", " ") + " of the dissertation's 50 000" in table.text
+
+
+def test_networks_have_seeds_and_guesses_have_none() -> None:
+    claims_made = GRID.table([EVALUATED, GUESSED]).claims
+    assert [(claim.claim, claim.seeds) for claim in claims_made if claim.claim.endswith("test")] == [
+        ("grid.majority.test", None),
+        ("grid.lse.causal.test", 1),
+    ]
