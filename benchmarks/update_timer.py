@@ -133,6 +133,7 @@ class _Training:
     """A learner and its training state."""
 
     def __init__(self, name: str, setting: _Setting, folder: Path) -> None:
+        torch.set_num_threads(setting.threads)  # as a fit does before it builds its learner
         self._learner: Learner[Any] = learners.build(name, setting.variant, folder)
         self._setting = setting
         self._state: TrainState[Any] = self._learner.init(torch.Generator().manual_seed(0))
