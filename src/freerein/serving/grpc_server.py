@@ -6,30 +6,31 @@ import logging
 import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import grpc
 import structlog
-from google.protobuf.message import DecodeError, Message
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_health.v1.health import aio as health_aio
 from grpc_reflection.v1alpha import reflection
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError
-from freerein.serving import auth
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, ServiceError
 from freerein.serving.error_replies import abort_grpc, internal_error
+from freerein.serving.grpc_admission import Admission
+from freerein.serving.grpc_messages import decode, decode_part
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits, StreamSlots
-from freerein.serving.methods import InvalidMessage, Method, service_names
+from freerein.serving.limits import Limits, Slots
+from freerein.serving.methods import Method, service_names
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
 _HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
 _HEALTH_PERIOD_S = 0.2
+_QUIET_S = 0.1
+_QUIET_WITHIN_S = 1.0
 _LOOKAHEAD_BYTES = 4 * 2**20
 _Context = grpc.aio.ServicerContext[Any, Any]
-T = TypeVar("T")
 
 
 class GrpcServer:
@@ -44,13 +45,14 @@ class GrpcServer:
         self._health = health
         self._metrics = metrics
         self._limits = limits
-        self._slots = StreamSlots(limits.streams)
+        self._slots = Slots(limits.streams, "streams may be open")
         self._names = service_names(methods)
-        self._health_servicer = health_aio.HealthServicer()
+        self._health_servicer = _HealthServicer(("", *self._names))
+        self._admission = Admission(health, limits, token=token, request_id=_request_id)
         self.server = grpc.aio.server(
-            interceptors=[_TokenInterceptor(token)] if token else [],
-            maximum_concurrent_rpcs=limits.concurrent_calls,
+            interceptors=[self._admission],
             options=[
+                ("grpc.max_concurrent_streams", limits.connection_calls),
                 ("grpc.max_receive_message_length", limits.message_bytes),
                 ("grpc.max_send_message_length", limits.message_bytes),
                 ("grpc.so_reuseport", 0),  # a port in use is an error
@@ -70,6 +72,23 @@ class GrpcServer:
             self.server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(name, handlers),))
         health_pb2_grpc.add_HealthServicer_to_server(self._health_servicer, self.server)
         reflection.enable_server_reflection((*self._names, _HEALTH_SERVICE, reflection.SERVICE_NAME), self.server)
+
+    async def drain(self) -> None:
+        """Stops the server once the calls in flight have ended, at the latest after `Limits.drain_s`.
+
+        Until then, and until no call was refused for a moment, it refuses new calls: gRPC cancels those that it has
+        not begun when it stops.
+        """
+        loop = asyncio.get_running_loop()
+        cut_at = loop.time() + self._limits.drain_s
+        quiet_by = loop.time() + _QUIET_WITHIN_S
+        refused = -1
+        while loop.time() < cut_at and (
+            self._admission.in_progress or (refused != self._admission.refused and loop.time() < quiet_by)
+        ):
+            refused = self._admission.refused
+            await asyncio.sleep(_QUIET_S)
+        await self.server.stop(max(0.0, cut_at - loop.time()))
 
     async def report_health(self) -> None:
         """Copies readiness to the standard health service until the graceful shutdown begins."""
@@ -95,11 +114,10 @@ class GrpcServer:
     def _unary(self, method: Method) -> Callable[[bytes, _Context], Awaitable[bytes]]:
         async def answer(message: bytes, context: _Context) -> bytes:
             async def work() -> bytes:
-                if self._health.draining:
-                    raise self._health.error()
                 try:
                     async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
-                        return wire.pack(await method.call(_decode(message, method.request))).SerializeToString()
+                        response = await method.call(await decode(message, method.request))
+                        return wire.pack(response).SerializeToString()
                 except TimeoutError:
                     raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
 
@@ -108,12 +126,14 @@ class GrpcServer:
         return answer
 
     def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
-        decode: Any = _decode_stream if method.descriptor.client_streaming else _decode
-
         async def answer(incoming: Any, context: _Context) -> None:
             async def work() -> None:
                 with self._slots.hold():
-                    async with contextlib.aclosing(method.call(decode(incoming, method.request))) as responses:
+                    if method.descriptor.client_streaming:
+                        request: Any = _decode_stream(incoming, method.request)
+                    else:
+                        request = await decode(incoming, method.request)
+                    async with contextlib.aclosing(method.call(request)) as responses:
                         async for response in responses:
                             await context.write(wire.pack(response).SerializeToString())
 
@@ -153,60 +173,25 @@ class GrpcServer:
         _log.info("call", extra=fields)
 
 
-class _TokenInterceptor(grpc.aio.ServerInterceptor):
-    """Refuses calls without the token before their message is read; health checks need none."""
+class _HealthServicer(health_aio.HealthServicer):
+    """The health service of `grpc_health`, and its method `List`, which that leaves out."""
 
-    def __init__(self, token: str) -> None:
-        self._token = token
+    def __init__(self, names: Sequence[str]) -> None:
+        super().__init__()
+        self._names = names
 
-    async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
-        try:
-            if not details.method.startswith(f"/{_HEALTH_SERVICE}/"):
-                metadata = dict(details.invocation_metadata or ())
-                auth.check(str(metadata.get("authorization", "")), self._token)
-        except ServiceError as error:
-            refusal = error
-
-            async def refuse(_messages: Any, context: _Context) -> None:
-                await abort_grpc(context, refusal, _request_id(context))
-
-            return grpc.stream_stream_rpc_method_handler(refuse)
-        return await continuation(details)
-
-
-def _decode(message: bytes, cls: type[T]) -> T:
-    return wire.unpack(_parse(message, cls), cls)
-
-
-def _parse(message: bytes, cls: type[Any]) -> Message:
-    try:
-        return wire.message_type(cls).FromString(message)
-    except DecodeError:
-        raise MalformedRequest(
-            f"The bytes must be a {cls.__name__} message; they could not be read as one.",
-            hint="Generate the client from the .proto files, or ask the reflection service.",
-        ) from None
+    async def List(self, _request: Any, context: _Context) -> Any:  # noqa: N802  # the RPC's name
+        """Returns the status of every service."""
+        asked = [health_pb2.HealthCheckRequest(service=name) for name in self._names]
+        replies = [await self.Check(request, context) for request in asked]
+        response: Any = vars(health_pb2)["HealthListResponse"]  # its stubs leave it out
+        return response(statuses=dict(zip(self._names, replies, strict=True)))
 
 
 async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:
     """Yields each message as its dataclass, or as an `InvalidMessage`."""
     async for message in messages:
-        parsed: Message | None = None
-        decoded: Any
-        try:
-            parsed = _parse(message, cls)
-            decoded = wire.unpack(parsed, cls)
-        except ServiceError as error:
-            decoded = InvalidMessage(error, _seq(parsed))
-        yield decoded
-
-
-def _seq(message: Message | None) -> int | None:
-    """Returns the `seq` of the part of a message that has one."""
-    for field, value in message.ListFields() if message is not None else ():
-        if field.message_type is not None and "seq" in field.message_type.fields_by_name:
-            return int(value.seq)
-    return None
+        yield await decode_part(message, cls)
 
 
 def _timeout_s(context: _Context, longest: float) -> float:

@@ -103,7 +103,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     warm_up = asyncio.create_task(_warm_up(service, http_server, health))
     await health.wait_for_drain()
     _log.info("draining")
-    await grpc_server.server.stop(limits.drain_s)
+    await grpc_server.drain()
     await asyncio.gather(rest, health_reporter)
     warm_up.cancel()
     with contextlib.suppress(asyncio.CancelledError):

@@ -6,6 +6,11 @@ from dataclasses import dataclass
 
 from freerein.errors import Overloaded
 
+MAX_VALUES = 200_000
+"""Values in one JSON body, or fields and packed numbers in one gRPC message."""
+MAX_INLINE_BYTES = 64 * 1024
+"""Longer bodies and messages are parsed off the event loop."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -13,46 +18,65 @@ class Limits:
 
     Attributes:
         message_bytes: Bytes of one REST body or gRPC message.
-        buffered_bytes: Bytes of all REST bodies in memory together.
-        receipt_s: Seconds to receive a whole HTTP request.
+        buffered_bytes: Bytes of all REST bodies in memory together, and of all gRPC messages that arrive slowly.
+        receipt_s: Seconds to receive a whole HTTP request, or the first message of a gRPC call.
+        slow_receipt_s: Seconds after which a gRPC message arrives slowly.
         write_s: Seconds that a client may leave a reply unread.
         unary_s: Seconds from request to reply of a unary call; a caller's shorter deadline takes precedence.
         queue: Items waiting for the model.
         batch: Items in one model call.
         streams: Streams open at once, over REST and over gRPC each.
-        concurrent_calls: gRPC calls in progress at once.
+        concurrent_calls: gRPC calls in progress at once, without health checks.
+        connection_calls: gRPC calls in progress at once on one connection.
+        health_calls: gRPC health checks in progress at once.
         drain_s: Seconds from SIGTERM until calls in flight are cut.
     """
 
     message_bytes: int = 64 * 2**20
     buffered_bytes: int = 512 * 2**20
     receipt_s: float = 10.0
+    slow_receipt_s: float = 1.0
     write_s: float = 30.0
     unary_s: float = 30.0
     queue: int = 256
     batch: int = 32
     streams: int = 64
     concurrent_calls: int = 512
+    connection_calls: int = 256
+    health_calls: int = 64
     drain_s: float = 8.0
 
 
-class StreamSlots:
-    """Bounds how many streams one server has open at once."""
+class Slots:
+    """Bounds how many of something one server has at once; `what` completes "At most 64 ..." in the error.
 
-    def __init__(self, limit: int) -> None:
+    Attributes:
+        taken: How many it has now.
+    """
+
+    def __init__(self, limit: int, what: str) -> None:
         self._limit = limit
-        self._open = 0
+        self._what = what
+        self.taken = 0
+
+    def take(self) -> None:
+        """Takes one slot. Raises Overloaded when all are taken."""
+        if self.taken >= self._limit:
+            raise Overloaded(
+                f"At most {self._limit} {self._what} at once; the limit is reached.",
+                hint="Try again after Retry-After, or call another replica.",
+            )
+        self.taken += 1
+
+    def free(self) -> None:
+        """Gives one slot back."""
+        self.taken -= 1
 
     @contextmanager
     def hold(self) -> Iterator[None]:
-        """Holds one slot for the length of the block. Raises Overloaded when all slots are held."""
-        if self._open >= self._limit:
-            raise Overloaded(
-                f"At most {self._limit} streams may be open at once; the limit is reached.",
-                hint="Close a stream first, or call another replica.",
-            )
-        self._open += 1
+        """Holds one slot for the length of the block. Raises Overloaded when all are taken."""
+        self.take()
         try:
             yield
         finally:
-            self._open -= 1
+            self.free()

@@ -18,7 +18,7 @@ from freerein import __version__, wire
 from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits, StreamSlots
+from freerein.serving.limits import Limits, Slots
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body
@@ -37,7 +37,7 @@ def make_app(
     """
     served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
-    slots = StreamSlots(limits.streams)
+    slots = Slots(limits.streams, "streams may be open")
     for method in served:
         endpoint = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
         app.add_route(method.path, endpoint, methods=["GET" if method.reads else "POST"], include_in_schema=False)
@@ -62,7 +62,7 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
     return answer
 
 
-def _stream(method: Method, slots: StreamSlots) -> _Endpoint:
+def _stream(method: Method, slots: Slots) -> _Endpoint:
     """Answers with server-sent events, or with the bytes of a file.
 
     The id of an event is its `sequence`; the header `Last-Event-ID` resumes after it.

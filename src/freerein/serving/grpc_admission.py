@@ -1,0 +1,160 @@
+"""Which gRPC calls are answered: those with the token, while there is a place, whose message arrives in time."""
+
+import asyncio
+import contextlib
+import inspect
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import cache
+from typing import Any, TypeVar
+
+import grpc
+from grpc_health.v1 import health_pb2
+
+from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError
+from freerein.serving import auth
+from freerein.serving.error_replies import abort_grpc
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits, Slots
+
+_HEALTH_METHODS = f"/{health_pb2.DESCRIPTOR.services_by_name['Health'].full_name}/"
+Context = grpc.aio.ServicerContext[Any, Any]
+RequestId = Callable[[Context], str]
+T = TypeVar("T")
+
+
+class Admission(grpc.aio.ServerInterceptor):
+    """Refuses calls without the token, and those above the limits, before their message is read.
+
+    Calls of the health service need no token, and have places of their own. gRPC itself bounds neither how long a
+    message takes to arrive nor what all messages hold meanwhile.
+
+    Attributes:
+        refused: Calls refused so far because of the graceful shutdown.
+    """
+
+    def __init__(self, health: Health, limits: Limits, *, token: str, request_id: RequestId) -> None:
+        self.refused = 0
+        self._health = health
+        self._token = token
+        self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
+        self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
+        self._receipts = Receipts(limits)
+        self._request_id = request_id
+        self._received = cache(self._receive_first)
+
+    async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
+        """Returns the handler of a call, or one that refuses it."""
+        is_health = details.method.startswith(_HEALTH_METHODS)
+        slots = self._health_calls if is_health else self._calls
+        try:
+            if not is_health:
+                auth.check(str(dict(details.invocation_metadata or ()).get("authorization", "")), self._token)
+                self._check_draining()
+            slots.take()
+        except ServiceError as error:
+            return self._refusal(error)
+        if call := asyncio.current_task():  # each call is a task of its own
+            call.add_done_callback(lambda _: slots.free())
+        handler = await continuation(details)
+        return handler and self._received(handler)
+
+    @property
+    def in_progress(self) -> int:
+        """Calls in progress, without health checks."""
+        return self._calls.taken
+
+    def _check_draining(self) -> None:
+        if self._health.draining:
+            self.refused += 1
+            raise self._health.error()
+
+    def _refusal(self, refusal: ServiceError) -> Any:
+        async def refuse(_messages: Any, context: Context) -> None:
+            await abort_grpc(context, refusal, self._request_id(context))
+
+        return grpc.stream_stream_rpc_method_handler(refuse)
+
+    def _receive_first(self, handler: Any) -> Any:
+        """Returns a handler that answers as another, but refuses a call whose first message is late."""
+        answer = next(
+            each
+            for each in (handler.unary_unary, handler.unary_stream, handler.stream_unary, handler.stream_stream)
+            if each is not None
+        )
+
+        async def begun(context: Context) -> Any:
+            try:
+                first = await self._receipts.receive(context.read())
+                if first is grpc.aio.EOF:
+                    raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
+            except ServiceError as error:
+                await abort_grpc(context, error, self._request_id(context))
+            return _stream(first, context) if handler.request_streaming else first
+
+        async def call(_messages: Any, context: Context) -> Any:
+            return await answer(await begun(context), context)
+
+        async def generate(_messages: Any, context: Context) -> AsyncIterator[Any]:
+            async with contextlib.aclosing(answer(await begun(context), context)) as responses:
+                async for response in responses:
+                    yield response
+
+        make = (
+            grpc.stream_stream_rpc_method_handler
+            if handler.response_streaming
+            else grpc.stream_unary_rpc_method_handler
+        )
+        behaviour: Any = generate if inspect.isasyncgenfunction(answer) else call
+        return make(behaviour, handler.request_deserializer, handler.response_serializer)
+
+
+class Receipts:
+    """Receives first messages within a deadline, and a few of them slowly.
+
+    A message can take its greatest size in memory while it arrives, so as many may arrive slowly at once as fit into
+    `Limits.buffered_bytes`.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._slow = Slots(limits.buffered_bytes // limits.message_bytes, "messages may arrive slowly")
+
+    async def receive(self, message: Awaitable[T]) -> T:
+        """Returns a message.
+
+        Raises:
+            DeadlineExceeded: It took longer than `receipt_s`.
+            Overloaded: It took longer than `slow_receipt_s`, as did too many others.
+        """
+        loop = asyncio.get_running_loop()
+        refusal: ServiceError = DeadlineExceeded(
+            f"A message must arrive within {self._limits.receipt_s:g} s; this one did not.", hint="Send it faster."
+        )
+        is_slow = False
+
+        def take_slow_place() -> None:
+            nonlocal is_slow, refusal
+            try:
+                self._slow.take()
+                is_slow = True
+            except Overloaded as error:
+                refusal = error
+                deadline.reschedule(loop.time())
+
+        timer = loop.call_later(self._limits.slow_receipt_s, take_slow_place)
+        try:
+            async with asyncio.timeout(self._limits.receipt_s) as deadline:
+                return await message
+        except TimeoutError:
+            raise refusal from None
+        finally:
+            timer.cancel()
+            if is_slow:
+                self._slow.free()
+
+
+async def _stream(first: Any, context: Context) -> AsyncIterator[Any]:
+    message = first
+    while message is not grpc.aio.EOF:
+        yield message
+        message = await context.read()
