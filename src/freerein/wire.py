@@ -31,6 +31,7 @@ from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
 from freerein.errors import InvalidInput
+from freerein.field_bounds import bounds_of, check_bounds, check_json_bytes
 
 T = TypeVar("T")
 
@@ -143,19 +144,21 @@ class _Field(NamedTuple):
 
 def _make_layout(cls: Any) -> tuple[_Field, ...]:
     by_name, hints = descriptor_of(cls).fields_by_name, typing.get_type_hints(cls)
-    return tuple(
-        _Field(
-            name=field.name,
-            descriptor=by_name[field.name],
-            has_presence=by_name[field.name].has_presence,
-            required=field.default is MISSING
-            and field.default_factory is MISSING
-            and type(None) not in typing.get_args(hints[field.name]),
-            read=_reader(by_name[field.name], is_tuple=typing.get_origin(hints[field.name]) is tuple),
-            write=_writer(by_name[field.name]),
+    layout = []
+    for field in fields(cls):
+        descriptor, hint = by_name[field.name], hints[field.name]
+        has_default = field.default is not MISSING or field.default_factory is not MISSING
+        layout.append(
+            _Field(
+                name=field.name,
+                descriptor=descriptor,
+                has_presence=descriptor.has_presence,
+                required=not has_default and type(None) not in typing.get_args(hint),
+                read=_bounded(descriptor, _reader(descriptor, is_tuple=typing.get_origin(hint) is tuple)),
+                write=_writer(descriptor),
+            )
         )
-        for field in fields(cls)
-    )
+    return tuple(layout)
 
 
 _layout: Callable[[Any], tuple[_Field, ...]] = cache(_make_layout)  # typed: a class is hashable
@@ -212,13 +215,31 @@ def _tensor_values(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
 # --- message or validated JSON -> dataclass
 
 
+def _bounded(descriptor: FieldDescriptor, read: _Read | None) -> _Read | None:
+    """Returns a reader that checks the bounds of a field, too."""
+    bounds = bounds_of(descriptor)
+    if not any(bounds):
+        return read
+    is_struct = descriptor.message_type == struct_pb2.Struct.DESCRIPTOR
+
+    def checked(value: Any, path: str) -> Any:
+        if not is_struct:
+            check_bounds(value, bounds, path)
+        result = value if read is None else read(value, path)
+        if is_struct:
+            check_json_bytes(result, bounds, path)
+        return result
+
+    return checked
+
+
 def _reader(descriptor: FieldDescriptor, *, is_tuple: bool) -> _Read | None:
     """Returns the reader of a field. It depends on the message, never on the runtime form of `numpy.typing.NDArray`."""
     if (entry := _map_value(descriptor)) is not None:
         each = _one_reader(entry)
         if each is None:
             return lambda values, _path: dict(values)
-        return lambda values, path: {key: each(value, f"{path}.{key}") for key, value in values.items()}
+        return lambda values, path: {key: each(value, path) for key, value in values.items()}
     if not descriptor.is_repeated:
         return _one_reader(descriptor)
     if not is_tuple:

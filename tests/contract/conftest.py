@@ -78,6 +78,7 @@ async def _connect(build: Build, data_dir: Path) -> AsyncIterator[Transports]:
 
 
 async def _call_core(method: Method, request: object) -> list[Any]:
+    request = wire.unpack(wire.pack(request), method.request)  # which checks the bounds of the contract
     if method.descriptor.server_streaming:
         return [response async for response in method.call(request)]
     return [await method.call(request)]

@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, Js
 
 from freerein import tensors, wire
 from freerein.api.common.v1 import common_pb2
+from freerein.field_bounds import bounds_of
 
 STRUCT = "google.protobuf.Struct"
 _INTEGERS = {
@@ -73,15 +74,29 @@ def _tensor_fields() -> dict[str, Any]:
 def _field(field: FieldDescriptor) -> Any:
     """Returns (type, default) as in protobuf: unset numbers are 0, unset messages None; enums are required."""
     message = field.message_type
+    max_items, max_length = bounds_of(field)
     if message is not None and message.GetOptions().map_entry:
-        return dict[str, _type(message.fields_by_name["value"])], {}  # type: ignore[misc]  # a type made at run time
+        value = _type(message.fields_by_name["value"])
+        return Annotated[dict[_text(max_length), value], _shown(maxProperties=max_items)], {}  # type: ignore[misc]  # made at run time
     if field.is_repeated:
-        return Annotated[list[_type(field)], FailFast()], []  # type: ignore[misc]  # a type made at run time
+        each = _text(max_length) if field.type == FieldDescriptor.TYPE_STRING else _type(field)
+        return Annotated[list[each], FailFast(), _shown(maxItems=max_items)], []  # type: ignore[valid-type]  # made at run time
+    if field.type == FieldDescriptor.TYPE_STRING:
+        return _text(max_length), field.default_value
     if field.enum_type is not None and not field.has_presence:
         return _type(field), ...
     if field.has_presence and (message is None or message.full_name != STRUCT):
         return _type(field) | None, None
     return _type(field), {} if message is not None else field.default_value
+
+
+def _text(max_length: int) -> Any:
+    return Annotated[str, _shown(maxLength=max_length)]
+
+
+def _shown(**bound: int) -> Any:
+    """Shows a bound in the schema; `wire.unpack` checks it, for REST and gRPC alike."""
+    return Field(json_schema_extra={key: most for key, most in bound.items() if most})
 
 
 def _type(field: FieldDescriptor) -> Any:
@@ -93,7 +108,6 @@ def _type(field: FieldDescriptor) -> Any:
         low, high = _INTEGERS[field.type]
         return Annotated[int, Field(ge=low, le=high)]
     return {
-        FieldDescriptor.TYPE_STRING: str,
         FieldDescriptor.TYPE_BYTES: Base64,
         FieldDescriptor.TYPE_BOOL: bool,
         FieldDescriptor.TYPE_FLOAT: float,
