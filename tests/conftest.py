@@ -38,6 +38,10 @@ class RunningService:
     def http_port(self) -> int:
         return int(self.url.rpartition(":")[2])
 
+    @property
+    def grpc_port(self) -> int:
+        return int(self.address.rpartition(":")[2])
+
     def stop(self) -> int:
         """Sends SIGTERM; returns the exit code."""
         self.process.send_signal(signal.SIGTERM)

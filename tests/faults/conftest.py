@@ -127,6 +127,12 @@ def network() -> Any:
 
 
 @pytest.fixture(scope="session")
+def http2() -> Any:
+    """The module `http2_client`."""
+    return _beside("http2_client")
+
+
+@pytest.fixture(scope="session")
 def policies() -> Any:
     """The module `faulty_policy`."""
     return _beside("faulty_policy")

@@ -61,7 +61,8 @@ def _seq(message: Message | None) -> int | None:
 
 def _parse(message: bytes, cls: type[Any]) -> Message:
     try:
-        _check_values(message, wire.descriptor_of(cls))
+        if len(message) > MAX_VALUES:  # a value takes at least one byte
+            _check_values(message, wire.descriptor_of(cls))
         return wire.message_type(cls).FromString(message)
     except (DecodeError, IndexError):
         raise MalformedRequest(

@@ -1,0 +1,215 @@
+"""gRPC messages that cost much to parse or never end, and floods of HTTP/2 frames: others are answered meanwhile."""
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from freerein.serving.limits import MAX_VALUES, Limits
+
+pytestmark = pytest.mark.e2e
+SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
+WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
+HEALTH = "/grpc.health.v1.Health/Check"
+REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
+MIB = 2**20
+RECEIPT_S = 2.0
+OVERLOADED, LATE = "8", "4"
+OPTIONS = (("grpc.max_send_message_length", -1), ("grpc.use_local_subchannel_pool", 1))
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty(FREEREIN_RECEIPT_S=str(RECEIPT_S))
+
+
+@pytest.fixture
+def channel(faulty: Any) -> Iterator[grpc.Channel]:
+    with grpc.insecure_channel(faulty.service.address, OPTIONS) as channel:
+        yield channel
+
+
+def outcome(channel: grpc.Channel, message: bytes = b"") -> tuple[grpc.StatusCode, str]:
+    """What becomes of a call of Segment; one without a trajectory is an invalid argument."""
+    try:
+        channel.unary_unary(SEGMENT)(message, timeout=20)
+    except grpc.RpcError as error:
+        return error.code(), error.details()
+    return grpc.StatusCode.OK, ""
+
+
+def is_healthy(channel: grpc.Channel) -> bool:
+    reply = health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest(), timeout=20)
+    return bool(reply.status == health_pb2.HealthCheckResponse.SERVING)
+
+
+@contextmanager
+def longest_health_check(address: str) -> Iterator[list[float]]:
+    """Measures how long health checks take, in seconds; the longest is in the list when the block has ended."""
+    longest, done = [0.0], threading.Event()
+
+    def check() -> None:
+        with grpc.insecure_channel(address, OPTIONS) as channel:
+            while not done.is_set():
+                begun = time.perf_counter()
+                is_healthy(channel)
+                longest[0] = max(longest[0], time.perf_counter() - begun)
+
+    checking = threading.Thread(target=check)
+    checking.start()
+    try:
+        yield longest
+    finally:
+        done.set()
+        checking.join()
+
+
+def packed(numbers: int) -> bytes:
+    """`frames.shape` of many numbers of one byte each."""
+    shape = b"\x12" + length(numbers) + bytes(numbers)
+    return b"\x12" + length(len(shape)) + shape
+
+
+def length(number: int) -> bytes:
+    parts = []
+    while number >= 0x80:
+        parts.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*parts, number])
+
+
+# --- messages that cost much
+
+
+@pytest.mark.fault("F2")
+@pytest.mark.parametrize(
+    "message",
+    [b"\x1a\0" * (8 * MIB), packed(32 * MIB), b"\xa0\x06\x01" * (10 * MIB)],
+    ids=["16 MiB of empty images", "32 MiB of packed numbers", "30 MiB of unknown fields"],
+)
+def test_a_message_of_many_values_is_refused_while_others_are_answered(
+    faulty: Any, channel: grpc.Channel, message: bytes, least_of_three: Any
+) -> None:
+    before = faulty.process.memory_info().rss
+
+    def measure() -> float:
+        with longest_health_check(faulty.service.address) as longest:
+            assert outcome(channel, message) == (
+                grpc.StatusCode.INVALID_ARGUMENT,
+                f"A message may hold at most {MAX_VALUES} values; got more.",
+            )
+        return longest[0]
+
+    assert least_of_three(measure, below=0.5) < 0.5
+    assert faulty.process.memory_info().rss - before < 2 * len(message) + 64 * MIB
+
+
+# --- messages that never end
+
+
+@pytest.mark.fault("F4")
+def test_messages_that_never_end_hold_no_more_than_all_bodies_may(
+    faulty: Any, channel: grpc.Channel, http2: Any
+) -> None:
+    size, most = 60 * MIB, Limits().buffered_bytes // Limits().message_bytes
+    start = b"\0" + struct.pack(">I", size) + bytes(size - 1)
+
+    def attack() -> int:
+        """Returns the memory of the service afterwards."""
+        with ExitStack() as connections:
+            attackers = [connections.enter_context(http2.Http2(faulty.service.grpc_port)) for _ in range(most + 4)]
+            calls = [(each, each.call(SEGMENT)) for each in attackers]
+            senders = [threading.Thread(target=each.data, args=(call, start)) for each, call in calls]
+            for sender in senders:
+                sender.start()
+            for sender in senders:
+                sender.join()
+            ended = [each.wait_for_end(call, 20) for each, call in calls]
+        assert sorted(ended) == [LATE] * most + [OVERLOADED] * 4
+        return int(faulty.process.memory_info().rss)
+
+    once = attack()
+    assert attack() < once + 2 * size  # what a call held is free for the next
+    assert outcome(channel)[0] == grpc.StatusCode.INVALID_ARGUMENT
+
+
+@pytest.mark.fault("F4")
+@pytest.mark.parametrize("path", [SEGMENT, WATCH_FIT, REFLECTION], ids=["unary", "stream", "reflection"])
+def test_calls_without_a_message_keep_nobody_out_for_long(
+    faulty: Any, channel: grpc.Channel, http2: Any, path: str
+) -> None:
+    limits = Limits()
+    with ExitStack() as connections:
+        attackers = [connections.enter_context(http2.Http2(faulty.service.grpc_port)) for _ in range(3)]
+        calls = [(each, each.call(path)) for each in attackers for _ in range(limits.concurrent_calls // 2)]
+        assert is_healthy(channel)
+        ended = [each.wait_for_end(call, 20) for each, call in calls]
+        assert set(ended) == {LATE, OVERLOADED}
+        assert ended.count(LATE) == limits.buffered_bytes // limits.message_bytes
+        refused = [each.messages[call] for each, call in calls]
+        assert sum("At most 512 calls" in message for message in refused) > 0
+    assert outcome(channel)[0] == grpc.StatusCode.INVALID_ARGUMENT
+
+
+@pytest.mark.fault("F4")
+def test_health_checks_without_a_message_end_too(faulty: Any, channel: grpc.Channel, http2: Any) -> None:
+    limit = Limits().health_calls
+    with http2.Http2(faulty.service.grpc_port) as connection:
+        calls = [connection.call(HEALTH) for _ in range(limit + 1)]
+        ended = [connection.wait_for_end(call, 20) for call in calls]
+    assert ended.count(LATE) <= Limits().buffered_bytes // Limits().message_bytes
+    assert set(ended) <= {OVERLOADED, LATE}
+    assert is_healthy(channel)
+
+
+# --- floods of frames
+
+
+def rapid_resets(http2: Any, connection: Any) -> Iterator[bytes]:
+    while True:
+        opened = http2.frame(http2.HEADERS, http2.END_HEADERS, connection.next_stream(), connection.headers(SEGMENT))
+        yield opened + http2.frame(http2.RST_STREAM, 0, connection.last_stream, struct.pack(">I", 8))
+
+
+def repeated(kind: str, payload: bytes) -> Callable[[Any, Any], Iterator[bytes]]:
+    def frames(http2: Any, _connection: Any) -> Iterator[bytes]:
+        while True:
+            yield http2.frame(getattr(http2, kind), 0, 0, payload)
+
+    return frames
+
+
+def endless_headers(http2: Any, connection: Any) -> Iterator[bytes]:
+    yield http2.frame(http2.HEADERS, 0, connection.next_stream(), connection.headers(SEGMENT))
+    while True:
+        yield http2.frame(http2.CONTINUATION, 0, connection.last_stream, b"\0\x01a\x01b" * 1000)
+
+
+@pytest.mark.fault("N6")
+@pytest.mark.parametrize(
+    "flood",
+    [rapid_resets, repeated("PING", bytes(8)), repeated("SETTINGS", struct.pack(">HI", 4, 65535)), endless_headers],
+    ids=["rapid resets", "pings", "settings", "continuations"],
+)
+def test_a_flood_of_frames_keeps_nobody_else_waiting(
+    faulty: Any, http2: Any, flood: Any, least_of_three: Any, repeats: int
+) -> None:
+    before = faulty.process.memory_info().rss
+
+    def measure() -> float:
+        with longest_health_check(faulty.service.address) as longest, http2.Http2(faulty.service.grpc_port) as attacker:
+            frames = flood(http2, attacker)
+            for _ in range(10_000 * repeats):
+                if attacker.closed:
+                    break
+                attacker.send(next(frames))
+        return longest[0]
+
+    assert least_of_three(measure, below=1.0) < 1.0
+    assert faulty.process.memory_info().rss - before < 64 * MIB
