@@ -1,0 +1,137 @@
+"""Told to stop under load: no call in flight is lost, and what is refused says so, so that clients call a replica."""
+
+import asyncio
+import base64
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from typing import Any
+
+import grpc
+import httpx
+import numpy as np
+import pytest
+
+from freerein import wire
+from freerein.clients.channel import Channel
+from freerein.clients.services import SegmentationClient
+from freerein.errors import Unavailable
+from freerein.types.segmentation import SegmentRequest
+
+pytestmark = pytest.mark.e2e
+SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
+CLIENTS = 16
+CALLS = 20
+HUNDREDTHS = 1  # of a second, that the model takes for a call
+UNANSWERED = ("connection refused", "failed to connect", "draining", "not ready")
+
+
+def frames() -> Any:
+    """A trajectory that asks the model for time."""
+    asked = np.zeros((2, 4, 4, 3), np.uint8)
+    asked[:, 0, 0, 2] = 0, 1
+    asked[0, 0, 0, 1] = HUNDREDTHS
+    return asked
+
+
+async def call_until_refused(call: Callable[[], Awaitable[str]], outcomes: Counter[str], ready: asyncio.Event) -> None:
+    """Calls again and again; counts the answers, and what the first refusal was."""
+    while (outcome := await call()) == "answered":
+        outcomes[outcome] += 1
+        ready.set()
+    outcomes[outcome] += 1
+
+
+async def drained(service: Any, calls: list[Callable[[], Awaitable[str]]]) -> Counter[str]:
+    """Sends SIGTERM to a service that many clients call; returns what became of their calls."""
+    outcomes: Counter[str] = Counter()
+    ready = [asyncio.Event() for _ in calls]
+    clients = [
+        asyncio.create_task(call_until_refused(call, outcomes, event)) for call, event in zip(calls, ready, strict=True)
+    ]
+    await asyncio.gather(*(event.wait() for event in ready))
+    service.process.terminate()
+    await asyncio.wait_for(asyncio.gather(*clients), 20)
+    assert await asyncio.to_thread(service.process.wait, 15) == 0
+    return outcomes
+
+
+@pytest.mark.fault("F7")
+@pytest.mark.fault("G7")
+async def test_no_grpc_call_in_flight_is_lost(start_faulty: Callable[..., Any], repeats: int) -> None:
+    message = wire.pack(SegmentRequest(frames=frames())).SerializeToString()
+    for _ in range(repeats):
+        service = start_faulty().service
+
+        def client(channel: grpc.aio.Channel) -> Callable[[], Awaitable[str]]:
+            async def call() -> str:
+                try:
+                    await channel.unary_unary(SEGMENT)(message, timeout=20)
+                except grpc.aio.AioRpcError as error:
+                    details = (error.details() or "").lower()
+                    is_refusal = error.code() == grpc.StatusCode.UNAVAILABLE and any(
+                        each in details for each in UNANSWERED
+                    )
+                    return "refused" if is_refusal else f"{error.code()} {details}"
+                return "answered"
+
+            return call
+
+        options = (("grpc.use_local_subchannel_pool", 1),)
+        channels = [grpc.aio.insecure_channel(service.address, options) for _ in range(CLIENTS)]
+        outcomes = await drained(service, [client(channel) for channel in channels])
+        for channel in channels:
+            await channel.close()
+        assert set(outcomes) == {"answered", "refused"}
+        assert outcomes["refused"] == CLIENTS
+
+
+@pytest.mark.fault("F7")
+async def test_no_rest_call_in_flight_is_lost(start_faulty: Callable[..., Any], repeats: int) -> None:
+    raw = base64.b64encode(frames().tobytes()).decode()
+    body = {"frames": {"datatype": "UINT8", "shape": [2, 4, 4, 3], "raw": raw}}
+    for _ in range(repeats):
+        service = start_faulty().service
+        async with httpx.AsyncClient(base_url=service.url, trust_env=False, timeout=20) as http:
+
+            async def call(http: httpx.AsyncClient = http) -> str:
+                try:
+                    reply = await http.post("/v1/segment", json=body)
+                except (httpx.ConnectError, httpx.RemoteProtocolError) as error:
+                    # an idle connection that closes as a request is sent: HTTP clients know that it was not begun
+                    return "refused" if isinstance(error, httpx.ConnectError) else f"{error!r}"
+                return {200: "answered", 503: "refused"}.get(reply.status_code, reply.text)
+
+            outcomes = await drained(service, [call] * CLIENTS)
+        assert set(outcomes) <= {"answered", "refused"}
+
+
+@pytest.mark.fault("F7")
+@pytest.mark.fault("K3")
+async def test_clients_go_on_at_the_replica_that_remains(start_faulty: Callable[..., Any]) -> None:
+    leaving, staying = start_faulty().service, start_faulty().service
+    request = SegmentRequest(frames=frames())
+    begun = asyncio.Event()
+
+    async def answers() -> int:
+        """Calls one replica, and the other one from the first refusal on; returns the number of right answers."""
+        right = 0
+        async with AsyncExitStack() as stack:
+            addresses = [leaving.address, staying.address]
+            replicas = [await stack.enter_async_context(SegmentationClient(Channel(each))) for each in addresses]
+            while right < CALLS:
+                try:
+                    reply = await replicas[0].segment(request)
+                except Unavailable:
+                    replicas.pop(0)
+                else:
+                    assert list(reply.labels) == [0, 1]
+                    right += 1
+                    begun.set()
+        return right
+
+    clients = [asyncio.create_task(answers()) for _ in range(CLIENTS)]
+    await begun.wait()
+    leaving.process.terminate()
+    assert await asyncio.gather(*clients) == [CALLS] * CLIENTS
+    assert await asyncio.to_thread(leaving.process.wait, 15) == 0
