@@ -60,21 +60,22 @@ class Http2:
         except OSError:
             self.closed = True
 
-    def headers(self, path: str) -> bytes:
-        fields = {":method": "POST", ":scheme": "http", ":path": path, ":authority": "robot", "te": "trailers"}
-        return bytes(self._encoder.encode({**fields, "content-type": "application/grpc"}))
+    def headers(self, path: str, *metadata: tuple[bytes, bytes]) -> bytes:
+        pseudo = [(b":method", b"POST"), (b":scheme", b"http"), (b":path", path.encode()), (b":authority", b"robot")]
+        fields = [*pseudo, (b"te", b"trailers"), (b"content-type", b"application/grpc"), *metadata]
+        return bytes(self._encoder.encode(fields))
 
     def next_stream(self) -> int:
         """Returns the number of a new stream."""
         self.last_stream += 2
         return self.last_stream
 
-    def call(self, path: str) -> int:
+    def call(self, path: str, *metadata: tuple[bytes, bytes]) -> int:
         """Begins a call, of which no message comes yet; returns its stream."""
         stream = self.next_stream()
         with self._changed:
             self._windows[stream] = self._stream_window
-        self.send(frame(HEADERS, END_HEADERS, stream, self.headers(path)))
+        self.send(frame(HEADERS, END_HEADERS, stream, self.headers(path, *metadata)))
         return stream
 
     def data(self, stream: int, payload: bytes) -> int:

@@ -29,6 +29,7 @@ def configure(service: str) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.captureWarnings(True)
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
+    logging.getLogger("grpc._cython.cygrpc").addFilter(_is_not_about_metadata)
     structlog.contextvars.bind_contextvars(service=service)
     structlog.configure(
         processors=[
@@ -39,6 +40,11 @@ def configure(service: str) -> None:
         logger_factory=structlog.stdlib.LoggerFactory(),
         cache_logger_on_first_use=True,
     )
+
+
+def _is_not_about_metadata(record: logging.LogRecord) -> bool:
+    """Drops gRPC's traceback for metadata in no encoding: the caller's mistake, and it would show a token."""
+    return not record.getMessage().startswith("Invalid encoding")
 
 
 def _truncate(_logger: Any, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
