@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 import pytest
 
-from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded
 from freerein.jobs import queue
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
@@ -29,6 +29,7 @@ from freerein.types.learning import (
     Fit,
     GetFitRequest,
     ListFitsRequest,
+    ResumeFitRequest,
     StartFitRequest,
     WatchFitRequest,
 )
@@ -218,6 +219,21 @@ async def test_cancelling_ends_the_child_and_stays_final(bench: Bench) -> None:
         assert not psutil.pid_exists(bench.runs(fit)[0])
         assert (await fits.cancel_fit(CancelFitRequest(fit.id))).fit.state == "cancelled"
         assert (await end(fits, fit)).state == "cancelled"
+
+
+async def test_a_cancelled_fit_is_resumed_at_the_end_of_the_queue_and_only_then(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait")
+        with pytest.raises(FailedPrecondition):
+            await fits.resume_fit(ResumeFitRequest(fit.id))
+        await when(fits, fit, lambda now: now.step == 2)
+        await fits.cancel_fit(CancelFitRequest(fit.id))
+        answers = [fits.resume_fit(ResumeFitRequest(fit.id)) for _ in range(2)]
+        one, other = await asyncio.gather(*answers, return_exceptions=True)
+        assert [type(one), type(other)].count(FailedPrecondition) == 1, "a fit is queued once"
+        await when(fits, fit, lambda now: now.step == 4)
+        assert len(bench.runs(fit)) == 2
+        await fits.cancel_fit(CancelFitRequest(fit.id))
 
 
 async def test_cancelled_before_its_turn_a_fit_never_starts(bench: Bench) -> None:

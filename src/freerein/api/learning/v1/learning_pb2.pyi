@@ -428,6 +428,52 @@ class CancelFitResponse(_message.Message):
 Global___CancelFitResponse: _TypeAlias = CancelFitResponse  # noqa: Y015
 
 @_typing.final
+class ResumeFitRequest(_message.Message):
+    """Requests to resume one fit."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ID_FIELD_NUMBER: _builtins.int
+    id: _builtins.str
+    """Id of the fit."""
+    def __init__(
+        self,
+        *,
+        id: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["id", b"id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ResumeFitRequest: _TypeAlias = ResumeFitRequest  # noqa: Y015
+
+@_typing.final
+class ResumeFitResponse(_message.Message):
+    """The fit, queued again."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FIT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def fit(self) -> Global___Fit:
+        """The fit."""
+
+    def __init__(
+        self,
+        *,
+        fit: Global___Fit | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["fit", b"fit"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["fit", b"fit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ResumeFitResponse: _TypeAlias = ResumeFitResponse  # noqa: Y015
+
+@_typing.final
 class Model(_message.Message):
     """One version of one model."""
 
