@@ -70,7 +70,7 @@ class Fit(_message.Message):
     steps: _builtins.int
     """Updates planned."""
     error: _builtins.str
-    """Reason of the failure; empty unless the fit has failed."""
+    """Reason of the failure, or why the next attempt waits; else empty."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""
