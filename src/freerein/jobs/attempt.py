@@ -18,7 +18,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from freerein.jobs.child import PERMANENT_FAILURE
+from freerein.atomic_files import out_of_storage
+from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
 from freerein.jobs.store import JobStore
@@ -199,6 +200,9 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("succeeded")
     if code == PERMANENT_FAILURE:
         return AttemptResult("failed", progressed, last_line)
+    if code == OUT_OF_STORAGE:
+        refused = out_of_storage("the disk is full, broken or read-only")
+        return AttemptResult("failed", progressed, f"{refused.detail} {refused.hint}")
     name = _SIGNALS.get(-code, f"signal {-code}")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
     return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")

@@ -12,10 +12,11 @@
 import asyncio
 import fcntl
 import json
+import shutil
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -63,16 +64,23 @@ class JobStore:
     def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
         """Records a request and the contents of `config.json` durably; returns the id of the job.
 
-        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request.
+        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request, OSError
+        when the disk is full or broken; nothing is then left of the job.
         """
         job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
-        make_folder(folder)
-        with self.lock(job_id):
+        make_folder(self._root)
+        with _locked(self._root / ".lock"):
             if self.find(request) is None:
-                append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
-                write_atomic(folder / "request.json", json.dumps(request).encode())
-                write_atomic(folder / "config.json", json.dumps(config).encode())
+                try:
+                    make_folder(folder)
+                    append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
+                    write_atomic(folder / "request.json", json.dumps(request).encode())
+                    write_atomic(folder / "config.json", json.dumps(config).encode())
+                except OSError:
+                    if not self.exists(job_id):
+                        shutil.rmtree(folder, ignore_errors=True)
+                    raise
         return job_id
 
     def find(self, request: Mapping[str, Any]) -> str | None:
@@ -219,12 +227,9 @@ class JobStore:
         path = self.folder(job_id) / "model.json"
         return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
-    @contextmanager
-    def lock(self, job_id: str) -> Iterator[None]:
+    def lock(self, job_id: str) -> AbstractContextManager[None]:
         """Excludes other processes while it is decided whether a job has ended or is queued again."""
-        with (self.folder(job_id) / "state.lock").open("ab") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
+        return _locked(self.folder(job_id) / "state.lock")
 
     def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
         def documents(last: Mapping[str, Any] | None) -> Iterator[Mapping[str, Any]]:
@@ -243,6 +248,13 @@ class JobStore:
             with suppress(FileNotFoundError):  # deleted meanwhile
                 found.append((path.stat().st_mtime_ns, path.parent.name))
         return [job_id for _, job_id in sorted(found, reverse=True)]
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _event(document: Mapping[str, Any]) -> JobEvent:
