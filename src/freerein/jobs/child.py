@@ -13,8 +13,8 @@ from typing import Any
 from freerein.atomic_files import storage_errors
 from freerein.errors import OutOfStorage, ServiceError
 
-STOPPED = 1
-"""Exit code of a child that was stopped and can be resumed."""
+STOPPED = 143
+"""Exit code of a child that was stopped by SIGTERM and can be resumed, as shells report it."""
 PERMANENT_FAILURE = 2
 """Exit code of a child that cannot succeed, however often it is started; the last line of its log says why."""
 

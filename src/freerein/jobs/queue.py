@@ -5,10 +5,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from freerein.errors import FailedPrecondition, Overloaded, ServiceError
-from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest, retry
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest
+from freerein.jobs.retry import retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
 
@@ -112,7 +114,7 @@ class LocalQueue:
                 self._record(job_id, "failed", error=reason)
 
     def _run(self, job_id: str) -> None:
-        result = retry(lambda: self._runner.run(job_id, lambda: self._request))
+        result = retry(partial(self._runner.run, job_id, lambda: self._request))
         if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
             return
         if result.outcome == "succeeded":

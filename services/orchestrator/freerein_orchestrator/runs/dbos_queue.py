@@ -21,7 +21,8 @@ from sqlalchemy import make_url
 from sqlalchemy.exc import DBAPIError
 
 from freerein.errors import FailedPrecondition, NotFound, ServiceError
-from freerein.jobs.attempt import INTERNAL_ERROR, AttemptResult, AttemptStopped, StopRequest, retry
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptStopped, StopRequest
+from freerein.jobs.retry import AttemptResult, Pause, retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
 from freerein_orchestrator.runs.database_errors import database_error, unreachable
@@ -80,7 +81,8 @@ class DbosQueue:
     Args:
         folder: Folder of the SQLite database and of the worker locks.
         store: The runs on disk.
-        attempt: Makes an attempt at a run, given its id and a function that tells it to stop; see `AttemptRunner.run`.
+        attempt: Makes an attempt at a run, given its id, a function that tells it to stop, and the pause before it; see
+            `AttemptRunner.run`.
         database_url: URL of Postgres, `postgresql://...`; empty for SQLite.
         executor_id: Name of the worker, the same at every start: a restarted worker resumes its runs at once.
         takeover_s: Interval between searches for runs of dead workers.
@@ -91,7 +93,7 @@ class DbosQueue:
         folder: Path,
         *,
         store: JobStore,
-        attempt: Callable[[str, Callable[[], StopRequest]], AttemptResult],
+        attempt: Callable[[str, Callable[[], StopRequest], Pause], AttemptResult],
         database_url: str = "",
         executor_id: str,
         takeover_s: float = 5.0,
@@ -220,7 +222,9 @@ class DbosQueue:
         """The workflow: makes attempts until the run ends; returns its status."""
         self._runs.add(run_id)
         try:
-            result = retry(lambda: AttemptResult(**DBOS.run_step({"name": "attempt"}, self._make_attempt, run_id)))
+            result = retry(
+                lambda pause: AttemptResult(**DBOS.run_step({"name": "attempt"}, self._make_attempt, run_id, pause))
+            )
             state: JobState = "succeeded" if result.outcome == "succeeded" else "failed"
             DBOS.run_step({"name": "record_end"}, self._record, run_id, state, result.error)
             return asdict(RunStatus(state, result.error))
@@ -236,7 +240,7 @@ class DbosQueue:
         except OSError:  # a full disk, or no such run here; recorded when the run is next read
             _log.warning("the state of a run cannot be recorded", extra={"run": run_id})
 
-    def _make_attempt(self, run_id: str) -> dict[str, Any]:
+    def _make_attempt(self, run_id: str, pause: Pause) -> dict[str, Any]:
         with self._idle:
             if self._closing.is_set():
                 raise AttemptStopped
@@ -244,7 +248,7 @@ class DbosQueue:
         try:
             if self._store.exists(run_id) and self._store.last(run_id).ended:
                 self._record(run_id, "queued", "")  # ResumeRun gave up on the database too soon to record it
-            return asdict(self._attempt(run_id, self._stop_request(run_id)))
+            return asdict(self._attempt(run_id, self._stop_request(run_id), pause))
         except Exception:  # a bug must not leave the run without an end
             _log.exception("an attempt failed", extra={"run": run_id})
             return asdict(AttemptResult("failed", error=INTERNAL_ERROR))
