@@ -1,5 +1,6 @@
 """A disk that is full or read-only: calls that write are refused whole, reads go on, and nothing is lost or halved."""
 
+import json
 import os
 import subprocess
 import time
@@ -11,7 +12,9 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from typer.testing import CliRunner
 
+from freerein.cli.__main__ import app
 from freerein.clients import Channel, FitClient, OrchestratorClient, SyncClient
 from freerein.data import DatasetSpec, create
 from freerein.errors import OutOfStorage
@@ -175,7 +178,12 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     fit_id = start_fit(faulty, "disturbed")
     wait_for(faulty, fit_id, lambda fit: fit["step"] >= 20)
     assert faulty.http.post("/v1/cancel-fit", json={"id": fit_id}).json()["fit"]["state"] == "cancelled"
-    resume_fit(faulty, fit_id)
+    resumed = CliRunner().invoke(
+        app,
+        ["fit", "resume", fit_id, "--service", "segmentation", "--json"],
+        env={"FREEREIN_SEGMENTATION_ADDRESS": faulty.service.address},
+    )
+    assert json.loads(resumed.stdout)["state"] in ("queued", "running")
     assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 409
     wait_for(faulty, fit_id, lambda fit: fit["step"] >= 40)
     with disk.full():
@@ -183,13 +191,8 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     failed = wait_for(faulty, fit_id, lambda fit: fit["state"] == "failed")
     assert "must be writable" in failed["error"]
     assert "resume the fit" in failed["error"]
-    resume_fit(faulty, fit_id)
+    assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 200
     assert wait_for(faulty, fit_id, lambda fit: "model" in fit)["model"]["version"] == undisturbed
-
-
-def resume_fit(faulty: Any, fit_id: str) -> None:
-    reply = faulty.http.post("/v1/resume-fit", json={"id": fit_id})
-    assert reply.status_code == 200, reply.text
 
 
 def living(faulty: Any) -> list[psutil.Process]:
