@@ -19,6 +19,7 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from freerein.types.orchestrator import Artifact
 
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
 _PAGE, _MAX_PAGE = 100, 1000
+_PAGE_BYTES = 1 << 20  # of JSON; a `Struct` with the same values takes up to six times as many
 _ROWS, _MAX_ROWS = 1000, 10_000
 
 
@@ -114,11 +116,13 @@ class JobStore:
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
 
+        A page ends early, after at least one job, so that the configurations on it have at most 1 MiB together.
+
         Raises InvalidInput when the page is too large, or the token was not returned by this method.
         """
         size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
-        ids = self._newest_first()
-        start = 0
+        sizes = self._newest_first()
+        ids, start = list(sizes), 0
         if page_token:
             if check_id(page_token, field="page_token") not in ids:
                 raise InvalidInput(
@@ -127,8 +131,9 @@ class JobStore:
                     hint="Leave it out to start from the first page.",
                 )
             start = ids.index(page_token) + 1
-        page = ids[start : start + size]
-        return page, page[-1] if start + size < len(ids) else ""
+        ends = accumulate(sizes[job_id] for job_id in ids[start : start + size])
+        end = start + max(1, sum(total <= _PAGE_BYTES for total in ends))
+        return ids[start:end], ids[end - 1] if end < len(ids) else ""
 
     def unfinished(self) -> list[str]:
         """Returns the ids of the jobs that have not ended, oldest first."""
@@ -242,12 +247,13 @@ class JobStore:
 
         append(self.folder(job_id) / "events.jsonl", documents)
 
-    def _newest_first(self) -> list[str]:
+    def _newest_first(self) -> dict[str, int]:
+        """Returns the sizes in bytes of the configurations of all jobs, by id."""
         found = []
         for path in self._root.glob("[0-9a-f]" * 32 + "/config.json"):
             with suppress(FileNotFoundError):  # deleted meanwhile
-                found.append((path.stat().st_mtime_ns, path.parent.name))
-        return [job_id for _, job_id in sorted(found, reverse=True)]
+                found.append((path.stat().st_mtime_ns, path.parent.name, path.stat().st_size))
+        return {job_id: size for _, job_id, size in sorted(found, reverse=True)}
 
 
 @contextmanager
