@@ -1,20 +1,54 @@
-"""Crash-safe file writes: after a crash a file is complete or absent."""
+"""Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent."""
 
+import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from freerein.errors import OutOfStorage
+
 TEMP_SUFFIX = ".tmp"
+_REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
+
+
+@contextmanager
+def storage_errors() -> Iterator[None]:
+    """Turns the errors of a full, broken or read-only disk into `OutOfStorage`; other errors stay as they are."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _REFUSALS:
+            raise
+        raise out_of_storage(os.strerror(error.errno)) from error
+
+
+def out_of_storage(reason: str) -> OutOfStorage:
+    """Returns the error of a disk that refuses to be written, for a reason such as `No space left on device`."""
+    return OutOfStorage(
+        f"The data directory must be writable; it is not: {reason}.",
+        hint="Free space or mend the disk; then repeat the call with the same idempotency key, or resume the fit or "
+        "run that failed.",
+    )
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Writes a file atomically: temporary file, fsync, rename, fsync of the folder. Creates missing folders."""
+    """Writes a file atomically: temporary file, fsync, rename, fsync of the folder. Creates missing folders.
+
+    Raises OSError when the disk is full or broken; the temporary file is then gone.
+    """
     make_folder(path.parent)
     temporary = path.with_name(path.name + TEMP_SUFFIX)
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
     fsync_folder(path.parent)
 
 

@@ -136,6 +136,12 @@ class Unavailable(ServiceError):
         super().__init__(detail, field=field, hint=hint, retry_after_s=retry_after_s)
 
 
+class OutOfStorage(ServiceError):
+    """The disk is full, broken or read-only; the same call succeeds once it can be written."""
+
+    code, http_status, grpc_status = "out_of_storage", 507, "UNAVAILABLE"
+
+
 class ModelFault(Unavailable):
     """The model raised, or returned a wrong shape."""
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.atomic_files import write_atomic
-from freerein.jobs.attempt import AttemptResult, AttemptStopped, StopRequest
+from freerein.jobs.attempt import AttemptStopped, StopRequest
 from freerein.jobs.metrics import MetricsWriter
+from freerein.jobs.retry import AttemptResult, Pause
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
@@ -42,7 +43,7 @@ def build(data_dir: Path, health: Health) -> Service:
     return Service("orchestrator", methods_of(contract, runs), start, runs.close, runs.not_ready)
 
 
-def wait(_run_id: str, stop: Callable[[], StopRequest]) -> AttemptResult:
+def wait(_run_id: str, stop: Callable[[], StopRequest], _pause: Pause) -> AttemptResult:
     while not stop():
         time.sleep(0.01)
     raise AttemptStopped

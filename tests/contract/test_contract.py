@@ -135,6 +135,7 @@ LEARNING_CASES = (
     Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT, 0, 10_001), "invalid_input"),
     Case("CancelFit", learning.CancelFitRequest(FIT)),
     Case("CancelFit", learning.CancelFitRequest("1" * 32), "not_found"),
+    Case("ResumeFit", learning.ResumeFitRequest("1" * 32), "not_found"),
     Case("WatchFit", learning.WatchFitRequest("1" * 32), "not_found"),
     Case("WatchFit", learning.WatchFitRequest("x", 3), "invalid_input"),
     Case("ListModels", learning.ListModelsRequest()),

@@ -17,8 +17,8 @@ from typing import Any
 import psutil
 import pytest
 
-from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded
-from freerein.jobs import queue
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded
+from freerein.jobs import queue, retry
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
@@ -29,6 +29,7 @@ from freerein.types.learning import (
     Fit,
     GetFitRequest,
     ListFitsRequest,
+    ResumeFitRequest,
     StartFitRequest,
     WatchFitRequest,
 )
@@ -43,13 +44,15 @@ CHILD = textwrap.dedent(
     runs = work / "runs.txt"
     runs.write_text((runs.read_text() if runs.exists() else "") + f"{os.getpid()}\\n")
     behaviour = config["behaviour"]
+    if behaviour == "killed" and len(runs.read_text().split()) <= 4:
+        os.kill(os.getpid(), signal.SIGKILL)
     with (work / "metrics.jsonl").open("a") as metrics:
         step = 2 if behaviour == "crash" else 2 * len(runs.read_text().split())
         metrics.write(f'{{"step": {step}, "train_loss": 0.5, "validation_loss": NaN}}\\n')
     if behaviour == "crash once" and len(runs.read_text().split()) == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     if behaviour == "crash":
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.abort()
     if behaviour == "burst":
         with (work / "metrics.jsonl").open("a") as metrics:
             metrics.writelines(f'{{"step": {step}, "train_loss": {1 / step}}}\\n' for step in range(3, 6))
@@ -161,8 +164,33 @@ async def test_a_child_that_always_dies_is_given_up(bench: Bench) -> None:
     assert (fit.state, len(bench.runs(fit))) == ("failed", 4)  # the first made progress
     assert fit.error == (
         "3 attempts in a row ended without progress. "
-        "The child process was killed by SIGKILL; see log.txt in the job's folder."
+        "The child process was killed by SIGABRT; see log.txt in the job's folder."
     )
+
+
+@pytest.mark.fault("F8")
+async def test_kills_from_outside_before_the_first_progress_are_no_failures_of_the_fit(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retry, "_FIRST_PAUSE_S", 0.01)
+    async with bench.running() as fits:
+        fit = await end(fits, await begin(fits, "killed"))
+    assert (fit.state, fit.error, len(bench.runs(fit))) == ("succeeded", "", 5)
+
+
+@pytest.mark.fault("F8")
+async def test_a_fit_that_waits_for_its_next_attempt_says_so_and_is_cancelled_at_once(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retry, "_FIRST_PAUSE_S", 60.0)
+    async with bench.running() as fits:
+        waiting = await when(fits, await begin(fits, "killed"), lambda now: now.error)
+        assert (waiting.state, waiting.step) == ("running", 0)
+        assert waiting.error.endswith("was killed by SIGKILL, or memory ran out. The next attempt begins after 60 s.")
+        async with asyncio.timeout(5):
+            assert (await fits.cancel_fit(CancelFitRequest(waiting.id))).fit.state == "cancelled"
+            assert (await end(fits, await begin(fits))).state == "succeeded"
+    assert len(bench.runs(waiting)) == 1
 
 
 async def test_a_permanent_failure_is_not_retried(bench: Bench) -> None:
@@ -218,6 +246,21 @@ async def test_cancelling_ends_the_child_and_stays_final(bench: Bench) -> None:
         assert not psutil.pid_exists(bench.runs(fit)[0])
         assert (await fits.cancel_fit(CancelFitRequest(fit.id))).fit.state == "cancelled"
         assert (await end(fits, fit)).state == "cancelled"
+
+
+async def test_a_cancelled_fit_is_resumed_at_the_end_of_the_queue_and_only_then(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits, "wait")
+        with pytest.raises(FailedPrecondition):
+            await fits.resume_fit(ResumeFitRequest(fit.id))
+        await when(fits, fit, lambda now: now.step == 2)
+        await fits.cancel_fit(CancelFitRequest(fit.id))
+        answers = [fits.resume_fit(ResumeFitRequest(fit.id)) for _ in range(2)]
+        one, other = await asyncio.gather(*answers, return_exceptions=True)
+        assert [type(one), type(other)].count(FailedPrecondition) == 1, "a fit is queued once"
+        await when(fits, fit, lambda now: now.step == 4)
+        assert len(bench.runs(fit)) == 2
+        await fits.cancel_fit(CancelFitRequest(fit.id))
 
 
 async def test_cancelled_before_its_turn_a_fit_never_starts(bench: Bench) -> None:

@@ -7,14 +7,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from freerein.jobs.attempt import (
-    KEEP_FREED_MEMORY,
-    AttemptResult,
-    AttemptRunner,
-    AttemptStopped,
-    StopRequest,
-    retry,
-)
+from freerein.jobs.attempt import KEEP_FREED_MEMORY, AttemptRunner, AttemptStopped, StopRequest
+from freerein.jobs.retry import AttemptResult, Pause, retry
 from freerein.jobs.store import JobStore
 
 START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
@@ -54,7 +48,7 @@ def test_a_run_that_this_worker_cannot_see_fails_and_says_what_workers_must_shar
 def test_a_job_is_attempted_until_it_ends_or_three_attempts_in_a_row_make_no_progress(results, end):
     made = iter(results.split())
 
-    def attempt() -> AttemptResult:
+    def attempt(_pause: Pause) -> AttemptResult:
         match next(made):
             case "progressed":
                 return AttemptResult("crashed", progressed=True)
@@ -66,6 +60,20 @@ def test_a_job_is_attempted_until_it_ends_or_three_attempts_in_a_row_make_no_pro
     result = retry(attempt)
     assert (result.outcome, result.error) == end
     assert next(made, None) is None
+
+
+@pytest.mark.fault("F8")
+def test_after_each_kill_in_a_row_the_next_attempt_waits_twice_as_long_up_to_a_minute():
+    ends = ["killed"] * 9 + ["crashed", "crashed", "killed", "progressed", "killed", "killed", "succeeded"]
+    pauses: list[float] = []
+
+    def attempt(pause: Pause) -> AttemptResult:
+        pauses.append(pause.seconds)
+        end = ends[len(pauses) - 1]
+        return AttemptResult("killed", progressed=True) if end == "progressed" else AttemptResult(end)
+
+    assert retry(attempt).outcome == "succeeded"
+    assert pauses == [0, 0.5, 1, 2, 4, 8, 16, 32, 60, 60, 0, 0, 0.5, 0, 0.5, 1]
 
 
 def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(store, runner):

@@ -8,11 +8,13 @@ import sys
 
 import pytest
 
+from freerein import wire
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import MetricsWriter
 from freerein.jobs.store import JobEvent, JobStore
 from freerein.types.jobs import JobMetrics
+from freerein.types.orchestrator import ListRunsResponse, Run
 
 START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
 REQUEST = {**START, "config": {"seed": 3}, "idempotency_key": "key"}
@@ -141,6 +143,19 @@ def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(sto
     third, end = store.page(2, token)
     assert [*first, *second, *third] == ids[::-1]
     assert end == ""
+
+
+@pytest.mark.fault("F10")
+def test_a_page_ends_before_its_reply_is_too_large_and_the_next_one_continues(store):
+    large = [store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 120_000}, "steps": 1}) for _ in range(7)]
+    huge = store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 1_000_000}, "steps": 1})
+    pages, token = [], ""
+    while not pages or token:
+        ids, token = store.page(0, token)
+        pages.append(ids)
+    assert pages == [[huge], [large[6], large[5]], [large[4], large[3]], [large[2], large[1]], [large[0]]]
+    replies = [ListRunsResponse(tuple(Run(**store.fields(job_id)) for job_id in ids)) for ids in pages[1:]]
+    assert max(wire.pack(reply).ByteSize() for reply in replies) < 8 << 20
 
 
 @pytest.mark.parametrize(

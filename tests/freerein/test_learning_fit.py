@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import nn
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.learning import checkpoints, weights
 from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save, stop_on_sigterm
 from freerein.learning.fit_config import FitConfig
@@ -235,7 +235,7 @@ def test_a_full_disk_is_told_and_survived_until_it_stays_full(tmp_path: Path, un
     digest, events = run(tmp_path / "full", Line(replace(CONFIG, checkpoint_every=12)))
     assert digest == undisturbed[0]
     assert [event.kind for event in events].count("checkpoint_failed") == 2
-    with pytest.raises(FailedPrecondition, match="3 in a row"):
+    with pytest.raises(OutOfStorage, match="3 in a row"):
         run(tmp_path / "full", Line(replace(CONFIG, checkpoint_every=2)))
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import psycopg
 import pytest
 
 from freerein.cli.services import free_ports
@@ -66,6 +67,15 @@ class Worker:
 
     def child(self, run_id: str) -> psutil.Process:
         return psutil.Process(self.pids(run_id)[-1])
+
+    def child_of_attempt(self, run_id: str, count: int) -> psutil.Process:
+        """Waits for the child of a run's n-th attempt, counted from 1."""
+        started = self.runs / run_id / "pids.txt"
+        limit = time.monotonic() + 15
+        while not started.is_file() or len(self.pids(run_id)) < count:
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        return self.child(run_id)
 
     def end(self, number: signal.Signals) -> int:
         self.process.send_signal(number)
@@ -199,12 +209,26 @@ def test_three_failures_without_progress_end_a_run_with_a_diagnosis_and_it_can_b
     run_id = worker.start(crash=True)
     end = worker.watch(run_id)[-1]
     assert end["state"] == "failed"
-    reason = "3 attempts in a row ended without progress. The child process was killed by SIGKILL"
+    reason = "3 attempts in a row ended without progress. The child process was killed by SIGABRT"
     assert end["error"].startswith(reason)
     assert len(worker.pids(run_id)) == 1 + 3  # the first got further than none before it
     assert worker.ask("resume", id=run_id)["state"] in ("queued", "running")
     assert worker.watch(run_id, start=end["sequence"] + 1)[-1]["state"] == "failed"
     assert len(worker.pids(run_id)) == 1 + 3 + 3
+
+
+@pytest.mark.fault("F8")
+def test_a_run_that_is_killed_before_its_first_progress_waits_and_goes_on_and_shows_why(begin):
+    worker = begin()
+    run_id = worker.start(killed=3)
+    for count, number in enumerate((signal.SIGKILL, signal.SIGTERM, signal.SIGKILL), start=1):
+        worker.child_of_attempt(run_id, count).send_signal(number)
+    events = worker.watch(run_id)
+    assert events[-1]["state"] == "succeeded"
+    waits = [(event["state"], event["error"]) for event in events if event["error"]]
+    killed = "The child process was killed by {}, or memory ran out. The next attempt begins after {} s."
+    names = (("SIGKILL", "0.5"), ("SIGTERM", "1"), ("SIGKILL", "2"))
+    assert waits == [("running", killed.format(*each)) for each in names]
 
 
 def test_what_cannot_succeed_is_tried_once_and_says_why(begin):
@@ -349,6 +373,26 @@ def test_a_second_worker_of_the_same_name_on_one_postgres_is_refused(begin, tmp_
     second = Worker(tmp_path, "three", postgres.url)
     assert second.process.communicate(timeout=10) == ("", None)
     assert second.process.returncode == 3
+
+
+@pytest.mark.fault("F12")
+def test_a_postgres_of_another_encoding_ends_the_start_with_one_line_that_says_so(tmp_path, postgres):
+    with psycopg.connect(postgres.url, autocommit=True) as connection:
+        connection.execute("CREATE DATABASE ascii ENCODING 'SQL_ASCII' LOCALE 'C' TEMPLATE template0")
+    settings = {
+        "FREEREIN_DATABASE_URL": postgres.url.replace("/postgres", "/ascii"),
+        "FREEREIN_DATA_DIR": str(tmp_path),
+        "FREEREIN_HTTP_PORT": "0",
+        "FREEREIN_GRPC_PORT": "0",
+    }
+    command = [sys.executable, "-m", "freerein_orchestrator"]
+    with subprocess.Popen(command, env={**os.environ, **settings}, stderr=subprocess.PIPE, text=True) as process:
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 3
+    (line,) = (line for line in stderr.splitlines() if not line.startswith("{"))
+    assert line.startswith("cannot start: ")
+    assert "must have the encoding UTF8; it has SQL_ASCII" in line
+    assert "CREATE DATABASE" in line
 
 
 def test_a_run_goes_on_while_its_database_is_away_and_a_worker_can_end_without_it(begin, postgres):

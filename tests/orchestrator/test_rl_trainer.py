@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, OutOfStorage
 from freerein.learning import checkpoints, tensor_files
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
 from freerein_orchestrator.rl.config import PPOConfig
@@ -307,7 +307,7 @@ def test_damaged_checkpoints_are_skipped_and_named(tmp_path: Path, expected: str
 def test_a_disk_that_cannot_be_written_stops_the_training_after_three_failures(tmp_path: Path, expected: str) -> None:
     log: list[str] = []
     (tmp_path / "checkpoints").write_text("in the way")
-    with pytest.raises(FailedPrecondition, match="3 in a row could not be"):
+    with pytest.raises(OutOfStorage, match="3 in a row could not be"):
         train(tmp_path, log=log)
     assert [text[:11] for text in log] == ["Iteration 0", "Iteration 1", "Iteration 2"]
     (tmp_path / "checkpoints").unlink()

@@ -10,7 +10,8 @@ import pytest
 import pytest_asyncio
 
 from freerein.errors import AlreadyExists, InvalidInput, Overloaded, Unavailable
-from freerein.jobs.attempt import AttemptResult, AttemptStopped, StopRequest
+from freerein.jobs.attempt import AttemptStopped, StopRequest
+from freerein.jobs.retry import AttemptResult, Pause
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.types.jobs import JobState
@@ -57,7 +58,7 @@ class Orchestrator:
     async def watch(self, run_id: str) -> list[JobState]:
         return [event.run.state async for event in self.runs.watch_run(WatchRunRequest(run_id))]
 
-    def attempt(self, run_id: str, stop: Callable[[], StopRequest]) -> AttemptResult:
+    def attempt(self, run_id: str, stop: Callable[[], StopRequest], _pause: Pause) -> AttemptResult:
         while not self.attempts:
             if stop():
                 raise AttemptStopped

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from freerein.atomic_files import write_atomic
-from freerein.jobs.child import die_with_parent
+from freerein.jobs.child import STOPPED, die_with_parent
 
 
 def main(folder: Path) -> int:
@@ -16,6 +16,8 @@ def main(folder: Path) -> int:
     signal.signal(signal.SIGTERM, signal.SIG_IGN if config.get("deaf") else lambda *_: sys.exit(save(folder)))
     with (folder / "pids.txt").open("a") as pids:
         pids.write(f"{os.getpid()}\n")
+    if len((folder / "pids.txt").read_text().split()) <= config.get("killed", 0):
+        signal.pause()
     checkpoint = folder / "checkpoint.txt"
     step = int(checkpoint.read_text()) if checkpoint.exists() else 0
     if config.get("complaint"):
@@ -31,14 +33,14 @@ def main(folder: Path) -> int:
         if step == config.get("wait_at"):
             signal.pause()
     if config.get("crash"):
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.abort()
     write_atomic(folder / "artifacts" / "count.txt", b"%d" % step)
     return 0
 
 
 def save(folder: Path) -> int:
     write_atomic(folder / "saved.txt", b"yes")
-    return 1
+    return STOPPED
 
 
 if __name__ == "__main__":

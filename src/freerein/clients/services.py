@@ -73,6 +73,7 @@ class FitClient(Client):
     watch_fit = ServerStreamRpc(learning.WatchFitRequest, learning.WatchFitResponse)
     get_fit_metrics = UnaryRpc(learning.GetFitMetricsRequest, learning.GetFitMetricsResponse)
     cancel_fit = UnaryRpc(learning.CancelFitRequest, learning.CancelFitResponse)
+    resume_fit = UnaryRpc(learning.ResumeFitRequest, learning.ResumeFitResponse)
 
 
 class ModelClient(Client):

@@ -13,22 +13,23 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from freerein.jobs.child import PERMANENT_FAILURE
+from freerein.atomic_files import out_of_storage
+from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
+from freerein.jobs.retry import NO_PAUSE, AttemptResult, Pause
 from freerein.jobs.store import JobStore
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SAVE_S = 5.0
 _CANCEL_S = 1.4  # with one poll of the database, at most 2 s from CancelRun to the child's end
-_ATTEMPTS = 3
 _SIGNALS = {number.value: number.name for number in signal.Signals}
+_KILLS = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, STOPPED}
 
 StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
@@ -46,37 +47,11 @@ CANCELLED_FILE = "cancelled"
 INTERNAL_ERROR = "Internal error; the log of the service has the traceback."
 
 
-@dataclass(frozen=True)
-class AttemptResult:
-    """How an attempt ended.
-
-    Attributes:
-        outcome: `succeeded` and `failed` end the job; after `crashed` it is attempted again.
-        progressed: Whether the attempt did steps that no attempt before it had done.
-    """
-
-    outcome: Literal["succeeded", "failed", "crashed"]
-    progressed: bool = False
-    error: str = ""
-
-
 class AttemptStopped(BaseException):
     """Ends an attempt that was asked to stop. It has no result: if the job continues, it is attempted again.
 
     Not an `Exception`, which DBOS would record as the end of the run.
     """
-
-
-def retry(attempt: Callable[[], AttemptResult]) -> AttemptResult:
-    """Makes attempts at a job until one ends it, or three in a row crash without progress."""
-    crashes = 0
-    while True:
-        result = attempt()
-        if result.outcome != "crashed":
-            return result
-        crashes = 0 if result.progressed else crashes + 1
-        if crashes >= _ATTEMPTS:
-            return AttemptResult("failed", error=f"{crashes} attempts in a row ended without progress. {result.error}")
 
 
 class AttemptRunner:
@@ -90,8 +65,10 @@ class AttemptRunner:
         self._arguments = arguments
         self._hidden_env = hidden_env
 
-    def run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
-        """Starts a job's child process and returns how it ended; `should_stop` is called several times a second.
+    def run(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause = NO_PAUSE) -> AttemptResult:
+        """Starts a job's child process after a pause, and returns how it ended.
+
+        `should_stop` is called several times a second.
 
         Raises AttemptStopped when `should_stop` asked for it; the child has then ended or was killed.
         """
@@ -102,10 +79,23 @@ class AttemptRunner:
                 "must share FREEREIN_DATA_DIR.",
             )
         try:
+            self._wait(job_id, should_stop, pause)
             return self._run(job_id, should_stop)
         except OSError as error:  # a full disk, or no memory for a process: the next attempt may succeed
             _log.exception("an attempt could not be started", extra={"job": job_id})
             return AttemptResult("crashed", error=f"The child process could not be started: {error.strerror}.")
+
+    def _wait(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause) -> None:
+        """Waits out a pause, which the job's events show."""
+        if pause.seconds:
+            with suppress(OSError):
+                error = f"{pause.reason} The next attempt begins after {pause.seconds:g} s."
+                self._store.record(job_id, "running", error=error)
+        end_s = time.monotonic() + pause.seconds
+        while (left_s := end_s - time.monotonic()) > 0:
+            if should_stop():
+                raise AttemptStopped
+            time.sleep(min(left_s, _POLL_S))
 
     def _run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
         folder, done = self._store.folder(job_id), self._store.last(job_id).step
@@ -199,7 +189,12 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("succeeded")
     if code == PERMANENT_FAILURE:
         return AttemptResult("failed", progressed, last_line)
-    name = _SIGNALS.get(-code, f"signal {-code}")
+    if code == OUT_OF_STORAGE:
+        refused = out_of_storage("the disk is full, broken or read-only")
+        return AttemptResult("failed", progressed, f"{refused.detail} {refused.hint}")
+    name = "SIGTERM" if code == STOPPED else _SIGNALS.get(-code, f"signal {-code}")
+    if code in _KILLS:
+        return AttemptResult("killed", progressed, f"The child process was killed by {name}, or memory ran out.")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
     return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")
 

@@ -10,12 +10,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from freerein.errors import ServiceError
+from freerein.atomic_files import storage_errors
+from freerein.errors import OutOfStorage, ServiceError
 
-STOPPED = 1
-"""Exit code of a child that was stopped and can be resumed."""
+STOPPED = 143
+"""Exit code of a child that was stopped by SIGTERM and can be resumed, as shells report it."""
 PERMANENT_FAILURE = 2
 """Exit code of a child that cannot succeed, however often it is started; the last line of its log says why."""
+
+OUT_OF_STORAGE = 74
+"""Exit code of a child that cannot write its files, so that its log may not say why; BSD calls it EX_IOERR."""
 
 
 def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
@@ -26,16 +30,17 @@ def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
         work: Given the contents of `config.json`, does the work and returns True; returns False when it was stopped.
 
     Returns:
-        The exit code: 0, `STOPPED` or `PERMANENT_FAILURE`.
+        The exit code: 0, `STOPPED`, `PERMANENT_FAILURE` or `OUT_OF_STORAGE`.
     """
     die_with_parent()
     try:
-        return 0 if work(json.loads((folder / "config.json").read_bytes())) else STOPPED
+        with storage_errors():
+            return 0 if work(json.loads((folder / "config.json").read_bytes())) else STOPPED
     except ServiceError as error:
         with suppress(OSError):  # a full disk
             sys.stderr.write(f"{error.detail} {error.hint}\n")
             sys.stderr.flush()
-        return PERMANENT_FAILURE
+        return OUT_OF_STORAGE if isinstance(error, OutOfStorage) else PERMANENT_FAILURE
 
 
 def die_with_parent() -> None:

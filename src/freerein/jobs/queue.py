@@ -5,10 +5,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from freerein.errors import Overloaded, ServiceError
-from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest, retry
+from freerein.errors import FailedPrecondition, Overloaded, ServiceError
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest
+from freerein.jobs.retry import retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
 
@@ -75,6 +77,29 @@ class LocalQueue:
                 self._request = self._request or "cancel"
                 self._changed.wait_for(lambda: self._running != job_id, _CANCEL_S)
 
+    def resume(self, job_id: str) -> None:
+        """Queues a failed or cancelled job again; its child resumes from its last checkpoint.
+
+        Raises:
+            FailedPrecondition: The job is neither failed nor cancelled.
+            Overloaded: Too many jobs are waiting, or the child of this one has not ended yet.
+        """
+        with self._changed:
+            self.check_room()
+            self._changed.wait_for(lambda: self._running != job_id or not self._store.last(job_id).ended, _CANCEL_S)
+            state = self._store.last(job_id).state
+            if state not in ("failed", "cancelled"):
+                raise FailedPrecondition(
+                    f"A {self._store.noun} to resume must be failed or cancelled; this one is {state}.",
+                    field="id",
+                    hint=f"Start a new {self._store.noun}, or cancel this one first.",
+                )
+            if self._running == job_id:
+                raise Overloaded(f"The last child of this {self._store.noun} is still ending.", hint="Try again.")
+            self._store.record(job_id, "queued")
+            self._waiting.append(job_id)
+            self._changed.notify_all()
+
     def _run_all(self) -> None:
         while job_id := self._next():
             try:
@@ -89,7 +114,7 @@ class LocalQueue:
                 self._record(job_id, "failed", error=reason)
 
     def _run(self, job_id: str) -> None:
-        result = retry(lambda: self._runner.run(job_id, lambda: self._request))
+        result = retry(partial(self._runner.run, job_id, lambda: self._request))
         if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
             return
         if result.outcome == "succeeded":

@@ -12,12 +12,14 @@
 import asyncio
 import fcntl
 import json
+import shutil
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from freerein.types.orchestrator import Artifact
 
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
 _PAGE, _MAX_PAGE = 100, 1000
+_PAGE_BYTES = 1 << 20  # of JSON; a `Struct` with the same values takes up to six times as many
 _ROWS, _MAX_ROWS = 1000, 10_000
 
 
@@ -63,16 +66,23 @@ class JobStore:
     def create(self, request: Mapping[str, Any], config: Mapping[str, Any]) -> str:
         """Records a request and the contents of `config.json` durably; returns the id of the job.
 
-        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request.
+        The same idempotency key is the same job. Raises AlreadyExists when it was used for another request, OSError
+        when the disk is full or broken; nothing is then left of the job.
         """
         job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
-        make_folder(folder)
-        with self.lock(job_id):
+        make_folder(self._root)
+        with _locked(self._root / ".lock"):
             if self.find(request) is None:
-                append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
-                write_atomic(folder / "request.json", json.dumps(request).encode())
-                write_atomic(folder / "config.json", json.dumps(config).encode())
+                try:
+                    make_folder(folder)
+                    append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
+                    write_atomic(folder / "request.json", json.dumps(request).encode())
+                    write_atomic(folder / "config.json", json.dumps(config).encode())
+                except OSError:
+                    if not self.exists(job_id):
+                        shutil.rmtree(folder, ignore_errors=True)
+                    raise
         return job_id
 
     def find(self, request: Mapping[str, Any]) -> str | None:
@@ -106,11 +116,13 @@ class JobStore:
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
 
+        A page ends early, after at least one job, so that the configurations on it have at most 1 MiB together.
+
         Raises InvalidInput when the page is too large, or the token was not returned by this method.
         """
         size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
-        ids = self._newest_first()
-        start = 0
+        sizes = self._newest_first()
+        ids, start = list(sizes), 0
         if page_token:
             if check_id(page_token, field="page_token") not in ids:
                 raise InvalidInput(
@@ -119,8 +131,9 @@ class JobStore:
                     hint="Leave it out to start from the first page.",
                 )
             start = ids.index(page_token) + 1
-        page = ids[start : start + size]
-        return page, page[-1] if start + size < len(ids) else ""
+        ends = accumulate(sizes[job_id] for job_id in ids[start : start + size])
+        end = start + max(1, sum(total <= _PAGE_BYTES for total in ends))
+        return ids[start:end], ids[end - 1] if end < len(ids) else ""
 
     def unfinished(self) -> list[str]:
         """Returns the ids of the jobs that have not ended, oldest first."""
@@ -219,12 +232,9 @@ class JobStore:
         path = self.folder(job_id) / "model.json"
         return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
-    @contextmanager
-    def lock(self, job_id: str) -> Iterator[None]:
+    def lock(self, job_id: str) -> AbstractContextManager[None]:
         """Excludes other processes while it is decided whether a job has ended or is queued again."""
-        with (self.folder(job_id) / "state.lock").open("ab") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
+        return _locked(self.folder(job_id) / "state.lock")
 
     def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
         def documents(last: Mapping[str, Any] | None) -> Iterator[Mapping[str, Any]]:
@@ -237,12 +247,20 @@ class JobStore:
 
         append(self.folder(job_id) / "events.jsonl", documents)
 
-    def _newest_first(self) -> list[str]:
+    def _newest_first(self) -> dict[str, int]:
+        """Returns the sizes in bytes of the configurations of all jobs, by id."""
         found = []
         for path in self._root.glob("[0-9a-f]" * 32 + "/config.json"):
             with suppress(FileNotFoundError):  # deleted meanwhile
-                found.append((path.stat().st_mtime_ns, path.parent.name))
-        return [job_id for _, job_id in sorted(found, reverse=True)]
+                found.append((path.stat().st_mtime_ns, path.parent.name, path.stat().st_size))
+        return {job_id: size for _, job_id, size in sorted(found, reverse=True)}
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _event(document: Mapping[str, Any]) -> JobEvent:

@@ -12,6 +12,7 @@ deterministic, which cuDNN's LSTM does not promise.
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Generic, Literal, Protocol
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.jobs.child import stop_on_sigterm
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
@@ -124,7 +125,8 @@ def fit(
         on_event: Called with each event, in order.
 
     Raises:
-        FailedPrecondition: `folder` holds another fit, a metric is not finite, or checkpoints cannot be written.
+        FailedPrecondition: `folder` holds another fit, or a metric is not finite.
+        OutOfStorage: Three checkpoints in a row could not be written.
     """
     config = learner.config
     torch.set_num_threads(config.threads)
@@ -178,7 +180,8 @@ def _advance(
         _check_finite(row, state.step)
         progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
-    rows.append(state.step, row)
+    with suppress(OSError):  # a full disk costs the row, not the fit
+        rows.append(state.step, row)
     return replace(progress, metric_sums={}, metric_count=0)
 
 
@@ -232,9 +235,9 @@ class _Checkpointer:
             self._failures += 1
             self._on_event(FitEvent("checkpoint_failed", step, error.strerror or "The disk failed."))
             if self._failures >= _MAX_SAVE_FAILURES:
-                raise FailedPrecondition(
+                raise OutOfStorage(
                     f"Checkpoints must be writable; {_MAX_SAVE_FAILURES} in a row could not be written.",
-                    hint="Free disk space; the fit resumes from its last checkpoint.",
+                    hint="Free disk space, then resume the fit: it continues from its last checkpoint.",
                 ) from error
             return
         self._saved_step, self._failures = step, 0

@@ -28,6 +28,7 @@ TITLES = {
     501: "Not implemented",
     503: "Unavailable",
     504: "Deadline exceeded",
+    507: "Insufficient storage",
 }
 
 

@@ -134,6 +134,22 @@ class FitService:
 
         return learning.CancelFitResponse(await self._in_thread(cancel))
 
+    async def resume_fit(self, request: learning.ResumeFitRequest) -> learning.ResumeFitResponse:
+        """Queues a failed or cancelled fit again; it resumes from its last checkpoint.
+
+        Raises:
+            NotFound: There is no such fit.
+            FailedPrecondition: The fit is neither failed nor cancelled.
+            Overloaded: Too many fits are waiting.
+        """
+
+        def resume() -> learning.Fit:
+            self._jobs.config(request.id)
+            self._queue.resume(request.id)
+            return self._fit(request.id)
+
+        return learning.ResumeFitResponse(await self._in_thread(resume))
+
     def _start(self, request: learning.StartFitRequest) -> learning.Fit:
         fit_id = self._jobs.find(vars(request))
         if fit_id is None:

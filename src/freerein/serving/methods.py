@@ -6,6 +6,8 @@ message and returns the dataclass of its response message. Over REST it is `/v1/
 streams are gRPC only.
 """
 
+import functools
+import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ from typing import Any, Literal
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
 
 from freerein import wire
+from freerein.atomic_files import storage_errors
 from freerein.errors import ServiceError
 
 _READ_PREFIXES = ("List", "Get", "Watch")
@@ -82,7 +85,7 @@ def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]
             descriptor=descriptor,
             request=wire.dataclass_of(descriptor.input_type),
             response=wire.dataclass_of(descriptor.output_type),
-            call=_find(_split_words(descriptor.name, "_"), cores),
+            call=_guarded(_find(_split_words(descriptor.name, "_"), cores)),
         )
         for descriptor in service.methods
     )
@@ -98,6 +101,19 @@ def _find(name: str, cores: Sequence[object]) -> Any:
         if hasattr(core, name):
             return getattr(core, name)
     raise LookupError(f"no core has a method {name}")
+
+
+def _guarded(call: Any) -> Any:
+    """Returns a core's method whose errors of a full or broken disk are `OutOfStorage`; streams only read."""
+    if not inspect.iscoroutinefunction(call):
+        return call
+
+    @functools.wraps(call)
+    async def guarded(request: Any) -> Any:
+        with storage_errors():
+            return await call(request)
+
+    return guarded
 
 
 def _split_words(name: str, separator: str) -> str:

@@ -33,7 +33,7 @@ class Job:
         step: Steps done: updates of a fit; of a run iterations, trajectories, episodes or updates, by its kind.
         steps: Steps planned.
         metrics: The latest metrics, such as `train_loss`.
-        error: Reason of the failure; empty unless it has failed.
+        error: Reason of the failure, or why the next attempt waits; else empty.
     """
 
     id: str

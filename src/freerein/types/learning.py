@@ -100,6 +100,17 @@ class CancelFitResponse:
     fit: Fit
 
 
+class ResumeFitRequest(JobRequest):
+    """Requests to resume one fit by its id."""
+
+
+@dataclass(frozen=True)
+class ResumeFitResponse:
+    """The fit, queued again."""
+
+    fit: Fit
+
+
 @dataclass(frozen=True)
 class Model:
     """One version of one model.

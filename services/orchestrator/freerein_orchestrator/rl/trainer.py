@@ -12,7 +12,7 @@ from typing import Protocol
 
 import torch
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import Checkpoint
 from freerein_orchestrator.rl import ppo
@@ -78,7 +78,8 @@ class Trainer:
 
         Raises:
             Stopped: `interrupt` raised it.
-            FailedPrecondition: An iteration was rejected three times in a row, or three checkpoints could not be saved.
+            FailedPrecondition: An iteration was rejected three times in a row.
+            OutOfStorage: Three checkpoints in a row could not be saved.
             ServiceError: What else `init`, `load` or collecting raises.
         """
         rejected = 0
@@ -179,6 +180,7 @@ class _Saver:
             self._failures += 1
             self._log_line(f"Iteration {state.iteration} could not be saved: {error.strerror}")
             if self._failures == _MAX_FAILURES:
-                raise FailedPrecondition(
-                    f"Checkpoints must be saved; {_MAX_FAILURES} in a row could not be.", hint="Is the disk full?"
+                raise OutOfStorage(
+                    f"Checkpoints must be saved; {_MAX_FAILURES} in a row could not be.",
+                    hint="Free disk space, then resume the run: it continues from its last checkpoint.",
                 ) from error

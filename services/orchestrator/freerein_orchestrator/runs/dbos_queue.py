@@ -20,10 +20,12 @@ from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, Workf
 from sqlalchemy import make_url
 from sqlalchemy.exc import DBAPIError
 
-from freerein.errors import FailedPrecondition, NotFound, ServiceError, Unavailable
-from freerein.jobs.attempt import INTERNAL_ERROR, AttemptResult, AttemptStopped, StopRequest, retry
+from freerein.errors import FailedPrecondition, NotFound, ServiceError
+from freerein.jobs.attempt import INTERNAL_ERROR, AttemptStopped, StopRequest
+from freerein.jobs.retry import AttemptResult, Pause, retry
 from freerein.jobs.store import JobStore
 from freerein.types.jobs import JobState
+from freerein_orchestrator.runs.database_errors import database_error, unreachable
 from freerein_orchestrator.runs.worker_locks import FileLocks, PostgresLocks
 
 _log = logging.getLogger(__name__)
@@ -79,7 +81,8 @@ class DbosQueue:
     Args:
         folder: Folder of the SQLite database and of the worker locks.
         store: The runs on disk.
-        attempt: Makes an attempt at a run, given its id and a function that tells it to stop; see `AttemptRunner.run`.
+        attempt: Makes an attempt at a run, given its id, a function that tells it to stop, and the pause before it; see
+            `AttemptRunner.run`.
         database_url: URL of Postgres, `postgresql://...`; empty for SQLite.
         executor_id: Name of the worker, the same at every start: a restarted worker resumes its runs at once.
         takeover_s: Interval between searches for runs of dead workers.
@@ -90,7 +93,7 @@ class DbosQueue:
         folder: Path,
         *,
         store: JobStore,
-        attempt: Callable[[str, Callable[[], StopRequest]], AttemptResult],
+        attempt: Callable[[str, Callable[[], StopRequest], Pause], AttemptResult],
         database_url: str = "",
         executor_id: str,
         takeover_s: float = 5.0,
@@ -123,14 +126,16 @@ class DbosQueue:
         """Opens the database, resumes the runs of this worker, and starts to execute queued ones.
 
         Raises:
-            FailedPrecondition: A worker of this name is running.
+            FailedPrecondition: A worker of this name is running, or the database has another encoding than UTF8.
             Unavailable: The database was out of reach for half a minute.
+            OutOfStorage: The disk of the database is full, broken or read-only.
         """
         with self._opening:
             self._folder.mkdir(parents=True, exist_ok=True)
             if not self._take_own_lock():
                 return
             logging.getLogger("dbos").addHandler(logging.NullHandler())  # without a handler, DBOS adds its own
+            logging.getLogger("dbos").addFilter(_without_traceback)
             config: DBOSConfig = {
                 "name": _APPLICATION,
                 "system_database_url": self._url,
@@ -147,7 +152,11 @@ class DbosQueue:
             def run(run_id: str) -> dict[str, Any]:
                 return self._execute(run_id)
 
-            DBOS.launch()
+            try:
+                DBOS.launch()
+            except DBAPIError as refused:
+                DBOS.destroy(destroy_registry=True)
+                raise database_error(refused) from refused
             DBOS.register_queue(
                 _QUEUE, worker_concurrency=1, polling_interval_sec=_QUEUE_POLL_S, on_conflict="always_update"
             )
@@ -200,19 +209,22 @@ class DbosQueue:
 
         Raises:
             Unavailable: The database is out of reach, or frozen, which no socket tells.
+            OutOfStorage: Its disk is full, broken or read-only.
         """
         answer = self._queries.submit(query)
         try:
             return answer.result(_ANSWER_S)
         except (DBAPIError, TimeoutError) as away:
             answer.cancel()
-            raise _unreachable() from away
+            raise database_error(away) from away
 
     def _execute(self, run_id: str) -> dict[str, Any]:
         """The workflow: makes attempts until the run ends; returns its status."""
         self._runs.add(run_id)
         try:
-            result = retry(lambda: AttemptResult(**DBOS.run_step({"name": "attempt"}, self._make_attempt, run_id)))
+            result = retry(
+                lambda pause: AttemptResult(**DBOS.run_step({"name": "attempt"}, self._make_attempt, run_id, pause))
+            )
             state: JobState = "succeeded" if result.outcome == "succeeded" else "failed"
             DBOS.run_step({"name": "record_end"}, self._record, run_id, state, result.error)
             return asdict(RunStatus(state, result.error))
@@ -228,7 +240,7 @@ class DbosQueue:
         except OSError:  # a full disk, or no such run here; recorded when the run is next read
             _log.warning("the state of a run cannot be recorded", extra={"run": run_id})
 
-    def _make_attempt(self, run_id: str) -> dict[str, Any]:
+    def _make_attempt(self, run_id: str, pause: Pause) -> dict[str, Any]:
         with self._idle:
             if self._closing.is_set():
                 raise AttemptStopped
@@ -236,7 +248,7 @@ class DbosQueue:
         try:
             if self._store.exists(run_id) and self._store.last(run_id).ended:
                 self._record(run_id, "queued", "")  # ResumeRun gave up on the database too soon to record it
-            return asdict(self._attempt(run_id, self._stop_request(run_id)))
+            return asdict(self._attempt(run_id, self._stop_request(run_id), pause))
         except Exception:  # a bug must not leave the run without an end
             _log.exception("an attempt failed", extra={"run": run_id})
             return asdict(AttemptResult("failed", error=INTERNAL_ERROR))
@@ -295,7 +307,7 @@ class DbosQueue:
                 if self._locks.take(self._executor_id):
                     return True
             except psycopg.OperationalError:
-                refusal, timeout_s = _unreachable(), _DATABASE_S
+                refusal, timeout_s = unreachable(), _DATABASE_S
             if time.monotonic() - began > timeout_s:
                 raise refusal
             self._closing.wait(_POLL_S)
@@ -341,12 +353,11 @@ def _with_timeouts(url: str) -> str:
     return parsed.set(query={**_POSTGRES_TIMEOUTS, **parsed.query}).render_as_string(hide_password=False)
 
 
-def _unreachable() -> Unavailable:
-    return Unavailable(
-        "The database of the runs must be reachable; it is not, or refuses the login.",
-        hint="Start it, create the database, or set FREEREIN_DATABASE_URL.",
-        retry_after_s=1.0,
-    )
+def _without_traceback(record: logging.LogRecord) -> bool:
+    """Keeps the reason alone of what DBOS logs about a database that refuses: it is no bug, and tried again."""
+    if record.exc_info and isinstance(record.exc_info[1], DBAPIError):
+        record.msg, record.exc_info = f"{record.msg} {record.exc_info[1].orig}", None
+    return True
 
 
 def _run_status(workflow: WorkflowStatus) -> RunStatus:

@@ -13,7 +13,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceError, Unavailable
+from freerein.atomic_files import storage_errors
+from freerein.errors import FailedPrecondition, NotFound, OutOfStorage, Overloaded, ServiceError, Unavailable
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.types import orchestrator
@@ -25,6 +26,7 @@ _log = logging.getLogger(__name__)
 _POLL_S = 0.2
 _SILENCE_S = 3.0
 _SETTLE_S = 2.0
+_REOPEN_S = 1.0
 _MAX_WAITING = 256
 _PART_BYTES = 1 << 20
 _THREADS = 4
@@ -71,15 +73,17 @@ class RunService:
         return self._reason
 
     async def start(self) -> None:
-        """Resumes the runs that had not ended; waits for the database as long as it takes.
+        """Resumes the runs that had not ended; waits for the database, and room on its disk, as long as it takes.
 
         Raises FailedPrecondition when a worker of this name is running.
         """
         while not self._health.draining:
             try:
-                await self._in_thread(self._queue.open)
-            except Unavailable as error:
+                with storage_errors():
+                    await self._in_thread(self._queue.open)
+            except (Unavailable, OutOfStorage) as error:
                 self._reason = f"{error.detail} {error.hint}"
+                await self._health.await_or_drain(asyncio.sleep(_REOPEN_S))
                 continue
             self._reason = ""
             await self._record_ends()
@@ -107,6 +111,7 @@ class RunService:
             AlreadyExists: The idempotency key was used for another request.
             Overloaded: Too many runs are waiting.
             Unavailable: The database of the runs is out of reach.
+            OutOfStorage: The disk is full, broken or read-only.
         """
         self._check_open()
         if request.idempotency_key:

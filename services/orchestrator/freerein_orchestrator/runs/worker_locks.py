@@ -6,6 +6,8 @@ from pathlib import Path
 
 import psycopg
 
+from freerein_orchestrator.runs.database_errors import check_encoding
+
 _NAMESPACE = 1718641001  # of our advisory locks, in a database that others may use
 _KEEPALIVES = "SET tcp_keepalives_idle = 5; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 2"
 
@@ -61,6 +63,7 @@ class PostgresLocks:
 
         Raises:
             psycopg.OperationalError: The database is out of reach; all locks are lost.
+            FailedPrecondition: The database has another encoding than UTF8.
         """
         try:
             connection = self._connect()
@@ -88,6 +91,7 @@ class PostgresLocks:
     def _connect(self) -> "psycopg.Connection[tuple[bool]]":
         if self._connection is None:
             self._connection = psycopg.connect(self._url, autocommit=True)
+            check_encoding(self._connection.info.parameter_status("server_encoding"))
             self._connection.execute(_KEEPALIVES)
         return self._connection
 

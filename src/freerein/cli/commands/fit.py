@@ -1,4 +1,4 @@
-"""`freerein fit`: start, list, watch and cancel fits; their metrics."""
+"""`freerein fit`: start, list, watch, cancel and resume fits; their metrics."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -20,6 +20,7 @@ from freerein.types.learning import (
     GetFitMetricsRequest,
     GetFitRequest,
     ListFitsRequest,
+    ResumeFitRequest,
     StartFitRequest,
 )
 
@@ -27,6 +28,8 @@ app = typer.Typer(help="Fits of models.", no_args_is_help=True, add_completion=F
 
 _Service = Annotated[str, typer.Option(help="Service that fits; all when empty.")]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, as listed by `freerein fit list`.")]
+
+_WatchEnd = Annotated[bool, typer.Option("--watch", help="Wait for the end and draw the curves.")]
 
 _SERVICES = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
@@ -46,15 +49,12 @@ def _add_start(service: str, explanation: str) -> None:
         dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
         model_name: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
         settings: Settings = None,
-        watch: Annotated[bool, typer.Option("--watch", help="Wait for the end and draw the curves.")] = False,
+        watch: _WatchEnd = False,
         as_json: AsJson = False,
     ) -> None:
         request = StartFitRequest(dataset, model_name, configuration(settings))
         fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
-        if watch:
-            _watch(service, fit.id, as_json=as_json)
-        else:
-            _show([(service, fit)], as_json=as_json)
+        _show_or_watch(service, fit, watch=watch, as_json=as_json)
 
 
 for _service, _explanation in _SERVICES.items():
@@ -97,6 +97,21 @@ def cancel(fit: _Id, service: _Service = "", as_json: AsJson = False) -> None:
     _show([(found, cancelled)], as_json=as_json)
 
 
+@app.command()
+@command
+def resume(
+    fit: _Id,
+    service: _Service = "",
+    *,
+    watch: _WatchEnd = False,
+    as_json: AsJson = False,
+) -> None:
+    """Resume a failed or cancelled fit from its last checkpoint."""
+    found = service or _service_of(fit)
+    resumed = call(FitClient, found, lambda client: client.resume_fit(ResumeFitRequest(fit))).fit
+    _show_or_watch(found, resumed, watch=watch, as_json=as_json)
+
+
 def _service_of(fit_id: str) -> str:
     """Returns the service that knows a fit; raises as `call_each` where none does."""
     answers, _ = call_each(FitClient, list(_SERVICES), lambda client: client.get_fit(GetFitRequest(fit_id)))
@@ -114,6 +129,13 @@ async def _all_fits(client: FitClient) -> list[Fit]:
 
 async def _rows(client: FitClient, request: GetFitMetricsRequest) -> Sequence[MetricRow]:
     return (await client.get_fit_metrics(request)).rows
+
+
+def _show_or_watch(service: str, fit: Fit, *, watch: bool, as_json: bool) -> None:
+    if watch:
+        _watch(service, fit.id, as_json=as_json)
+    else:
+        _show([(service, fit)], as_json=as_json)
 
 
 def _watch(service: str, fit_id: str, *, as_json: bool) -> None:

@@ -96,7 +96,7 @@ def _display(
     if as_json:
         yield lambda job: print_json(wire.to_json(job))
     elif not console.is_terminal:
-        yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {metrics_text(job)}".rstrip())
+        yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {job.error or metrics_text(job)}".rstrip())
     else:
 
         def redraw(_job: Job) -> None:
@@ -117,6 +117,8 @@ def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None,
     if progress.job is None:
         return Text(f"{name}  …", style="bold")
     state = _state_line(name, progress.job, progress.seconds_left)
+    if progress.job.error:
+        state = Group(state, Text(progress.job.error, "yellow"))
     curves = Table.grid(padding=(0, 2, 1, 0))
     plot_width = min(_MAX_WIDTH, max(_MIN_WIDTH, width - _LABELS_WIDTH))
     for metric, values in progress.curves(metrics, most=_CURVES).items():

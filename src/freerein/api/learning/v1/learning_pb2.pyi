@@ -70,7 +70,7 @@ class Fit(_message.Message):
     steps: _builtins.int
     """Updates planned."""
     error: _builtins.str
-    """Reason of the failure; empty unless the fit has failed."""
+    """Reason of the failure, or why the next attempt waits; else empty."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""
@@ -426,6 +426,52 @@ class CancelFitResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___CancelFitResponse: _TypeAlias = CancelFitResponse  # noqa: Y015
+
+@_typing.final
+class ResumeFitRequest(_message.Message):
+    """Requests to resume one fit."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ID_FIELD_NUMBER: _builtins.int
+    id: _builtins.str
+    """Id of the fit."""
+    def __init__(
+        self,
+        *,
+        id: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["id", b"id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ResumeFitRequest: _TypeAlias = ResumeFitRequest  # noqa: Y015
+
+@_typing.final
+class ResumeFitResponse(_message.Message):
+    """The fit, queued again."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FIT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def fit(self) -> Global___Fit:
+        """The fit."""
+
+    def __init__(
+        self,
+        *,
+        fit: Global___Fit | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["fit", b"fit"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["fit", b"fit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ResumeFitResponse: _TypeAlias = ResumeFitResponse  # noqa: Y015
 
 @_typing.final
 class Model(_message.Message):

@@ -65,6 +65,11 @@ class FitServiceStub:
                 request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitResponse.FromString,
                 _registered_method=True)
+        self.ResumeFit = channel.unary_unary(
+                '/freerein.api.learning.v1.FitService/ResumeFit',
+                request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitResponse.FromString,
+                _registered_method=True)
 
 
 class FitServiceServicer:
@@ -113,6 +118,13 @@ class FitServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ResumeFit(self, request, context):
+        """Queues a failed or cancelled fit again; it resumes from its last checkpoint.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_FitServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -145,6 +157,11 @@ def add_FitServiceServicer_to_server(servicer, server):
                     servicer.CancelFit,
                     request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitRequest.FromString,
                     response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitResponse.SerializeToString,
+            ),
+            'ResumeFit': grpc.unary_unary_rpc_method_handler(
+                    servicer.ResumeFit,
+                    request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -310,6 +327,33 @@ class FitService:
             '/freerein.api.learning.v1.FitService/CancelFit',
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitRequest.SerializeToString,
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.CancelFitResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ResumeFit(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.learning.v1.FitService/ResumeFit',
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitRequest.SerializeToString,
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -45,6 +45,8 @@ class FitServiceStub:
     """Returns the metrics of a fit from a step on, decimated to a number of rows."""
     CancelFit: _grpc.UnaryUnaryMultiCallable[_learning_pb2.CancelFitRequest, _learning_pb2.CancelFitResponse]
     """Cancels a fit; its last checkpoint is kept."""
+    ResumeFit: _grpc.UnaryUnaryMultiCallable[_learning_pb2.ResumeFitRequest, _learning_pb2.ResumeFitResponse]
+    """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
 
 @_typing.type_check_only
 class FitServiceAsyncStub(FitServiceStub):
@@ -63,6 +65,8 @@ class FitServiceAsyncStub(FitServiceStub):
     """Returns the metrics of a fit from a step on, decimated to a number of rows."""
     CancelFit: _aio.UnaryUnaryMultiCallable[_learning_pb2.CancelFitRequest, _learning_pb2.CancelFitResponse]  # type: ignore[assignment]
     """Cancels a fit; its last checkpoint is kept."""
+    ResumeFit: _aio.UnaryUnaryMultiCallable[_learning_pb2.ResumeFitRequest, _learning_pb2.ResumeFitResponse]  # type: ignore[assignment]
+    """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
 
 class FitServiceServicer(metaclass=_abc_1.ABCMeta):
     """Fits models to datasets, one at a time, each in its own process."""
@@ -114,6 +118,14 @@ class FitServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_learning_pb2.CancelFitResponse, _abc.Awaitable[_learning_pb2.CancelFitResponse]]:
         """Cancels a fit; its last checkpoint is kept."""
+
+    @_abc_1.abstractmethod
+    def ResumeFit(
+        self,
+        request: _learning_pb2.ResumeFitRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_learning_pb2.ResumeFitResponse, _abc.Awaitable[_learning_pb2.ResumeFitResponse]]:
+        """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
 
 def add_FitServiceServicer_to_server(servicer: FitServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
 

@@ -111,7 +111,7 @@ class Run(_message.Message):
     steps: _builtins.int
     """Steps planned."""
     error: _builtins.str
-    """Reason of the failure; empty unless the run has failed."""
+    """Reason of the failure, or why the next attempt waits; else empty."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""

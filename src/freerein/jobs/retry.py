@@ -1,0 +1,56 @@
+"""When a job is attempted again: three crashes in a row end it; a kill from outside only delays the next attempt."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+_MAX_CRASHES = 3
+_FIRST_PAUSE_S, _MAX_PAUSE_S = 0.5, 60.0
+
+
+@dataclass(frozen=True)
+class AttemptResult:
+    """How an attempt ended.
+
+    Attributes:
+        outcome: `succeeded` and `failed` end the job. After `crashed`, by a fault of its own, and `killed`, by a signal
+            from outside, it is attempted again.
+        progressed: Whether the attempt did steps that no attempt before it had done.
+        error: Why it did not succeed, in sentences; empty when it did.
+    """
+
+    outcome: Literal["succeeded", "failed", "crashed", "killed"]
+    progressed: bool = False
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Pause:
+    """What precedes an attempt: a wait in seconds, and its reason in a sentence."""
+
+    seconds: float = 0.0
+    reason: str = ""
+
+
+NO_PAUSE = Pause()
+
+
+def retry(attempt: Callable[[Pause], AttemptResult]) -> AttemptResult:
+    """Makes attempts at a job until one ends it, or three in a row crash without progress.
+
+    Kills do not count: an operator, or a machine without memory, says nothing about the job. After each kill in a row
+    without progress the pause before the next attempt doubles, up to a minute.
+    """
+    crashes, pause = 0, NO_PAUSE
+    while True:
+        result = attempt(pause)
+        if result.outcome in ("succeeded", "failed"):
+            return result
+        crashes = 0 if result.progressed else crashes + (result.outcome == "crashed")
+        if crashes >= _MAX_CRASHES:
+            return AttemptResult("failed", error=f"{crashes} attempts in a row ended without progress. {result.error}")
+        pause = NO_PAUSE if result.progressed or result.outcome == "crashed" else _longer(pause, result.error)
+
+
+def _longer(pause: Pause, reason: str) -> Pause:
+    return Pause(min(max(2 * pause.seconds, _FIRST_PAUSE_S), _MAX_PAUSE_S), reason)
