@@ -1,7 +1,10 @@
 """Faults of the sim service, over gRPC to a real process."""
 
+import hashlib
+import json
 import os
 import signal
+import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -107,6 +110,28 @@ def test_a_restored_snapshot_goes_on_to_the_same_bits_and_a_tampered_one_is_refu
     assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
     with pytest.raises(InvalidInput):
         sim.restore(RestoreRequest(session, kept[:-1] + bytes([kept[-1] ^ 1])))
+
+
+@pytest.mark.fault("F1")
+def test_a_forged_snapshot_is_refused_and_harms_no_session(sim: Any, service: Any, session: str) -> None:
+    workers = psutil.Process(service.process.pid).children()
+    others = [sim.create_session(CreateSessionRequest("grid", seed=i)).session for i in range(2)]  # on both workers
+    for each in others:
+        sim.reset(ResetRequest(each))
+    kept = sim.snapshot(SnapshotRequest(session)).snapshot
+    (length,) = struct.unpack_from("<I", kept, 32)
+    header, envs = kept[36 : 36 + length], kept[36 + length :]
+    true_step = json.dumps(json.loads(header) | {"step_id": True}).encode()
+    for forged in (true_step, b"[" * 200_000, b"[" * 4000):
+        body = struct.pack("<I", len(forged)) + forged + envs
+        with pytest.raises(InvalidInput) as refused:
+            sim.restore(RestoreRequest(session, hashlib.sha256(body).digest() + body))
+        assert refused.value.field == "snapshot"
+    for each in (session, *others):
+        assert sim.step(StepRequest(each, 1, RIGHT)).step_id == 1
+    assert psutil.Process(service.process.pid).children() == workers
+    for each in others:
+        sim.close_session(CloseSessionRequest(each))
 
 
 @pytest.mark.fault("M11")
