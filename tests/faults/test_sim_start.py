@@ -1,6 +1,5 @@
 """Workers of the sim service that are killed while it starts."""
 
-import subprocess
 import time
 from collections.abc import Callable
 from typing import Any

@@ -9,6 +9,8 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
+from functools import reduce
+from operator import and_, or_
 from pathlib import Path
 
 import numpy as np
@@ -359,6 +361,16 @@ def answer(handler: RequestHandler, request: object) -> ServiceError | None:
     header, body = handler.reply(protocol.decode_header(header), bytearray(body))
     refused = protocol.decode_header(header).call == protocol.REFUSED
     return protocol.error_from(protocol.decode(body, Error)) if refused else None
+
+
+@pytest.mark.fault("C14")
+def test_all_128_bits_of_a_session_id_are_random() -> None:
+    handler, request = RequestHandler(TASKS), CreateSessionRequest("grid", num_envs=1, seed=0)
+
+    ids = [int(handler.handle(request).session, 16) for _ in range(64)]
+
+    assert reduce(or_, ids) == 2**128 - 1
+    assert reduce(and_, ids) == 0
 
 
 def test_what_ends_frees_its_worlds() -> None:

@@ -1,9 +1,9 @@
 """The child's side: holds sessions, answers one call after the other."""
 
 import logging
+import secrets
 import socket
 from collections.abc import Mapping
-from uuid import uuid4
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
@@ -71,7 +71,7 @@ class RequestHandler:
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Creates a session; the service has filled in the request's defaults."""
-        task, seed, session = self._task(request.task), request.seed or 0, uuid4().hex
+        task, seed, session = self._task(request.task), request.seed or 0, secrets.token_hex(16)
         self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
