@@ -1,7 +1,15 @@
 """Faults of the sim service, over gRPC to a real process."""
 
+import asyncio
+import base64
+import hashlib
+import json
 import os
+import re
+import secrets
 import signal
+import struct
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,6 +23,7 @@ from freerein.errors import InvalidInput, Overloaded, SessionNotFound, StepOutOf
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
+    RenderRequest,
     ResetRequest,
     RestoreRequest,
     SnapshotRequest,
@@ -86,6 +95,63 @@ def test_a_session_that_is_unknown_closed_or_out_of_turn_says_so(sim: Any, sessi
         sim.step(StepRequest(session, 1, RIGHT))
 
 
+@pytest.mark.fault("C14")
+@pytest.mark.parametrize("call", ["reset", "step", "render", "snapshot", "restore", "check", "expert-actions"])
+def test_a_guessed_id_is_answered_like_that_of_a_session_that_was(sim: Any, service: Any, call: str) -> None:
+    closed = sim.create_session(CreateSessionRequest("grid")).session
+    sim.close_session(CloseSessionRequest(closed))
+    expired = sim.create_session(CreateSessionRequest("grid", lease_s=1e-6)).session
+    actions = {"datatype": "INT64", "shape": [1, 1], "raw": base64.b64encode(bytes(8)).decode()}
+    states = {"datatype": "FP64", "shape": [1, 1, 12], "raw": base64.b64encode(bytes(96)).decode()}
+    parts = {"step": {"step_id": 1, "actions": actions}, "check": {"predicate": "at-landmark", "states": states}}
+    answers = set()
+    for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed, "0" * 10_000):
+        request = {"session": session, **parts.get(call, {})}
+        reply = httpx.post(f"{service.url}/v1/{call}", json=request, trust_env=False)
+        problem = reply.json()
+        assert problem.pop("request_id")
+        answers.add((reply.status_code, json.dumps(problem)))
+    ((status, problem),) = answers
+    assert (status, json.loads(problem)["code"]) == (404, "session_not_found")
+
+
+@pytest.mark.fault("M9")
+async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: Any) -> None:
+    async with SimClient(Channel(service.address)) as client:
+        session = (await client.create_session(CreateSessionRequest("blocks", num_envs=64, seed=1))).session
+        await client.reset(ResetRequest(session))
+        render = RenderRequest(session, ("front",))
+        workers = psutil.Process(service.process.pid).children()
+        ratios = []
+        for _ in range(3):  # a busy machine only adds to them
+            begun = time.perf_counter()
+            await client.render(render)
+            one_s = time.perf_counter() - begun
+            for worker in workers:
+                worker.suspend()
+            calls = [asyncio.create_task(client.render(render)) for _ in range(20)]
+            while await asyncio.to_thread(_in_flight, service) < len(calls):
+                pass
+            for call in calls:
+                call.cancel()
+            while await asyncio.to_thread(_in_flight, service):
+                pass
+            begun = time.perf_counter()
+            for worker in workers:
+                worker.resume()
+            await client.snapshot(SnapshotRequest(session))
+            ratios.append((time.perf_counter() - begun) / one_s)
+        await client.close_session(CloseSessionRequest(session))
+    assert min(ratios) < 5, ratios
+
+
+def _in_flight(service: Any) -> float:
+    """Returns the number of calls in progress over gRPC."""
+    metrics = httpx.get(f"{service.url}/metrics", trust_env=False).text
+    found = re.search(r'^freerein_calls_in_flight{protocol="grpc"} (\S+)$', metrics, re.MULTILINE)
+    return float(found[1]) if found else 0.0
+
+
 @pytest.mark.fault("M8")
 def test_over_its_quota_the_service_refuses_and_a_closed_session_makes_room(sim: Any) -> None:
     sessions = [sim.create_session(CreateSessionRequest("grid")).session for _ in range(4)]
@@ -107,6 +173,28 @@ def test_a_restored_snapshot_goes_on_to_the_same_bits_and_a_tampered_one_is_refu
     assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
     with pytest.raises(InvalidInput):
         sim.restore(RestoreRequest(session, kept[:-1] + bytes([kept[-1] ^ 1])))
+
+
+@pytest.mark.fault("F1")
+def test_a_forged_snapshot_is_refused_and_harms_no_session(sim: Any, service: Any, session: str) -> None:
+    workers = psutil.Process(service.process.pid).children()
+    others = [sim.create_session(CreateSessionRequest("grid", seed=i)).session for i in range(2)]  # on both workers
+    for each in others:
+        sim.reset(ResetRequest(each))
+    kept = sim.snapshot(SnapshotRequest(session)).snapshot
+    (length,) = struct.unpack_from("<I", kept, 32)
+    header, envs = kept[36 : 36 + length], kept[36 + length :]
+    true_step = json.dumps(json.loads(header) | {"step_id": True}).encode()
+    for forged in (true_step, b"[" * 200_000, b"[" * 4000):
+        body = struct.pack("<I", len(forged)) + forged + envs
+        with pytest.raises(InvalidInput) as refused:
+            sim.restore(RestoreRequest(session, hashlib.sha256(body).digest() + body))
+        assert refused.value.field == "snapshot"
+    for each in (session, *others):
+        assert sim.step(StepRequest(each, 1, RIGHT)).step_id == 1
+    assert psutil.Process(service.process.pid).children() == workers
+    for each in others:
+        sim.close_session(CloseSessionRequest(each))
 
 
 @pytest.mark.fault("M11")

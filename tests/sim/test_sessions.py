@@ -468,6 +468,44 @@ async def test_a_session_that_nobody_touches_ends_with_its_lease(start: StartSes
 
 
 @pytest.mark.fault("M8")
+async def test_a_lease_that_ends_during_a_call_begins_anew_at_its_end(start: StartSessions, clock: Clock) -> None:
+    sessions, workers = await start()
+    session = await begun(sessions, replace(ONE, lease_s=10))
+    stop(workers[0])
+    step = asyncio.create_task(sessions.step(StepRequest(session, 1, UP)))
+    await asyncio.sleep(0)
+
+    clock.now_s += 11
+    sessions.reap()
+    waiting = asyncio.create_task(sessions.render(RenderRequest(session)))
+    workers[0].resume()
+
+    assert (await step).step_id == 1
+    assert await waiting
+    clock.now_s += 9.9
+    assert (await sessions.step(StepRequest(session, 2, UP))).step_id == 2
+
+
+@pytest.mark.fault("M8")
+async def test_a_lease_counts_from_the_end_of_the_last_call(start: StartSessions, clock: Clock) -> None:
+    sessions, workers = await start()
+    session = await begun(sessions, replace(ONE, lease_s=10))
+    stop(workers[0])
+    step = asyncio.create_task(sessions.step(StepRequest(session, 1, UP)))
+    await asyncio.sleep(0)
+
+    clock.now_s += 5
+    workers[0].resume()
+    await step
+    clock.now_s += 9.9
+    assert (await sessions.step(StepRequest(session, 2, UP))).step_id == 2
+
+    clock.now_s += 10
+    with pytest.raises(SessionNotFound):
+        await sessions.step(StepRequest(session, 3, UP))
+
+
+@pytest.mark.fault("M8")
 async def test_no_more_sessions_are_open_than_may_be(start: StartSessions) -> None:
     sessions, _ = await start(max_sessions=2)
 

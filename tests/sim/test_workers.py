@@ -9,6 +9,8 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
+from functools import reduce
+from operator import and_, or_
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from freerein.errors import (
     TooLarge,
     WorkerLost,
 )
+from freerein.types.common import Error
 from freerein.types.sim import (
     CloseSessionRequest,
     CloseSessionResponse,
@@ -47,7 +50,15 @@ from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.workers.worker import Connection, Worker
 from freerein_sim.worlds import blocks, grid
 from freerein_sim.worlds.grid import GridWorld
-from freerein_sim.worlds.world import Action, LabelledAction, ScriptedPolicy, StepResult, TaskDefinition, World
+from freerein_sim.worlds.world import (
+    Action,
+    GroundTruth,
+    LabelledAction,
+    ScriptedPolicy,
+    StepResult,
+    TaskDefinition,
+    World,
+)
 
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
 ORPHANED = """
@@ -69,6 +80,21 @@ class Faulty(GridWorld):
     """A world with a bug."""
 
     def step(self, action: Action) -> StepResult:
+        raise ZeroDivisionError
+
+
+class Unsendable(GridWorld):
+    """A world whose truth fits no message, once stepped."""
+
+    def step(self, action: Action) -> StepResult:
+        self.truth = lambda: GroundTruth(np.array([None]), 0.0, success=False)
+        return super().step(action)
+
+
+class Unclosable(Faulty):
+    """A world with two bugs."""
+
+    def close(self) -> None:
         raise ZeroDivisionError
 
 
@@ -305,27 +331,46 @@ def test_a_message_over_the_limit_is_not_sent() -> None:
         protocol.encode(SnapshotResponse(bytes(protocol.MAX_MESSAGE_BYTES + 1)), call=1, number=1)
 
 
-def test_a_bug_in_a_world_ends_its_session_and_no_other() -> None:
+@pytest.mark.fault("F1")
+@pytest.mark.parametrize("faulty", [Faulty, Unsendable, Unclosable])
+def test_a_bug_in_a_world_ends_its_session_and_no_other(faulty: type[GridWorld]) -> None:
     handler = RequestHandler(
         {
             "grid": TASKS["grid"],
-            "faulty": TaskDefinition("faulty", "grid", "", grid.SPEC, lambda: Faulty(indicator=True)),
+            "faulty": TaskDefinition("faulty", "grid", "", grid.SPEC, lambda: faulty(indicator=True)),
         }
     )
-    request = CreateSessionRequest("grid", num_envs=1, seed=0)
+    request = CreateSessionRequest("grid", num_envs=1, seed=0, privileged=True)
     good = handler.handle(request).session
     bad = handler.handle(replace(request, task="faulty")).session
     up = np.zeros((1, 1), np.int64)
     for session in (good, bad):
         handler.handle(ResetRequest(session))
 
-    with pytest.raises(Internal, match="session has ended"):
-        handler.handle(StepRequest(bad, 1, up))
+    assert isinstance(answer(handler, StepRequest(bad, 1, up)), Internal)
 
     with pytest.raises(SessionNotFound):
         handler.handle(StepRequest(bad, 1, up))
     assert handler.handle(StepRequest(good, 1, up)).step_id == 1
     assert handler.handle(CloseSessionRequest(good)) == CloseSessionResponse()
+
+
+def answer(handler: RequestHandler, request: object) -> ServiceError | None:
+    """Returns the refusal that a handler answers with over the socket, None for a response."""
+    header, body = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=1)
+    header, body = handler.reply(protocol.decode_header(header), bytearray(body))
+    refused = protocol.decode_header(header).call == protocol.REFUSED
+    return protocol.error_from(protocol.decode(body, Error)) if refused else None
+
+
+@pytest.mark.fault("C14")
+def test_all_128_bits_of_a_session_id_are_random() -> None:
+    handler, request = RequestHandler(TASKS), CreateSessionRequest("grid", num_envs=1, seed=0)
+
+    ids = [int(handler.handle(request).session, 16) for _ in range(64)]
+
+    assert reduce(or_, ids) == 2**128 - 1
+    assert reduce(and_, ids) == 0
 
 
 def test_what_ends_frees_its_worlds() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from freerein.errors import InvalidInput
+from freerein_sim.workers import snapshots
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
 from freerein_sim.worlds.grid import PICK_UP, GridWorld
@@ -84,6 +85,23 @@ def test_a_forged_snapshot_is_refused_and_changes_nothing(forge: Callable[[bytes
 
     assert caught.value.field == "snapshot"
     assert (observe(world), world.snapshot()) == before
+
+
+@pytest.mark.fault("F1")
+@pytest.mark.parametrize("steps", [0, 2, 4])
+def test_a_snapshot_that_miscounts_its_actions_is_refused_and_changes_nothing(steps: int) -> None:
+    with closing(VectorEnv(TASK, num_envs=2, seed=1)) as envs:
+        envs.reset()
+        for _ in range(3):
+            envs.step(np.array([[1], [0]]))
+        before = envs.snapshot()
+        kept = snapshots.decode(before)
+        forged = replace(kept, envs=(kept.envs[0], replace(kept.envs[1], steps=steps)))
+
+        with pytest.raises(InvalidInput, match=f"got {steps} for 3"):
+            envs.restore(snapshots.encode(forged))
+
+        assert envs.snapshot() == before
 
 
 def test_clients_see_no_difference() -> None:

@@ -20,6 +20,7 @@ from freerein.errors import (
 )
 from freerein.types import sim
 from freerein_sim.session import Session, session_not_found, with_defaults
+from freerein_sim.workers import snapshots
 from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.workers.protocol import check_frames
 from freerein_sim.workers.worker import worker_lost
@@ -142,6 +143,7 @@ class SimCore:
         """Restores a snapshot, as `VectorEnv.restore`; earlier steps can then not be repeated."""
 
         async def work(session: Session) -> sim.RestoreResponse:
+            await asyncio.to_thread(snapshots.decode, request.snapshot)  # untrusted: checked before the worker sees it
             response = await session.worker.call(request, sim.RestoreResponse)
             session.step_id, session.last_step = response.step_id, None
             return response

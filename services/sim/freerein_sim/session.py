@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 
 from freerein.errors import FailedPrecondition, InvalidInput, SessionNotFound, StepOutOfOrder
 from freerein.types import sim
-from freerein_sim.workers.protocol import check_frames
+from freerein_sim.workers.protocol import MAX_ENVS, check_frames
 from freerein_sim.workers.worker import Worker
 
-MAX_ENVS = 64
 DEFAULT_LEASE_S = 60.0
 MAX_LEASE_S = 3600.0
 _SEED_BITS = 53  # exact in JSON of any language

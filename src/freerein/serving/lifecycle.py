@@ -1,6 +1,6 @@
 """A service as a process: listens at once, is ready after its warm-up, drains on SIGTERM, exits with code 0.
 
-Exit code 3 means a configuration error: starting again cannot help.
+Exit code 3 means a configuration error: starting again cannot help. After any other failure it may: exit code 1.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ import grpc
 import uvloop
 from pydantic import ValidationError
 
-from freerein.errors import ServiceError
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, ServiceError, Unimplemented
 from freerein.ports import PORTS, Ports
 from freerein.serving import logs
 from freerein.serving.grpc_server import GrpcServer
@@ -33,7 +33,8 @@ from freerein.serving.settings import ServiceSettings
 
 _log = logging.getLogger(__name__)
 S = TypeVar("S", bound=ServiceSettings)
-CONFIGURATION_ERROR = 3
+CONFIGURATION_ERROR, FAILURE = 3, 1
+_CONFIGURATION_ERRORS = (InvalidInput, NotFound, AlreadyExists, FailedPrecondition, Unimplemented)
 _BACKLOG = 2048
 
 
@@ -64,11 +65,12 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> int:
     try:
         settings = settings_class()
     except ValidationError as error:
-        return _configuration_error(_reason(error))
+        return _cannot_start(_reason(error), CONFIGURATION_ERROR)
     try:
         return uvloop.run(_serve(settings, build))
     except ServiceError as error:
-        return _configuration_error(f"{error.detail} {error.hint}")
+        code = CONFIGURATION_ERROR if isinstance(error, _CONFIGURATION_ERRORS) else FAILURE
+        return _cannot_start(f"{error.detail} {error.hint}", code)
 
 
 async def _serve(settings: S, build: Build[S]) -> int:
@@ -86,10 +88,11 @@ async def _serve(settings: S, build: Build[S]) -> int:
     try:
         listener, grpc_port = _bind_both(grpc_server, settings, ports)
     except (OSError, RuntimeError):
-        return _configuration_error(
+        return _cannot_start(
             f"{settings.host} must be an address of this machine, and its ports {ports.rest} and {ports.grpc} free; "
             "one could not be bound. "
-            "Set FREEREIN_HOST, FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT to others, or stop what holds the ports."
+            "Set FREEREIN_HOST, FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT to others, or stop what holds the ports.",
+            CONFIGURATION_ERROR,
         )
     cert, key = (str(path) if path else None for path in (settings.tls_cert, settings.tls_key))
     http_server = make_server(app, limits=limits, health=health, cert=cert, key=key)
@@ -165,6 +168,6 @@ def _reason(error: ValidationError) -> str:
     return "; ".join(f"FREEREIN_{name}: {text}" if name else text.removeprefix("Value error, ") for name, text in found)
 
 
-def _configuration_error(reason: str) -> int:
+def _cannot_start(reason: str, code: int) -> int:
     sys.stderr.write(f"cannot start: {reason}\n")
-    return CONFIGURATION_ERROR
+    return code

@@ -1,9 +1,9 @@
 """The child's side: holds sessions, answers one call after the other."""
 
 import logging
+import secrets
 import socket
 from collections.abc import Mapping
-from uuid import uuid4
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
@@ -23,20 +23,25 @@ class RequestHandler:
         self._sessions: dict[str, VectorEnv] = {}
         self._demonstration_worlds: dict[str, World] = {}  # by task
 
-    def handle(self, request: object) -> object:
-        """Returns the response to a request of `protocol.CALLS`.
+    def reply(self, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
+        """Returns the framed response to a framed request, or its refusal.
 
-        Raises:
-            ServiceError: The request is refused. After `Internal` its session is closed.
+        A bug in one session must not end the others: any other exception, or a response that cannot be sent, closes the
+        session and is answered by `Internal`.
         """
+        request: object = None
         try:
-            return self._answer(request)
-        except ServiceError:
-            raise
-        except Exception as error:  # a bug in one session must not end the others
+            request = protocol.decode(body, protocol.CALLS[header.call])
+            try:
+                response = self.handle(request)
+            except ServiceError as error:
+                return _refusal(error, header)
+            return protocol.encode(response, call=header.call, number=header.number)
+        except Exception:
             _LOG.exception("a world failed")
-            self._discard(getattr(request, "session", ""))
-            raise Internal("The world failed; its session has ended.", hint="Create the session anew.") from error
+            self._abandon(getattr(request, "session", ""))
+            failed = Internal("The world failed; its session has ended.", hint="Create the session anew.")
+            return _refusal(failed, header)
 
     def close(self) -> None:
         """Frees every world."""
@@ -45,7 +50,8 @@ class RequestHandler:
         for world in self._demonstration_worlds.values():
             world.close()
 
-    def _answer(self, request: object) -> object:
+    def handle(self, request: object) -> object:
+        """Returns the response to a request of `protocol.CALLS`. Raises ServiceError where it is refused."""
         response: object
         match request:
             case sim.ListTasksRequest():
@@ -65,7 +71,7 @@ class RequestHandler:
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Creates a session; the service has filled in the request's defaults."""
-        task, seed, session = self._task(request.task), request.seed or 0, uuid4().hex
+        task, seed, session = self._task(request.task), request.seed or 0, secrets.token_hex(16)
         self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
@@ -85,6 +91,12 @@ class RequestHandler:
         if (envs := self._sessions.get(session)) is None:
             raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
         return envs
+
+    def _abandon(self, session: str) -> None:
+        try:
+            self._discard(session)
+        except Exception:
+            _LOG.exception("a world that failed cannot be closed either")
 
     def _discard(self, session: str) -> None:
         if (envs := self._sessions.pop(session, None)) is not None:
@@ -121,18 +133,14 @@ def serve(connection: socket.socket, handler: RequestHandler) -> None:
             header = protocol.decode_header(head)
             if (body := _receive(connection, header.length)) is None:
                 return
-            for part in _reply(handler, header, body):
+            for part in handler.reply(header, body):
                 connection.sendall(part)
     except (BrokenPipeError, ConnectionResetError):
         return  # the service is gone
 
 
-def _reply(handler: RequestHandler, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
-    try:
-        request = protocol.decode(body, protocol.CALLS[header.call])
-        return protocol.encode(handler.handle(request), call=header.call, number=header.number)
-    except ServiceError as error:
-        return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
+def _refusal(error: ServiceError, header: protocol.Header) -> tuple[bytes, bytes]:
+    return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
 
 
 def _receive(connection: socket.socket, length: int) -> bytearray | None:

@@ -8,6 +8,8 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 from freerein_sim.workers.worker import Worker, worker_lost
 
 _LOG = logging.getLogger(__name__)
+_RESTART_AFTER_S = (0.1, 0.4, 1.6)
+"""Pauses before a worker that died while starting is started again."""
 
 
 class WorkerPool:
@@ -33,7 +35,10 @@ class WorkerPool:
             self._idle.put_nowait(slot)
 
     async def start(self) -> None:
-        """Starts the workers that hold sessions, and waits until they answer. Raises WorkerLost if one cannot start."""
+        """Starts the workers that hold sessions, and waits until they answer.
+
+        Raises WorkerLost if one keeps dying.
+        """
         try:
             workers = await asyncio.gather(*(slot.fill() for slot in self._slots))
         except WorkerLost:
@@ -105,12 +110,29 @@ class _WorkerSlot:
 
     async def _start(self) -> Worker:
         try:
-            worker = await Worker.start(stuck_s=self._stuck_s)
+            worker = await self._start_persistently()
         finally:
             self._filling = None
         self._worker = worker
         self._refilling = asyncio.create_task(self._refill(worker))
         return worker
+
+    async def _start_persistently(self) -> Worker:
+        """Starts a worker, again if it dies: what kills it from outside may have passed."""
+        for pause_s in _RESTART_AFTER_S:
+            try:
+                return await Worker.start(stuck_s=self._stuck_s)
+            except WorkerLost:
+                if self._is_closed:
+                    raise
+                await asyncio.sleep(pause_s)
+        try:
+            return await Worker.start(stuck_s=self._stuck_s)
+        except WorkerLost:
+            raise WorkerLost(
+                f"A worker process died {len(_RESTART_AFTER_S) + 1} times while starting.",
+                hint="Look for what kills it, such as the memory limit.",
+            ) from None
 
     async def _refill(self, worker: Worker) -> None:
         await worker.wait_ended()
@@ -119,4 +141,4 @@ class _WorkerSlot:
         try:
             await self.fill()
         except WorkerLost:
-            _LOG.error("a worker died while starting; the next session starts another")
+            _LOG.error("a worker keeps dying while starting; the next session starts another")

@@ -17,6 +17,9 @@ from freerein.types.common import Error
 MAX_MESSAGE_BYTES = 65 * 2**20
 """The service's message limit of 64 MiB, and 1 MiB of overhead."""
 
+MAX_ENVS = 64
+"""Environments of one session."""
+
 MAX_SIZE_PX = 256
 MAX_FRAME_BYTES = 63 * 2**20
 """Frames in one reply."""

@@ -11,10 +11,12 @@ from freerein.types.common import Camera
 from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
+from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.world import (
     ScriptedPolicy,
     TaskDefinition,
     check_actions,
+    check_saves,
     expert_of,
     sized_cameras,
     skill_indices,
@@ -143,6 +145,7 @@ class VectorEnv:
 
     def snapshot(self) -> bytes:
         """Returns the complete state; after `restore` the same actions give the same bits."""
+        check_saves(self._worlds[0])
         self._check_reset("Snapshot")
         states = zip(self._steps.tolist(), self._rngs, self._worlds, strict=True)
         envs = tuple(snapshots.EnvState(steps, rng, world.snapshot()) for steps, rng, world in states)
@@ -150,11 +153,12 @@ class VectorEnv:
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot of the same task, build and number of environments."""
+        check_saves(self._worlds[0])
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
         if any(env.steps >= self.task.spec.max_episode_steps for env in state.envs):
             raise InvalidInput("`snapshot` must be of episodes that go on; got one that is over.", field="snapshot")
-        self._restore_worlds([env.world for env in state.envs])
+        self._restore_worlds(state.envs)
         self._rngs = [env.rng for env in state.envs]
         self._steps = np.array([env.steps for env in state.envs], np.int64)
         self.step_id = state.step_id
@@ -200,15 +204,21 @@ class VectorEnv:
             self._worlds[0].render(view.name, height=view.height, width=view.width)
         self._tried_views |= untried
 
-    def _restore_worlds(self, states: Sequence[bytes]) -> None:
+    def _restore_worlds(self, states: Sequence[snapshots.EnvState]) -> None:
         """Restores all worlds, or none."""
         before = [world.snapshot() for world in self._worlds] if self._is_reset else []
         try:
             for world, state in zip(self._worlds, states, strict=True):
-                world.restore(state)
+                world.restore(state.world)
+                if isinstance(world, ReplayedWorld) and world.steps != state.steps:
+                    raise InvalidInput(
+                        f"`snapshot` must count the actions that it records; got {state.steps} for {world.steps}.",
+                        field="snapshot",
+                        hint="Send it back unchanged.",
+                    )
         except InvalidInput:
-            for world, state in zip(self._worlds, before, strict=False):
-                world.restore(state)
+            for world, earlier in zip(self._worlds, before, strict=False):
+                world.restore(earlier)
             raise
 
     def _chosen(self, envs: Sequence[int]) -> Sequence[int]:

@@ -51,6 +51,11 @@ class ReplayedWorld:
         """Hash of the format version and the world's fingerprint."""
         return hashlib.sha256(f"replay {_FORMAT_VERSION} {self._world.fingerprint}".encode()).hexdigest()
 
+    @property
+    def steps(self) -> int:
+        """Steps made since the reset."""
+        return len(self._episode.actions)
+
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Resets the world, and begins to record."""
         start = generators.pack(rng)

@@ -258,6 +258,15 @@ def expert_of(world: UnsavedWorld) -> MakeExpert:
     return world.expert
 
 
+def check_saves(world: UnsavedWorld) -> None:
+    """Raises Unimplemented for a world that cannot save its state."""
+    if not hasattr(world, "snapshot"):
+        raise Unimplemented(
+            "The task's world must save its state; this one cannot.",
+            hint="Its package must make `ReplayedWorld(world)`, which repeats the actions instead.",
+        )
+
+
 def no_expert() -> Unimplemented:
     """Returns the error for a task without an expert."""
     return Unimplemented(
