@@ -1,6 +1,7 @@
 """A service as a process: listens at once, is ready after its warm-up, drains on SIGTERM, exits with code 0.
 
-Exit code 3 means a configuration error: starting again cannot help.
+Exit code 1 means that it must be started again, for its model hangs or it met a bug. Exit code 3 means a configuration
+error: starting again cannot help.
 """
 
 import asyncio
@@ -34,6 +35,8 @@ from freerein.serving.settings import ServiceSettings
 _log = logging.getLogger(__name__)
 S = TypeVar("S", bound=ServiceSettings)
 CONFIGURATION_ERROR = 3
+_HANGS = 1
+_HANG_PERIOD_S = 0.5
 _BACKLOG = 2048
 
 
@@ -46,6 +49,7 @@ class Service:
         start: Warms it up, while the servers already listen.
         close: Releases what it holds.
         not_ready: Returns why it is not ready, empty when it is.
+        hangs: Returns whether it can only be helped by a new process.
     """
 
     name: str
@@ -53,28 +57,44 @@ class Service:
     start: Callable[[], Awaitable[None]]
     close: Callable[[], Awaitable[None]]
     not_ready: Callable[[], str]
+    hangs: Callable[[], bool] = lambda: False
+
+
+class _DecodeThreads(ThreadPoolExecutor):
+    """Threads that the end of the event loop does not wait for."""
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        super().shutdown(wait=False, cancel_futures=True)
 
 
 Build = Callable[[S, Limits, Metrics, Health], Service]
 
 
 def run(name: str, settings_class: type[S], build: Build[S]) -> int:
-    """Runs a service until it is told to stop; returns the process's exit code."""
+    """Runs a service until it is told to stop, and ends the process; returns the exit code of one that cannot start.
+
+    No thread is waited for at the end: one may be in a decoder or a model that hangs.
+    """
     logs.configure(name)
     try:
         settings = settings_class()
     except ValidationError as error:
         return _configuration_error(_reason(error))
     try:
-        return uvloop.run(_serve(settings, build))
+        code = uvloop.run(_serve(settings, build))
     except ServiceError as error:
-        return _configuration_error(f"{error.detail} {error.hint}")
+        code = _configuration_error(f"{error.detail} {error.hint}")
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 async def _serve(settings: S, build: Build[S]) -> int:
-    threads = ThreadPoolExecutor(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
+    threads = _DecodeThreads(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
     asyncio.get_running_loop().set_default_executor(threads)
-    limits = Limits(receipt_s=settings.receipt_s, write_s=settings.write_s, queue=settings.queue)
+    limits = Limits(
+        receipt_s=settings.receipt_s, write_s=settings.write_s, unary_s=settings.unary_s, queue=settings.queue
+    )
     metrics, token = Metrics(), settings.token_text
     built: list[Service] = []
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
@@ -101,7 +121,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     sys.stdout.flush()
     health_reporter = asyncio.create_task(grpc_server.report_health())
     warm_up = asyncio.create_task(_warm_up(service, http_server, health))
-    await health.wait_for_drain()
+    code = await _wait_for_drain(service, http_server, health)
     _log.info("draining")
     await grpc_server.server.stop(limits.drain_s)
     await asyncio.gather(rest, health_reporter)
@@ -110,7 +130,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         await warm_up
     await service.close()
     _log.info("stopped")
-    return 0
+    return code
 
 
 async def _warm_up(service: Service, http_server: HttpServer, health: Health) -> None:
@@ -121,6 +141,18 @@ async def _warm_up(service: Service, http_server: HttpServer, health: Health) ->
         health.drain()
         http_server.should_exit = True
         raise
+
+
+async def _wait_for_drain(service: Service, http_server: HttpServer, health: Health) -> int:
+    """Waits until the graceful shutdown begins, and begins it when the service hangs; returns the exit code."""
+    while not health.draining:
+        if service.hangs():
+            _log.error("hangs", extra={"reason": health.reason()})
+            health.drain()
+            http_server.should_exit = True
+            return _HANGS
+        await health.await_or_drain(asyncio.sleep(_HANG_PERIOD_S))
+    return 0
 
 
 def _chosen_ports(name: str, settings: ServiceSettings) -> Ports:
