@@ -13,7 +13,7 @@ class Limits:
 
     Attributes:
         message_bytes: Bytes of one REST body or gRPC message.
-        buffered_bytes: Bytes of all REST bodies in memory together.
+        buffered_bytes: Bytes of memory for all REST bodies together, and for what is parsed of them.
         receipt_s: Seconds to receive a whole HTTP request.
         write_s: Seconds that a client may leave a reply unread.
         unary_s: Seconds from request to reply of a unary call; a caller's shorter deadline takes precedence.

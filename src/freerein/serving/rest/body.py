@@ -48,10 +48,7 @@ async def read(request: Request, cls: type[T]) -> T:
             "The body must be in UTF-8; its Content-Type names another charset.", hint="Omit the charset."
         )
     if media_type == b"application/json":
-        try:
-            body = await request.body()
-        except ClientDisconnect:
-            raise _disconnected() from None
+        body = await _receive(request)
         if len(body) <= _MAX_INLINE_BYTES:
             return _parse_json(body, cls)
         return await asyncio.to_thread(_parse_json, body, cls)
@@ -68,11 +65,22 @@ def read_query(request: Request, cls: type[T]) -> T:
     return _from_parts(request.query_params.multi_items(), cls)
 
 
+async def _receive(request: Request) -> bytearray:
+    """Returns the whole body. Starlette's own also keeps its parts, and itself until the reply."""
+    body = bytearray()
+    try:
+        async for part in request.stream():
+            body += part
+    except ClientDisconnect:
+        raise _disconnected() from None
+    return body
+
+
 def _disconnected() -> Cancelled:
     return Cancelled("The client disconnected before the body was complete.")
 
 
-def _parse_json(body: bytes, cls: type[T]) -> T:
+def _parse_json(body: bytearray, cls: type[T]) -> T:
     try:
         value = _loads(body)
     except orjson.JSONDecodeError:
@@ -85,7 +93,7 @@ def _parse_json(body: bytes, cls: type[T]) -> T:
     return _validated(value, cls, strict=True)
 
 
-def _loads(data: bytes) -> Any:
+def _loads(data: bytes | bytearray) -> Any:
     """Parses JSON of a bounded number of values, since a value of two bytes takes about sixty in memory."""
     if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
         raise InvalidInput(
@@ -94,7 +102,7 @@ def _loads(data: bytes) -> Any:
     return orjson.loads(data)
 
 
-def _repeats_a_key(body: bytes, value: object) -> bool:
+def _repeats_a_key(body: bytearray, value: object) -> bool:
     """Returns whether an object had duplicate keys: then the body has more colons outside strings than parsed pairs."""
     pairs = _count_pairs(value)
     return body.count(b":") != pairs and _STRING.sub(b"", body).count(b":") != pairs
