@@ -29,7 +29,6 @@ _MAX_INLINE_BYTES = 64 * 1024  # longer bodies are parsed off the event loop
 _MAX_PARTS = 20_000
 _MAX_PART_BYTES = 64 * 2**20
 _MAX_VALUES = 1_000_000
-_MAX_FIELD_NAME = 200
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
 
 
@@ -65,22 +64,19 @@ def read_query(request: Request, cls: type[T]) -> T:
     return _from_parts(request.query_params.multi_items(), cls)
 
 
-async def _receive(request: Request) -> bytearray:
-    """Returns the whole body. Starlette's own also keeps its parts, and itself until the reply."""
-    body = bytearray()
+async def _receive(request: Request) -> bytes:
+    """Returns the whole body. Starlette's own would also keep it until the reply."""
     try:
-        async for part in request.stream():
-            body += part
+        return b"".join([part async for part in request.stream()])
     except ClientDisconnect:
         raise _disconnected() from None
-    return body
 
 
 def _disconnected() -> Cancelled:
     return Cancelled("The client disconnected before the body was complete.")
 
 
-def _parse_json(body: bytearray, cls: type[T]) -> T:
+def _parse_json(body: bytes, cls: type[T]) -> T:
     try:
         value = _loads(body)
     except orjson.JSONDecodeError:
@@ -93,7 +89,7 @@ def _parse_json(body: bytearray, cls: type[T]) -> T:
     return _validated(value, cls, strict=True)
 
 
-def _loads(data: bytes | bytearray) -> Any:
+def _loads(data: bytes) -> Any:
     """Parses JSON of a bounded number of values, since a value of two bytes takes about sixty in memory."""
     if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
         raise InvalidInput(
@@ -102,7 +98,7 @@ def _loads(data: bytes | bytearray) -> Any:
     return orjson.loads(data)
 
 
-def _repeats_a_key(body: bytearray, value: object) -> bool:
+def _repeats_a_key(body: bytes, value: object) -> bool:
     """Returns whether an object had duplicate keys: then the body has more colons outside strings than parsed pairs."""
     pairs = _count_pairs(value)
     return body.count(b":") != pairs and _STRING.sub(b"", body).count(b":") != pairs
@@ -233,14 +229,13 @@ def _validated(value: object, cls: type[T], *, strict: bool) -> T:
     try:
         return wire.unpack(schema.model_validate(value, strict=strict), cls)
     except ValidationError as error:
-        raise _invalid(error) from None
+        raise _invalid(error, wire.descriptor_of(cls)) from None
 
 
-def _invalid(error: ValidationError) -> InvalidInput:
+def _invalid(error: ValidationError, message: Descriptor) -> InvalidInput:
     """Returns pydantic's first error, without the input."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    known = [str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()]
-    field = ".".join(known)[:_MAX_FIELD_NAME]
+    field = _dotted_name(first["loc"], message)
     if first["type"] == "extra_forbidden":
         return InvalidInput(
             "The request must have only the fields of its schema; got an unknown one.",
@@ -251,3 +246,17 @@ def _invalid(error: ValidationError) -> InvalidInput:
         field=field,
         hint="GET /openapi.json describes every field.",
     )
+
+
+def _dotted_name(location: Iterable[int | str], message: Descriptor | None) -> str:
+    """Returns a field's dotted name, up to a key that the client chose: of a map, or of free-form values."""
+    names: list[str] = []
+    for part in location:
+        if isinstance(part, str):
+            if message is None or message.GetOptions().map_entry or message.full_name == STRUCT:
+                break
+            if part not in message.fields_by_name:
+                break
+            message = message.fields_by_name[part].message_type
+        names.append(str(part))
+    return ".".join(names)
