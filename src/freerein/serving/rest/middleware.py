@@ -1,5 +1,6 @@
 """ASGI middleware of the REST API: request id, token, size limits, one log line and metrics per request."""
 
+import errno
 import logging
 import re
 import time
@@ -10,7 +11,16 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from freerein.errors import Cancelled, Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
+from freerein.errors import (
+    Cancelled,
+    Internal,
+    MalformedRequest,
+    Overloaded,
+    ServiceError,
+    TooLarge,
+    Unavailable,
+    UnsupportedMedia,
+)
 from freerein.serving import auth
 from freerein.serving.error_replies import internal_error, problem_document, problem_headers
 from freerein.serving.limits import Limits
@@ -22,6 +32,7 @@ _log = logging.getLogger(__name__)
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
 _COPIES = 3  # of a body in memory: as received, as parsed, and decoded from base64 or multipart
+_OUT_OF_FILES = (errno.EMFILE, errno.ENFILE)
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
@@ -113,6 +124,12 @@ class RequestMiddleware:
 
         try:
             await self._app(scope, bounded_receive, send)
+        except OSError as error:
+            if error.errno not in _OUT_OF_FILES:
+                raise
+            raise Unavailable(
+                "The process must have free file descriptors; all are in use.", hint="Raise its limit of open files."
+            ) from None
         finally:
             self._buffered_bytes -= _COPIES * received
 
