@@ -75,6 +75,17 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     return RunningService(process, url, address, data_dir, log)
 
 
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The PEM files of a private key and of a certificate for `localhost` and loopback, made with it."""
+    folder = tmp_path_factory.mktemp("tls")
+    key, chain = folder / "key.pem", folder / "cert.pem"
+    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
+    names = ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
+    subprocess.run([*command.split(), *names, "-keyout", key, "-out", chain], check=True, capture_output=True)
+    return key, chain
+
+
 @pytest.fixture(autouse=True)
 def _keep_small_numbers() -> Iterator[None]:
     """Trainings flush denormal numbers to zero for their whole process; the next test wants them back."""

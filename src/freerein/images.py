@@ -1,6 +1,7 @@
 """Decoding and encoding of images: PNG, JPEG, WebP, raw RGB and raw gray.
 
-Untrusted bytes are checked before a decoder runs: an allowed format, a pixel count below the limit, a single frame.
+Untrusted bytes are checked before a decoder runs: an allowed format, bounded chunks and scans, a size below the limits,
+a single frame.
 Error messages are written here; the decoder's messages are never passed on.
 """
 
@@ -11,18 +12,22 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import PIL.ExifTags
 import PIL.Image
 import PIL.ImageOps
 
 from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
+from freerein.image_structure import check_structure
 from freerein.types.common import Encoding, Image
 
 MAX_PIXELS = 16_000_000
+MAX_SIDE = 16_384  # decoders also allocate memory for each row
 MAX_REQUEST_PIXELS = 64_000_000
 
 _RAW_CHANNELS: dict[Encoding, int] = {"raw_rgb8": 3, "raw_gray8": 1}
 _PILLOW_FORMATS: dict[Encoding, str] = {"png": "PNG", "jpeg": "JPEG", "webp": "WEBP"}
 _PNG_BIT_DEPTH = 24  # offset in a PNG file; checked because Pillow silently reduces 16-bit colour
+_ORIENTATIONS_ON_THEIR_SIDE = (5, 6, 7, 8)
 _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
     (0, b"\x89PNG\r\n\x1a\n", "png"),
     (0, b"\xff\xd8\xff", "jpeg"),
@@ -42,32 +47,34 @@ def sniff(data: bytes, *, field: str = "images") -> Encoding:
     )
 
 
-def decode(image: Image, *, field: str = "images") -> npt.NDArray[np.uint8]:
+def decode(image: Image, *, field: str = "images", size: tuple[int, int] | None = None) -> npt.NDArray[np.uint8]:
     """Returns the pixels of an image.
 
     Colour (palette, CMYK, alpha) becomes RGB without alpha, 8-bit gray stays gray, and the EXIF orientation of a JPEG
     is applied.
+
+    Args:
+        image: The image.
+        field: Dotted name of the image in the request, for errors.
+        size: Height and width that the image must have; None for any. An image of another size is not decoded.
 
     Returns:
         uint8 (height, width, channels), channels 1 or 3; read-only for the raw encodings.
 
     Raises:
         UnsupportedMedia: The data is not in its declared encoding.
-        InvalidInput: Corrupt, truncated, animated, empty, more than 8 bits per channel, not of its declared size, or
-            more than `MAX_PIXELS` pixels.
+        InvalidInput: Corrupt, truncated, animated, empty, more than 8 bits per channel, not of its declared size or of
+            `size`, more than `MAX_PIXELS` pixels or `MAX_SIDE` rows or columns, or of too many chunks or scans.
     """
     if image.encoding in _RAW_CHANNELS:
+        _check_pixels(image.height, image.width, field)
+        _check_size((image.height, image.width), size, field)
         return _decode_raw(image, field)
-    pixels = _decode_file(image, field)
-    declared = (image.height or pixels.shape[0], image.width or pixels.shape[1])
-    if pixels.shape[:2] != declared:
-        raise InvalidInput(
-            f"`{field}` must have its declared height and width, {declared[0]} x {declared[1]}; "
-            f"the file has {pixels.shape[0]} x {pixels.shape[1]}.",
-            field=field,
-            hint="Leave height and width 0 for encoded files.",
-        )
-    return pixels
+    with _open(image, field) as opened:
+        height, width = found = _upright_size(opened, image.encoding)
+        _check_size(found, (image.height or height, image.width or width), field)
+        _check_size(found, size, field)
+        return _pixels(opened, image.encoding)
 
 
 def pixel_count(image: Image, *, field: str = "images") -> int:
@@ -75,7 +82,7 @@ def pixel_count(image: Image, *, field: str = "images") -> int:
 
     Raises:
         UnsupportedMedia: The data is not in its declared encoding.
-        InvalidInput: The header is corrupt, or declares more than `MAX_PIXELS` pixels.
+        InvalidInput: The header is corrupt, or declares more than `MAX_PIXELS` pixels or `MAX_SIDE` rows or columns.
     """
     if image.encoding in _RAW_CHANNELS:
         _check_pixels(image.height, image.width, field)
@@ -93,6 +100,7 @@ def check_frames(frames: npt.NDArray[Any], *, axis: str) -> npt.NDArray[np.uint8
             field="frames",
             hint="Put channels last, and scale floats to 0..255.",
         )
+    _check_pixels(frames.shape[1], frames.shape[2], "frames")
     return frames
 
 
@@ -140,7 +148,6 @@ def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera:
 
 def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
     channels = _RAW_CHANNELS[image.encoding]
-    _check_pixels(image.height, image.width, field)
     expected = image.height * image.width * channels
     if len(image.data) != expected:
         raise InvalidInput(
@@ -151,13 +158,30 @@ def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
     return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, channels)
 
 
-def _decode_file(image: Image, field: str) -> npt.NDArray[np.uint8]:
-    with _open(image, field) as opened:
-        upright = PIL.ImageOps.exif_transpose(opened) if image.encoding == "jpeg" else opened
-        if "transparency" in upright.info:  # converted in two steps: Pillow warns about one
-            upright = upright.convert("LA" if upright.mode in ("1", "L") else "RGBA")
-        pixels = np.asarray(upright.convert("L" if upright.mode in ("1", "L", "LA") else "RGB"))
+def _pixels(opened: PIL.Image.Image, encoding: Encoding) -> npt.NDArray[np.uint8]:
+    upright = PIL.ImageOps.exif_transpose(opened) if encoding == "jpeg" else opened
+    if "transparency" in upright.info:  # converted in two steps: Pillow warns about one
+        upright = upright.convert("LA" if upright.mode in ("1", "L") else "RGBA")
+    pixels = np.asarray(upright.convert("L" if upright.mode in ("1", "L", "LA") else "RGB"))
     return pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
+
+
+def _upright_size(opened: PIL.Image.Image, encoding: Encoding) -> tuple[int, int]:
+    """Returns the height and width that an opened file will have when decoded."""
+    orientation = opened.getexif().get(PIL.ExifTags.Base.Orientation) if encoding == "jpeg" else None
+    if orientation in _ORIENTATIONS_ON_THEIR_SIDE:
+        return opened.width, opened.height
+    return opened.height, opened.width
+
+
+def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, field: str) -> None:
+    if expected is not None and found != expected:
+        raise InvalidInput(
+            f"`{field}` must have the expected height and width, {expected[0]} x {expected[1]}; "
+            f"got {found[0]} x {found[1]}.",
+            field=field,
+            hint="Scale the image. Leave height and width 0 for encoded files.",
+        )
 
 
 @contextmanager
@@ -170,6 +194,7 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
             hint="Declare the encoding of the file.",
         )
     try:
+        check_structure(image.data, image.encoding, field=field)
         with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
             _check_pixels(opened.height, opened.width, field)
             _check_kind(opened, image, field)
@@ -204,13 +229,19 @@ def _check_pixels(height: int, width: int, field: str) -> None:
             field=field,
             hint="Raw images need height and width.",
         )
+    if max(height, width) > MAX_SIDE:
+        raise InvalidInput(
+            f"`{field}` may have at most {MAX_SIDE} rows and columns each; got {height} x {width}.",
+            field=field,
+            hint="Scale the image down first.",
+        )
     if height * width > MAX_PIXELS:
         raise _too_many_pixels(field)
 
 
 def _too_many_pixels(field: str) -> InvalidInput:
     return InvalidInput(
-        f"`{field}` may have at most {MAX_PIXELS} pixels each; the header declares more.",
+        f"`{field}` may have at most {MAX_PIXELS} pixels each; got more.",
         field=field,
         hint="Scale the image down first.",
     )

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 
-FAULTS = ("right", "raises", "nan", "shape", "infinite")
+FAULTS = ("right", "raises", "nan", "shape", "infinite", "hangs")
 FUZZ = os.environ.get("FREEREIN_FUZZ") == "1"
 _LEAKS = re.compile(r"0x[0-9a-f]{6,}|Traceback|site-packages|\.py\b|object at|/(root|home|tmp|usr|work|var)/")
 _BUGS = (

@@ -5,8 +5,10 @@ whether its first pixel's brightness is odd, so that every right answer can be t
 """
 
 import json
+import logging
 import os
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -23,20 +25,23 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import Camera
 from freerein_segmentation.__main__ import NAME, build
 
-RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
+SIDE = int(os.environ.get("FAULTY_SIDE", "4"))
+RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HANGS = range(6)
 
 
 class FaultyModel:
-    """Answers even and odd, unless told otherwise."""
+    """Answers even and odd, unless told otherwise; `FAULTY_SIDE` is the side of its frames."""
 
     skills: tuple[str, ...] = ("even", "odd")
-    camera, action = Camera("front", 4, 4, 3), None
+    camera, action = Camera("front", SIDE, SIDE, 3), None
 
     def probabilities(
         self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None
     ) -> npt.NDArray[np.float32]:
         fault, hundredths, _ = frames[0, 0, 0]
         time.sleep(hundredths / 100)
+        if fault == HANGS:
+            threading.Event().wait()
         if fault == RAISES:
             raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
         likely = np.eye(2, dtype=np.float32)[frames[:, 0, 0, 2] % 2]
@@ -60,7 +65,15 @@ def publish_model(data_dir: Path) -> None:
 def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     publish_model(settings.data_dir)
-    return build(settings, limits, metrics, health, load=lambda _folder, _device: FaultyModel())
+    return build(settings, limits, metrics, health, load=load)
+
+
+def load(_folder: Path, _device: str) -> FaultyModel:
+    """Returns the model, or hangs when told to."""
+    if os.environ.get("FAULTY_LOAD") == "hangs":
+        logging.getLogger(__name__).warning("hanging")
+        threading.Event().wait()
+    return FaultyModel()
 
 
 def write_down_what_is_touched(path: str) -> None:

@@ -3,9 +3,11 @@
 import http.client
 import json
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -258,6 +260,65 @@ def test_a_compressed_body_is_not_opened(faulty: Any, refusal: Any) -> None:
         headers = {**JSON, "content-encoding": "gzip"}
         refusal(faulty.http.post(SEGMENT, content=b"\x1f\x8b" + b"\0" * MiB, headers=headers), 415)
     assert growth.most < 16 * MiB
+
+
+def in_chunks(data: bytes, size: int) -> bytes:
+    """Returns a body in HTTP chunks."""
+    parts = (data[i : i + size] for i in range(0, len(data), size))
+    return b"".join(b"%x\r\n%s\r\n" % (len(part), part) for part in parts) + b"0\r\n\r\n"
+
+
+def send_chunks(faulty: Any, total: int, size: int) -> bytes:
+    """Returns the reply to a valid body of so many bytes, in chunks of a size."""
+    body = json.dumps(faulty.trajectory()).encode().ljust(total)
+    headers = ("content-type: application/json", "transfer-encoding: chunked", "connection: close")
+    reply: bytes = faulty.raw(raw_request("POST", SEGMENT, in_chunks(body, size), *headers))
+    return reply
+
+
+@pytest.mark.fault("F5")
+@pytest.mark.parametrize(("total", "size", "expected"), [(16_384, 1, 200), (65_536, 64, 200), (65_536, 63, 400)])
+def test_large_bodies_must_come_in_chunks_of_64_bytes_or_more(
+    faulty: Any, total: int, size: int, expected: int
+) -> None:
+    reply = send_chunks(faulty, total, size)
+    assert status(reply) == expected
+    assert expected == 200 or b"application/problem+json" in reply
+
+
+@pytest.mark.fault("F5")
+def test_a_body_of_tiny_chunks_takes_little_time(faulty: Any) -> None:
+    before = sum(faulty.process.cpu_times()[:2])
+    assert status(send_chunks(faulty, 500_000, 1)) in (0, 400)  # 0: closed before all was sent
+    assert sum(faulty.process.cpu_times()[:2]) - before < 1.0  # 3 s when all were parsed
+    assert faulty.segment(2, 3).json()["labels"] == [0, 1]
+
+
+@pytest.mark.fault("F5")
+def test_a_body_may_come_in_tiny_segments(faulty: Any) -> None:
+    body = json.dumps(faulty.trajectory()).encode().ljust(20_000)
+    headers = ("content-type: application/json", f"content-length: {len(body)}", "connection: close")
+    with faulty.connect() as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.sendall(raw_request("POST", SEGMENT, b"", *headers))
+        for i in range(0, len(body), 10):
+            connection.sendall(body[i : i + 10])
+        assert status(connection.recv(65536)) == 200
+
+
+@pytest.mark.fault("F6")
+def test_many_large_bodies_at_once_stay_within_the_memory_for_all(faulty: Any) -> None:
+    frames = {"datatype": "UINT8", "shape": [45 * MiB // 48, 4, 4, 3], "raw": "A" * (60 * MiB)}
+    body = json.dumps({"frames": frames}).encode()
+
+    def post(_: int) -> int:
+        return int(faulty.http.post(SEGMENT, content=body, headers=JSON).status_code)
+
+    with Growth(faulty.process) as growth, ThreadPoolExecutor(8) as pool:
+        statuses = set(pool.map(post, range(8)))
+    assert statuses == {413, 429}  # read, and of too many timesteps; or refused for now
+    assert growth.most < 600 * MiB  # 900 when all were read
+    assert post(0) == 413
 
 
 @pytest.mark.fault("C10")

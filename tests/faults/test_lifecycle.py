@@ -137,6 +137,16 @@ def test_on_sigterm_while_starting_it_stops(start_service: Callable[..., Any]) -
     assert start_service("freerein_sim").stop() == 0  # its workers are still starting
 
 
+@pytest.mark.fault("F3")
+def test_on_sigterm_it_does_not_wait_for_a_thread_that_hangs(start_service: Callable[..., Any]) -> None:
+    service = start_service(FAULTY_SERVICE, FAULTY_LOAD="hangs")  # in a thread of those that decode
+    wait_until(lambda: "hanging" in service.log.read_text(), 10.0)
+    begun = time.monotonic()
+    assert service.stop() == 0
+    assert time.monotonic() - begun < 5
+    assert '"stopped"' in service.log.read_text().splitlines()[-1]
+
+
 # --- SIGKILL
 
 

@@ -1,6 +1,7 @@
 """A model that misbehaves: its caller is told so, nobody else notices, and no answer is ever a 500."""
 
 import asyncio
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from freerein import wire
 from freerein.types.segmentation import SegmentRequest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.fault("C16")]
+pytestmark = pytest.mark.e2e
 PATH = "/freerein.api.segmentation.v1.SegmentationService/Segment"
 
 
@@ -21,6 +22,7 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
     return start_faulty()
 
 
+@pytest.mark.fault("C16")
 @pytest.mark.parametrize(
     ("fault", "status", "code"),
     [
@@ -35,6 +37,7 @@ def test_a_fault_of_the_model_is_told_as_one(faulty: Any, refusal: Any, fault: s
     assert faulty.segment(3, 4).json()["labels"] == [1, 0]
 
 
+@pytest.mark.fault("C16")
 @pytest.mark.parametrize(
     ("fault", "status"),
     [(1, grpc.StatusCode.UNAVAILABLE), (2, grpc.StatusCode.INVALID_ARGUMENT), (3, grpc.StatusCode.UNAVAILABLE)],
@@ -49,6 +52,7 @@ async def test_over_grpc_too(faulty: Any, fault: int, status: grpc.StatusCode) -
     assert "0x" not in str(error.value.details())
 
 
+@pytest.mark.fault("C16")
 async def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(faulty: Any) -> None:
     async with httpx.AsyncClient(base_url=faulty.service.url, timeout=30, trust_env=False) as client:
         holder = faulty.trajectory([0, 1], hundredths=20)
@@ -61,6 +65,7 @@ async def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(fau
             assert reply.json()["labels"] == [n % 2, n % 2]
 
 
+@pytest.mark.fault("C16")
 def test_five_faults_in_a_row_make_it_not_ready_and_one_answer_ready_again(faulty: Any, refusal: Any) -> None:
     assert faulty.http.get("/readyz").status_code == 200
     for _ in range(5):
@@ -70,3 +75,35 @@ def test_five_faults_in_a_row_make_it_not_ready_and_one_answer_ready_again(fault
     assert faulty.http.get("/healthz").status_code == 200
     assert faulty.segment(3, 4).json()["labels"] == [1, 0]
     assert faulty.http.get("/readyz").status_code == 200
+
+
+UNARY_S = 0.5
+
+
+@pytest.mark.fault("C17")
+async def test_a_model_that_hangs_is_stuck_then_not_ready_and_at_last_ends_the_process(
+    start_faulty: Callable[..., Any], refusal: Any
+) -> None:
+    faulty = start_faulty(FREEREIN_UNARY_S=str(UNARY_S))
+    begun = time.monotonic()
+    assert refusal(faulty.segment(0, fault="hangs"), 504)["code"] == "deadline_exceeded"
+    assert UNARY_S <= time.monotonic() - begun < UNARY_S + 1.0
+    wait_until(lambda: faulty.metric("freerein_stuck_threads") == 1, 1.0)
+    assert "busy with one call" in refusal(faulty.http.get("/readyz"), 503)["detail"]
+    assert faulty.http.get("/healthz").status_code == 200
+    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
+        with pytest.raises(grpc.aio.AioRpcError) as late:
+            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=FRAMES)).SerializeToString(), timeout=10)
+    assert late.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+    assert faulty.service.process.wait(10) == 1  # which every supervisor starts again
+    assert 4 * UNARY_S <= time.monotonic() - begun < 4 * UNARY_S + 3.0
+    assert '"event": "hangs"' in faulty.service.log.read_text()
+
+
+FRAMES = np.zeros((1, 4, 4, 3), np.uint8)
+
+
+def wait_until(condition: Callable[[], bool], within_s: float) -> None:
+    begun = time.monotonic()
+    while not condition():
+        assert time.monotonic() - begun < within_s, "it never came true"

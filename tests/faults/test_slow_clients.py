@@ -3,9 +3,11 @@
 import contextlib
 import selectors
 import socket
+import ssl
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -77,6 +79,22 @@ def read_to_the_end(connection: socket.socket) -> None:
     with contextlib.suppress(ConnectionResetError):
         while connection.recv(4096):
             pass
+
+
+@pytest.mark.fault("F10")
+def test_a_tls_client_that_falls_silent_is_cut_off(
+    start_faulty: Callable[..., Any], certificate: tuple[Path, Path]
+) -> None:
+    key, chain = map(str, certificate)
+    faulty = start_faulty(FREEREIN_RECEIPT_S=str(RECEIPT_S), FREEREIN_TLS_KEY=key, FREEREIN_TLS_CERT=chain)
+    trusting = ssl.create_default_context(cafile=chain)
+    begun = time.monotonic()
+    with faulty.connect(5.0) as silent, faulty.connect(5.0) as halfway, faulty.connect(5.0) as shaken:
+        halfway.sendall(b"\x16\x03\x01")
+        with trusting.wrap_socket(shaken, server_hostname="localhost") as client:
+            for connection in (silent, halfway, client):
+                read_to_the_end(connection)
+    assert RECEIPT_S - 0.2 < time.monotonic() - begun < RECEIPT_S + 1.0
 
 
 @pytest.mark.fault("C7")

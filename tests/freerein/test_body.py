@@ -11,10 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from starlette.requests import Request
 
+from freerein import wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, ServiceError, UnsupportedMedia
 from freerein.serving.rest import body
 from freerein.types.common import ModelRef
 from freerein.types.learning import StartFitRequest, WatchFitRequest
+from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import ListSkillsRequest, SegmentRequest
 
 T = TypeVar("T")
@@ -142,6 +144,21 @@ async def test_deep_nesting_is_refused(depth: int, opening: str, closing: str) -
         await read(deep.encode(), StartFitRequest)
 
 
+@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
+async def test_thirty_levels_are_allowed_over_rest_and_grpc_and_no_more(opening: str, closing: str) -> None:
+    for levels, allowed in ((30, True), (31, False)):  # of which `config` is one
+        config = '{"a":' + opening * (levels - 1) + "1" + closing * (levels - 1) + "}"
+        outcome = await outcome_of(b'{"dataset": "x", "config": %s}' % config.encode(), StartFitRequest)
+        assert isinstance(outcome, StartFitRequest) is allowed
+        message = wire.message_type(StartFitRequest)(dataset="x", config=json.loads(config))
+        message = wire.message_type(StartFitRequest).FromString(message.SerializeToString())
+        if allowed:
+            assert wire.unpack(message, StartFitRequest) == outcome
+        else:
+            with pytest.raises(InvalidInput, match="30 levels"):
+                wire.unpack(message, StartFitRequest)
+
+
 @given(st.binary(max_size=200))
 async def test_any_bytes_are_a_request_or_an_error_of_ours(data: bytes) -> None:
     for content_type in (JSON, MULTIPART):
@@ -167,6 +184,36 @@ async def test_an_error_names_the_field_and_repeats_nothing(value: object, field
     assert error.value.field == field
     assert SECRET not in error.value.detail + error.value.hint + error.value.field
     assert error.value.hint
+
+
+@pytest.mark.fault("F11")
+@pytest.mark.parametrize(
+    "value", [{SECRET: 5}, {SECRET: {}}, {SECRET: {"datatype": 5}}, {"value": {SECRET: 5}}, {"x": {"shape": [SECRET]}}]
+)
+async def test_an_error_does_not_name_the_key_of_a_map(value: object) -> None:
+    with pytest.raises(InvalidInput) as error:
+        await read(json.dumps({"goal_text": "x", "frames": value}).encode(), RewardRequest)
+    assert error.value.field == "frames"
+    assert SECRET not in error.value.detail + error.value.hint
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"smoothing": "1.5"},
+        {"smoothing": True},
+        {"min_segment": "3"},
+        {"min_segment": 3.0},
+        {"min_segment": True},
+        {"model": {"name": 3}},
+        {"images": {}},
+        {"images": [{"encoding": "png", "data": [1, 2]}]},
+        {"frames": {"datatype": "UINT8", "shape": ["1"], "raw": "AA=="}},
+    ],
+)
+async def test_json_values_must_have_the_fields_own_type(value: object) -> None:
+    with pytest.raises(InvalidInput):
+        await read(json.dumps(value).encode(), SegmentRequest)
 
 
 @pytest.mark.parametrize("items", [900_000, 1_100_000])

@@ -30,12 +30,12 @@ def file(encoding: Encoding, data: bytes) -> Image:
     return Image(encoding, 0, 0, data)
 
 
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 def png(width: int, height: int, *, depth: int, colour: int, raw: bytes) -> bytes:
     """Returns a PNG written by hand: Pillow writes no 16-bit colour and no lying headers."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
 
@@ -136,9 +136,17 @@ def test_a_gray_png_with_a_transparent_level_stays_gray() -> None:
     assert images.decode(file("png", data)).tolist() == [[[7]]]
 
 
-def test_one_pixel_and_one_long_row_are_images() -> None:
+def test_one_pixel_and_the_longest_row_and_column_are_images() -> None:
     assert images.decode(file("png", save(PIL.Image.new("L", (1, 1)), "PNG"))).shape == (1, 1, 1)
-    assert images.decode(file("png", save(PIL.Image.new("RGB", (100_000, 1)), "PNG"))).shape == (1, 100_000, 3)
+    assert images.decode(file("png", save(PIL.Image.new("RGB", (16_384, 1)), "PNG"))).shape == (1, 16_384, 3)
+    assert images.decode(file("png", save(PIL.Image.new("RGB", (1, 16_384)), "PNG"))).shape == (16_384, 1, 3)
+
+
+def test_the_orientation_of_a_png_is_not_applied() -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6
+    data = save(PIL.Image.fromarray(QUADRANTS[:, :24]), "PNG", exif=exif)
+    np.testing.assert_array_equal(images.decode(file("png", data))[:, :, 0], QUADRANTS[:, :24])
 
 
 # --- what is refused
@@ -151,6 +159,16 @@ def test_more_than_eight_bits_per_channel_are_refused(colour: int, channels: int
         images.decode(file("png", data))
 
 
+@pytest.mark.fault("F11")
+def test_only_a_header_that_comes_first_and_once_says_how_many_bits_there_are() -> None:
+    whole = png(1, 1, depth=16, colour=2, raw=b"\0" + b"\x12\x34" * 3)
+    header, text = whole[8:33], chunk(b"tEXt", bytes(9))
+    behind_another = whole[:8] + chunk(b"IHDR", header[8:16] + b"\x08" + header[17:21]) + whole[8:]
+    for data in (whole[:8] + text + whole[8:], behind_another):
+        with pytest.raises(InvalidInput, match="corrupt"):
+            images.decode(file("png", data))
+
+
 @pytest.mark.parametrize("encoding", ["png", "webp"])
 def test_an_animation_is_refused(encoding: Encoding) -> None:
     frames = [PIL.Image.new("RGB", (4, 4), colour) for colour in ("red", "green", "blue")]
@@ -159,7 +177,7 @@ def test_an_animation_is_refused(encoding: Encoding) -> None:
         images.decode(file(encoding, data))
 
 
-@pytest.mark.parametrize(("width", "height"), [(4_001, 4_000), (13_000, 13_000), (20_000, 20_000), (2**31 - 1, 1)])
+@pytest.mark.parametrize(("width", "height"), [(4_001, 4_000), (13_000, 13_000), (16_384, 977)])
 def test_too_many_pixels_are_refused_by_the_header_alone(width: int, height: int) -> None:
     bomb = file("png", png(width, height, depth=8, colour=0, raw=b"\0"))
     with warnings.catch_warnings():
@@ -167,6 +185,29 @@ def test_too_many_pixels_are_refused_by_the_header_alone(width: int, height: int
         for read in (images.decode, images.pixel_count):
             with pytest.raises(InvalidInput, match="at most 16000000 pixels"):
                 read(bomb)
+
+
+@pytest.mark.fault("F6")
+@pytest.mark.parametrize(("width", "height"), [(16_385, 1), (1, 16_385), (20_000, 20_000), (2**31 - 1, 1)])
+def test_too_long_a_side_is_refused_by_the_header_alone(width: int, height: int) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+        for read in (images.decode, images.pixel_count):
+            with pytest.raises(InvalidInput, match=r"at most (16384 rows and columns|16000000 pixels)"):
+                read(file("png", png(width, height, depth=8, colour=0, raw=b"\0")))
+    with pytest.raises(InvalidInput, match="at most 16384 rows and columns"):
+        images.pixel_count(Image("raw_gray8", height, width, b""))
+
+
+def test_sixteen_million_pixels_are_allowed_and_no_more() -> None:
+    assert images.pixel_count(Image("raw_gray8", 4_000, 4_000, b"")) == 16_000_000
+    frames = np.broadcast_to(np.uint8(0), (1, 4_000, 4_000, 1))
+    assert images.check_frames(frames, axis="T") is frames
+    height, width = 1_206, 13_267  # the next product of two sides: 16 000 002
+    with pytest.raises(InvalidInput, match="at most 16000000 pixels"):
+        images.pixel_count(Image("raw_gray8", height, width, b""))
+    with pytest.raises(InvalidInput, match="at most 16000000 pixels"):
+        images.check_frames(np.broadcast_to(np.uint8(0), (1, height, width, 1)), axis="T")
 
 
 @pytest.mark.parametrize(("width", "height"), [(0, 0), (0, 5), (5, 0)])
@@ -218,12 +259,61 @@ def test_a_raw_image_is_exactly_as_long_as_it_says(height: int, width: int, data
         assert pixels.tobytes() == data
 
 
-# --- what is broken
-
 WHOLE = {
     encoding: save(PIL.Image.fromarray(np.arange(8 * 8 * 3, dtype=np.uint8).reshape(8, 8, 3)), encoding)
     for encoding in FILES
 }
+
+
+# --- what is costly
+
+
+def with_parts(encoding: Encoding, parts: int) -> bytes:
+    """Returns a whole file of so many chunks or segments, most of them empty."""
+    data = WHOLE[encoding]
+    if encoding == "png":  # IHDR, IDAT, IEND
+        return data[:33] + chunk(b"teSt", b"") * (parts - 3) + data[33:]
+    if encoding == "jpeg":
+        before_scan = data[: data.index(b"\xff\xda")].count(b"\xff") - 1  # each begins one; the first is the file's
+        return data[:2] + b"\xff\xfe\0\2" * (parts - before_scan) + data[2:]
+    body = data[8:] + (b"teSt" + bytes(4)) * (parts - 1)
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+@pytest.mark.fault("F6")
+@pytest.mark.parametrize(("encoding", "most"), [("png", 16_384), ("jpeg", 256), ("webp", 256)])
+def test_a_file_may_have_so_many_parts_and_no_more(encoding: Encoding, most: int) -> None:
+    if encoding != "webp":  # whose decoder takes such a file only with another header
+        assert images.decode(file(encoding, with_parts(encoding, most))).shape == (8, 8, 3)
+    with pytest.raises(InvalidInput, match=f"at most {most} "):
+        images.decode(file(encoding, with_parts(encoding, most + 1)))
+
+
+@pytest.mark.fault("F3")
+def test_a_jpeg_may_have_so_many_scans_and_no_more() -> None:
+    data = save(PIL.Image.new("CMYK", (16, 16)), "JPEG", progressive=True)
+    scan = data.rindex(b"\xff\xda")
+    last, scans = data[scan:-2], data.count(b"\xff\xda")
+    assert scans == 18  # the most that libjpeg writes by itself
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for more, allowed in ((32 - scans, True), (33 - scans, False)):
+            outcome = decoded("jpeg", data[:-2] + last * more + b"\xff\xd9")
+            assert isinstance(outcome, np.ndarray) is allowed
+
+
+@pytest.mark.fault("F3")
+def test_a_file_of_another_size_than_expected_is_not_decoded() -> None:
+    broken = gray_jpeg(np.arange(192, dtype=np.uint8).reshape(8, 24), 6)[:-20]
+    with pytest.raises(InvalidInput, match="8 x 24; got 24 x 8"):
+        images.decode(file("jpeg", broken), size=(8, 24))
+    with pytest.raises(InvalidInput, match="8 x 24; got 24 x 8"):
+        images.decode(Image("jpeg", 8, 24, broken))
+    with pytest.raises(InvalidInput, match="corrupt"):
+        images.decode(file("jpeg", broken), size=(24, 8))
+
+
+# --- what is broken
 
 
 def decoded(encoding: Encoding, data: bytes) -> npt.NDArray[np.uint8] | ServiceError:

@@ -31,7 +31,9 @@ def build(
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # one model thread: more would compete with each other and with a fit
-    batcher = Batcher(PolicyRunner().run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
+    batcher = Batcher(
+        PolicyRunner().run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s
+    )
     return learned_service(
         NAME,
         imitation_pb2.DESCRIPTOR.services_by_name["ImitationService"],

@@ -48,7 +48,7 @@ def build(
     grounding = _grounding_folder(open_store(NAME, settings))
     goals = GoalCache(settings.goal_cache_bytes)
     batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
-        Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics
+        Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s
     )
     return learned_service(
         NAME,

@@ -29,7 +29,7 @@ def build(
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
-    batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics)
+    batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s)
     return learned_service(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError, Unavailable
+from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 
 _log = logging.getLogger(__name__)
@@ -21,6 +22,7 @@ O = TypeVar("O")  # noqa: E741  # output
 
 _FAULTS_UNTIL_NOT_READY = 5
 _CLOSE_TIMEOUT_S = 1.0
+_HANGS_AFTER_CALLS = 4.0
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,22 @@ class Batcher(Generic[I, O]):
             of an item that fails alone. Called on the batcher's thread only.
         queue: Largest number of queued items.
         batch: Largest number of items in one model call.
-        metrics: Measures queue length and batch sizes.
+        metrics: Measures queue length, batch sizes and whether the thread is stuck.
+        call_s: Seconds after which a model call is stuck; after four times that the model hangs.
     """
 
     def __init__(
-        self, call: Callable[[Sequence[I]], Sequence[O | ServiceError]], *, queue: int, batch: int, metrics: Metrics
+        self,
+        call: Callable[[Sequence[I]], Sequence[O | ServiceError]],
+        *,
+        queue: int,
+        batch: int,
+        metrics: Metrics,
+        call_s: float = Limits.unary_s,
     ) -> None:
         self._call = call
+        self._call_s = call_s
+        self._call_began: float | None = None
         self._max_queue = queue
         self._max_batch = batch
         self._metrics = metrics
@@ -66,12 +77,19 @@ class Batcher(Generic[I, O]):
         self._closed = False
         self._faults = 0
         metrics.queued.set_function(lambda: len(self._queue))
+        metrics.stuck.set_function(lambda: self._in_call_s() > self._call_s)
         self._thread = threading.Thread(target=self._work, name="model", daemon=True)
         self._thread.start()
 
     def not_ready(self) -> str:
-        """Returns why the model cannot answer, empty when it can: not after five failed calls in a row."""
+        """Returns why the model cannot answer, empty when it can: not when stuck, nor after five failures in a row."""
+        if self._in_call_s() > self._call_s:
+            return f"The model has been busy with one call for more than {self._call_s:g} s."
         return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY else ""
+
+    def hangs(self) -> bool:
+        """Returns whether the model has been stuck for so long that only a new process helps."""
+        return self._in_call_s() > _HANGS_AFTER_CALLS * self._call_s
 
     async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> BatchResult[O]:
         """Returns the model's output for an item. A cancelled item is removed from the queue.
@@ -116,6 +134,11 @@ class Batcher(Generic[I, O]):
             self._wake_thread()
         self._thread.join(_CLOSE_TIMEOUT_S)
 
+    def _in_call_s(self) -> float:
+        """Returns for how many seconds the current model call has run, 0 when there is none."""
+        began = self._call_began
+        return 0.0 if began is None else time.monotonic() - began
+
     def _remove(self, queued: "_QueuedItem[I, O]") -> None:
         with self._lock:
             if queued in self._queue:
@@ -129,7 +152,9 @@ class Batcher(Generic[I, O]):
     def _work(self) -> None:
         while batch := self._next_batch():
             started_ns = time.perf_counter_ns()
+            self._call_began = time.monotonic()
             outputs = self._run([queued.item for queued in batch])
+            self._call_began = None
             infer_ns = time.perf_counter_ns() - started_ns
             self._metrics.batches.observe(len(batch))
             for queued, output in zip(batch, outputs, strict=True):

@@ -88,4 +88,5 @@ def learned_service(
         start=start,
         close=close,
         not_ready=lambda: models.not_ready() or batcher.not_ready(),
+        hangs=batcher.hangs,
     )

@@ -1,6 +1,7 @@
 """A service as a process: listens at once, is ready after its warm-up, drains on SIGTERM, exits with code 0.
 
-Exit code 3 means a configuration error: starting again cannot help. After any other failure it may: exit code 1.
+Exit code 1 means that it must be started again: its model hangs, it met a bug, or what it needs failed. Exit code 3
+means a configuration error: starting again cannot help.
 """
 
 import asyncio
@@ -35,6 +36,7 @@ _log = logging.getLogger(__name__)
 S = TypeVar("S", bound=ServiceSettings)
 CONFIGURATION_ERROR, FAILURE = 3, 1
 _CONFIGURATION_ERRORS = (InvalidInput, NotFound, AlreadyExists, FailedPrecondition, Unimplemented)
+_HANG_PERIOD_S = 0.5
 _BACKLOG = 2048
 
 
@@ -47,6 +49,7 @@ class Service:
         start: Warms it up, while the servers already listen.
         close: Releases what it holds.
         not_ready: Returns why it is not ready, empty when it is.
+        hangs: Returns whether it can only be helped by a new process.
     """
 
     name: str
@@ -54,29 +57,45 @@ class Service:
     start: Callable[[], Awaitable[None]]
     close: Callable[[], Awaitable[None]]
     not_ready: Callable[[], str]
+    hangs: Callable[[], bool] = lambda: False
+
+
+class _DecodeThreads(ThreadPoolExecutor):
+    """Threads that the end of the event loop does not wait for."""
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        super().shutdown(wait=False, cancel_futures=True)
 
 
 Build = Callable[[S, Limits, Metrics, Health], Service]
 
 
 def run(name: str, settings_class: type[S], build: Build[S]) -> int:
-    """Runs a service until it is told to stop; returns the process's exit code."""
+    """Runs a service until it is told to stop, and ends the process; returns the exit code of one that cannot start.
+
+    No thread is waited for at the end: one may be in a decoder or a model that hangs.
+    """
     logs.configure(name)
     try:
         settings = settings_class()
     except ValidationError as error:
         return _cannot_start(_reason(error), CONFIGURATION_ERROR)
     try:
-        return uvloop.run(_serve(settings, build))
+        code = uvloop.run(_serve(settings, build))
     except ServiceError as error:
         code = CONFIGURATION_ERROR if isinstance(error, _CONFIGURATION_ERRORS) else FAILURE
-        return _cannot_start(f"{error.detail} {error.hint}", code)
+        code = _cannot_start(f"{error.detail} {error.hint}", code)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 async def _serve(settings: S, build: Build[S]) -> int:
-    threads = ThreadPoolExecutor(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
+    threads = _DecodeThreads(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
     asyncio.get_running_loop().set_default_executor(threads)
-    limits = Limits(receipt_s=settings.receipt_s, write_s=settings.write_s, queue=settings.queue)
+    limits = Limits(
+        receipt_s=settings.receipt_s, write_s=settings.write_s, unary_s=settings.unary_s, queue=settings.queue
+    )
     metrics, token = Metrics(), settings.token_text
     built: list[Service] = []
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
@@ -104,7 +123,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     sys.stdout.flush()
     health_reporter = asyncio.create_task(grpc_server.report_health())
     warm_up = asyncio.create_task(_warm_up(service, http_server, health))
-    await health.wait_for_drain()
+    code = await _wait_for_drain(service, http_server, health)
     _log.info("draining")
     await grpc_server.drain()
     await asyncio.gather(rest, health_reporter)
@@ -113,7 +132,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         await warm_up
     await service.close()
     _log.info("stopped")
-    return 0
+    return code
 
 
 async def _warm_up(service: Service, http_server: HttpServer, health: Health) -> None:
@@ -124,6 +143,18 @@ async def _warm_up(service: Service, http_server: HttpServer, health: Health) ->
         health.drain()
         http_server.should_exit = True
         raise
+
+
+async def _wait_for_drain(service: Service, http_server: HttpServer, health: Health) -> int:
+    """Waits until the graceful shutdown begins, and begins it when the service hangs; returns the exit code."""
+    while not health.draining:
+        if service.hangs():
+            _log.error("hangs", extra={"reason": health.reason()})
+            health.drain()
+            http_server.should_exit = True
+            return FAILURE
+        await health.await_or_drain(asyncio.sleep(_HANG_PERIOD_S))
+    return 0
 
 
 def _chosen_ports(name: str, settings: ServiceSettings) -> Ports:

@@ -18,7 +18,8 @@ class Limits:
 
     Attributes:
         message_bytes: Bytes of one REST body or gRPC message.
-        buffered_bytes: Bytes of all REST bodies in memory together, and of all gRPC messages that arrive slowly.
+        buffered_bytes: Bytes of memory for all REST bodies together, and for what is parsed of them; and for all gRPC
+            messages that arrive slowly.
         receipt_s: Seconds to receive a whole HTTP request, or the first message of a gRPC call.
         slow_receipt_s: Seconds after which a gRPC message arrives slowly.
         write_s: Seconds that a client may leave a reply unread.

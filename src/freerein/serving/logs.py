@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import threading
 from typing import Any
 
 import structlog
@@ -28,8 +29,11 @@ def configure(service: str) -> None:
     handler.setFormatter(formatter)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.captureWarnings(True)
-    logging.getLogger("uvicorn").setLevel(logging.WARNING)
+    for name in ("uvicorn", "python_multipart"):  # whose warnings are of what clients send
+        logging.getLogger(name).setLevel(logging.ERROR)
     logging.getLogger("grpc._cython.cygrpc").addFilter(_is_not_about_metadata)
+    sys.excepthook = _log_crash
+    threading.excepthook = lambda crash: _log_crash(crash.exc_type, crash.exc_value, crash.exc_traceback)
     structlog.contextvars.bind_contextvars(service=service)
     structlog.configure(
         processors=[
@@ -45,6 +49,10 @@ def configure(service: str) -> None:
 def _is_not_about_metadata(record: logging.LogRecord) -> bool:
     """Drops gRPC's traceback for metadata in no encoding: the caller's mistake, and it would show a token."""
     return not record.getMessage().startswith("Invalid encoding")
+
+
+def _log_crash(_kind: object, error: BaseException | None, _trace: object) -> None:
+    logging.getLogger(__name__).critical("crashed", exc_info=error)
 
 
 def _truncate(_logger: Any, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:

@@ -15,6 +15,7 @@ class Metrics:
         in_flight: Calls in progress, by protocol.
         cancelled: Calls whose client disconnected, by protocol.
         queued: Items waiting for the model.
+        stuck: Model threads in a call that has outlasted every deadline, 0 or 1.
         batches: Items per model call.
     """
 
@@ -35,6 +36,9 @@ class Metrics:
             "freerein_cancelled_total", "Calls whose client disconnected.", ("protocol",), registry=self.registry
         )
         self.queued = Gauge("freerein_queued_items", "Items waiting for the model.", registry=self.registry)
+        self.stuck = Gauge(
+            "freerein_stuck_threads", "Model threads in a call that outlasts every deadline.", registry=self.registry
+        )
         self.batches = Histogram(
             "freerein_batch_size", "Items per model call.", buckets=_BATCH_BUCKETS, registry=self.registry
         )

@@ -99,7 +99,7 @@ class Segmenter:
     async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
         _check_options(request)
         ref, model = await self.models.resolve(request.model)
-        frames = await _frames(request)
+        frames = await _frames(request, model.camera)
         _check_trajectory(model, frames, request.actions)
         return ref, model, frames
 
@@ -132,15 +132,15 @@ def _check_options(request: SegmentRequest) -> None:
         )
 
 
-async def _frames(request: SegmentRequest) -> npt.NDArray[np.uint8]:
+async def _frames(request: SegmentRequest, camera: Camera) -> npt.NDArray[np.uint8]:
     """Returns the request's frames, uint8 (T, H, W, C); encoded images are decoded off the event loop."""
     images.check_one_form(has_frames=request.frames is not None, has_images=bool(request.images))
     if request.frames is not None:
         return images.check_frames(request.frames, axis="T")
-    return await asyncio.to_thread(_decode, request.images)
+    return await asyncio.to_thread(_decode, request.images, (camera.height, camera.width))
 
 
-def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
+def _decode(encoded: Sequence[Image], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
     if len(encoded) > MAX_TIMESTEPS:
         raise InvalidInput(
             f"`images` must hold at most {MAX_TIMESTEPS} images; got {len(encoded)}.",
@@ -149,16 +149,16 @@ def _decode(encoded: Sequence[Image]) -> npt.NDArray[np.uint8]:
         )
     total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # all have one size
     images.check_total_pixels(total, hint="Scale the images to the size that ListSkills returns.")
-    first = images.decode(encoded[0], field="images.0")
+    first = images.decode(encoded[0], field="images.0", size=size)
     frames = np.empty((len(encoded), *first.shape), np.uint8)
     frames[0] = first
     for t, image in enumerate(encoded[1:], start=1):
-        pixels = images.decode(image, field=f"images.{t}")
+        pixels = images.decode(image, field=f"images.{t}", size=size)
         if pixels.shape != first.shape:
             raise InvalidInput(
-                f"`images` must all have one size; image 0 has {first.shape}, image {t} has {pixels.shape}.",
+                f"`images` must all be gray or all colour; image 0 has {first.shape}, image {t} has {pixels.shape}.",
                 field=f"images.{t}",
-                hint="Scale them to one size, all gray or all colour.",
+                hint="Convert them first.",
             )
         frames[t] = pixels
     return frames

@@ -21,15 +21,13 @@ from starlette.requests import ClientDisconnect, Request
 
 from freerein import images, wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
+from freerein.serving.limits import MAX_INLINE_BYTES, MAX_VALUES
 from freerein.serving.rest.schemas import STRUCT, schema_of
 
 T = TypeVar("T")
 
-_MAX_INLINE_BYTES = 64 * 1024  # longer bodies are parsed off the event loop
 _MAX_PARTS = 20_000
 _MAX_PART_BYTES = 64 * 2**20
-_MAX_VALUES = 1_000_000
-_MAX_FIELD_NAME = 200
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
 
 
@@ -48,11 +46,8 @@ async def read(request: Request, cls: type[T]) -> T:
             "The body must be in UTF-8; its Content-Type names another charset.", hint="Omit the charset."
         )
     if media_type == b"application/json":
-        try:
-            body = await request.body()
-        except ClientDisconnect:
-            raise _disconnected() from None
-        if len(body) <= _MAX_INLINE_BYTES:
+        body = await _receive(request)
+        if len(body) <= MAX_INLINE_BYTES:
             return _parse_json(body, cls)
         return await asyncio.to_thread(_parse_json, body, cls)
     if media_type == b"multipart/form-data":
@@ -66,6 +61,14 @@ async def read(request: Request, cls: type[T]) -> T:
 def read_query(request: Request, cls: type[T]) -> T:
     """Returns the dataclass in a request's query; InvalidInput when a parameter is unknown, repeated or invalid."""
     return _from_parts(request.query_params.multi_items(), cls)
+
+
+async def _receive(request: Request) -> bytes:
+    """Returns the whole body. Starlette's own would also keep it until the reply."""
+    try:
+        return b"".join([part async for part in request.stream()])
+    except ClientDisconnect:
+        raise _disconnected() from None
 
 
 def _disconnected() -> Cancelled:
@@ -87,9 +90,9 @@ def _parse_json(body: bytes, cls: type[T]) -> T:
 
 def _loads(data: bytes) -> Any:
     """Parses JSON of a bounded number of values, since a value of two bytes takes about sixty in memory."""
-    if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
+    if sum(map(data.count, (b",", b"[", b"{"))) > MAX_VALUES:
         raise InvalidInput(
-            f"JSON may hold at most {_MAX_VALUES} values; got more.", hint="Send arrays as tensors: raw is base64."
+            f"JSON may hold at most {MAX_VALUES} values; got more.", hint="Send arrays as tensors: raw is base64."
         )
     return orjson.loads(data)
 
@@ -225,14 +228,13 @@ def _validated(value: object, cls: type[T], *, strict: bool) -> T:
     try:
         return wire.unpack(schema.model_validate(value, strict=strict), cls)
     except ValidationError as error:
-        raise _invalid(error) from None
+        raise _invalid(error, wire.descriptor_of(cls)) from None
 
 
-def _invalid(error: ValidationError) -> InvalidInput:
+def _invalid(error: ValidationError, message: Descriptor) -> InvalidInput:
     """Returns pydantic's first error, without the input."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    known = [str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()]
-    field = ".".join(known)[:_MAX_FIELD_NAME]
+    field = _dotted_name(first["loc"], message)
     if first["type"] == "extra_forbidden":
         return InvalidInput(
             "The request must have only the fields of its schema; got an unknown one.",
@@ -243,3 +245,17 @@ def _invalid(error: ValidationError) -> InvalidInput:
         field=field,
         hint="GET /openapi.json describes every field.",
     )
+
+
+def _dotted_name(location: Iterable[int | str], message: Descriptor | None) -> str:
+    """Returns a field's dotted name, up to a key that the client chose: of a map, or of free-form values."""
+    names: list[str] = []
+    for part in location:
+        if isinstance(part, str):
+            if message is None or message.GetOptions().map_entry or message.full_name == STRUCT:
+                break
+            if part not in message.fields_by_name:
+                break
+            message = message.fields_by_name[part].message_type
+        names.append(str(part))
+    return ".".join(names)

@@ -1,6 +1,7 @@
-"""uvicorn with deadlines for receiving a request and for reading a reply, and exit code 0 on SIGTERM."""
+"""uvicorn with deadlines for handshakes, requests and replies, no tiny chunks, and exit code 0 on SIGTERM."""
 
 import asyncio
+import socket
 import uuid
 from typing import Any, ClassVar
 
@@ -14,6 +15,30 @@ from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.rest.middleware import MAX_HEADER_BYTES
 
+_MIN_MEAN_CHUNK_BYTES = 64
+_MIN_BYTES_IN_CHUNKS = 16 * 1024  # fewer may come in chunks of any size
+
+
+class BoundedConnection(h11.Connection):
+    """HTTP/1.1 parser that refuses bodies of tiny chunks, since the time to parse grows with their number.
+
+    It counts HTTP chunks. TCP segments are not counted: they are merged while the parser is busy.
+    """
+
+    _chunks = _body_bytes = 0
+
+    def next_event(self) -> Any:
+        """Returns the next event; raises h11.RemoteProtocolError when the mean chunk is too small."""
+        event = super().next_event()
+        if isinstance(event, h11.Request):
+            self._chunks = self._body_bytes = 0
+        elif isinstance(event, h11.Data):
+            self._chunks += event.chunk_start
+            self._body_bytes += len(event.data)
+            if _MIN_BYTES_IN_CHUNKS < self._body_bytes < _MIN_MEAN_CHUNK_BYTES * self._chunks:
+                raise h11.RemoteProtocolError("the chunks are too small")
+        return event
+
 
 class DeadlineProtocol(H11Protocol):
     """Closes a connection whose client sends its request, or reads its reply, too slowly, or sends nothing."""
@@ -21,6 +46,10 @@ class DeadlineProtocol(H11Protocol):
     limits: ClassVar[Limits]
     _receive_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
+
+    def __init__(self, config: uvicorn.Config, *args: Any, **kwargs: Any) -> None:
+        super().__init__(config, *args, **kwargs)
+        self.conn = BoundedConnection(h11.SERVER, MAX_HEADER_BYTES)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's
         """Starts the receive deadline."""
@@ -94,8 +123,9 @@ class DeadlineProtocol(H11Protocol):
 def _bad_request() -> bytes:
     request_id = uuid.uuid4().hex
     error = MalformedRequest(
-        "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB; they are not.",
-        hint="Use an HTTP client.",
+        "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB, and chunks of 64 bytes or more on "
+        "average; they are not.",
+        hint="Use an HTTP client that sends large chunks, or Content-Length.",
     )
     body = problem_document(error, request_id)
     lines = [f"{key}: {value}" for key, value in problem_headers(error, request_id).items()]
@@ -105,9 +135,32 @@ def _bad_request() -> bytes:
 class HttpServer(uvicorn.Server):
     """A uvicorn server that, on a stop signal, marks the service as draining and ends with exit code 0."""
 
-    def __init__(self, config: uvicorn.Config, health: Health) -> None:
+    def __init__(self, config: uvicorn.Config, health: Health, limits: Limits) -> None:
         super().__init__(config)
         self._health = health
+        self._limits = limits
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listens on the sockets as uvicorn does, and with a deadline for TLS, for which uvicorn has no option."""
+        await super().startup(sockets=[])
+        config, loop = self.config, asyncio.get_running_loop()
+
+        def make_protocol() -> asyncio.Protocol:
+            return config.http_protocol_class(  # type: ignore[call-arg]  # as uvicorn's
+                config=config, server_state=self.server_state, app_state=self.lifespan.state
+            )
+
+        tls_s = self._limits.receipt_s if config.ssl else None
+        for each in sockets or []:
+            server = await loop.create_server(
+                make_protocol,
+                sock=each,
+                ssl=config.ssl,
+                backlog=config.backlog,
+                ssl_handshake_timeout=tls_s,
+                ssl_shutdown_timeout=tls_s,
+            )
+            self.servers.append(server)
 
     def handle_exit(self, sig: int, frame: Any) -> None:
         """Begins the graceful shutdown. The signal is not recorded, so that uvicorn does not raise it again."""
@@ -125,9 +178,8 @@ def make_server(app: Any, *, limits: Limits, health: Health, cert: str | None, k
         access_log=False,
         log_config=None,
         server_header=False,
-        h11_max_incomplete_event_size=MAX_HEADER_BYTES,
         timeout_graceful_shutdown=int(limits.drain_s),
         ssl_certfile=cert,
         ssl_keyfile=key,
     )
-    return HttpServer(config, health)
+    return HttpServer(config, health, limits)

@@ -1,5 +1,6 @@
 """ASGI middleware of the REST API: request id, token, size limits, one log line and metrics per request."""
 
+import errno
 import logging
 import re
 import time
@@ -10,7 +11,16 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from freerein.errors import Cancelled, Internal, MalformedRequest, Overloaded, ServiceError, TooLarge, UnsupportedMedia
+from freerein.errors import (
+    Cancelled,
+    Internal,
+    MalformedRequest,
+    Overloaded,
+    ServiceError,
+    TooLarge,
+    Unavailable,
+    UnsupportedMedia,
+)
 from freerein.serving import auth
 from freerein.serving.error_replies import internal_error, problem_document, problem_headers
 from freerein.serving.limits import Limits
@@ -21,6 +31,8 @@ MAX_HEADER_BYTES = 16 * 1024
 _log = logging.getLogger(__name__)
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
+_COPIES = 3  # of a body in memory: as received, as parsed, and decoded from base64 or multipart
+_OUT_OF_FILES = (errno.EMFILE, errno.ENFILE)
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
@@ -99,20 +111,27 @@ class RequestMiddleware:
             message = await receive()
             size = len(message.get("body", b""))
             received += size
-            self._buffered_bytes += size
+            self._buffered_bytes += _COPIES * size
             if received > self._limits.message_bytes:
                 raise self._too_large()
             if self._buffered_bytes > self._limits.buffered_bytes:
                 raise Overloaded(
-                    f"Request bodies may take at most {self._limits.buffered_bytes} bytes together; got more.",
-                    hint="Retry after Retry-After.",
+                    f"Request bodies may take at most {self._limits.buffered_bytes} bytes of memory together, "
+                    f"{_COPIES} times their length; they would take more.",
+                    hint="Retry after Retry-After, or send less per call.",
                 )
             return message
 
         try:
             await self._app(scope, bounded_receive, send)
+        except OSError as error:
+            if error.errno not in _OUT_OF_FILES:
+                raise
+            raise Unavailable(
+                "The process must have free file descriptors; all are in use.", hint="Raise its limit of open files."
+            ) from None
         finally:
-            self._buffered_bytes -= received
+            self._buffered_bytes -= _COPIES * received
 
     def _too_large(self) -> TooLarge:
         return TooLarge(

@@ -1,0 +1,66 @@
+"""A process without free file descriptors: it refuses, does not spin, and recovers when some are free again."""
+
+import contextlib
+import resource
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import psutil
+import pytest
+
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("C22")]
+ASK = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n"
+PICTURE = b"\x89PNG\r\n\x1a\n" + bytes(2 * 2**20)  # so large that it is received into a file
+
+
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any]) -> Any:
+    return start_faulty()
+
+
+@contextlib.contextmanager
+def free_descriptors(faulty: Any, count: int) -> Iterator[None]:
+    """Leaves a process so many descriptors beyond those that it holds."""
+    pid = faulty.process.pid
+    before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (faulty.process.num_fds() + count, before[1]))
+    try:
+        yield
+    finally:
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
+
+
+def test_what_needs_a_file_is_refused_for_now(faulty: Any, refusal: Any) -> None:
+    assert faulty.segment(2, 3).json()["labels"] == [0, 1]  # on the connection that is used below
+    with free_descriptors(faulty, 0):
+        for reply in (
+            faulty.segment(2, 3),
+            faulty.http.get("/v1/list-models"),
+            faulty.http.post("/v1/segment", files={"images": ("0.png", PICTURE)}),
+        ):
+            assert "file descriptors" in refusal(reply, 503)["detail"]
+        assert faulty.http.get("/healthz").status_code == 200
+    assert faulty.segment(2, 3).json()["labels"] == [0, 1]
+
+
+def test_connections_beyond_the_limit_are_closed_without_spinning(faulty: Any) -> None:
+    with free_descriptors(faulty, 8), contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(faulty.connect(5.0)) for _ in range(40)]
+        served = [reply for connection in connections if (reply := ask(connection))]
+        assert all(reply.startswith(b"HTTP/1.1 200") for reply in served)
+        assert 0 < len(served) < 20
+        before = sum(faulty.process.cpu_times()[:2])
+        with contextlib.suppress(psutil.TimeoutExpired):
+            faulty.process.wait(1.0)
+        assert sum(faulty.process.cpu_times()[:2]) - before < 0.3
+    assert faulty.segment(2, 3).json()["labels"] == [0, 1]
+
+
+def ask(connection: Any) -> bytes:
+    """Returns the beginning of a reply, empty when the connection is closed."""
+    try:
+        connection.sendall(ASK)
+        answer: bytes = connection.recv(4096)
+    except (ConnectionResetError, BrokenPipeError):
+        return b""
+    return answer
