@@ -207,6 +207,7 @@ def test_the_limit_is_on_what_is_sent_and_not_on_what_it_decodes_to(faulty: Any,
 
 
 @pytest.mark.fault("S6")
+@pytest.mark.fault("G11")
 @pytest.mark.parametrize("url", ["http://127.0.0.1:{port}/healthz", "file:///etc/passwd", "gopher://127.0.0.1/"])
 def test_no_url_is_ever_followed(faulty: Any, refusal: Any, audit: Path, url: str) -> None:
     address = url.format(port=faulty.service.http_port)
@@ -234,6 +235,7 @@ def test_too_many_images_are_refused_before_they_are_decoded(faulty: Any, refusa
 
 
 @pytest.mark.fault("S8")
+@pytest.mark.fault("G10")
 def test_health_is_told_at_once_while_images_are_decoded(faulty: Any, least_of_three: Any, fuzz: bool) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (2_000, 2_000), np.uint8)
     files = {"images": ("0.png", save(PIL.Image.fromarray(noise), "PNG"))}

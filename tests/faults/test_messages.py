@@ -109,6 +109,7 @@ def _field(number: int, content: bytes) -> bytes:
     return bytes([number << 3 | 2]) + length + bytes([size]) + content
 
 
+@pytest.mark.fault("G8")
 @given(message=st.binary(max_size=200))
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 async def test_any_bytes_are_a_message_or_refused(faulty: Any, message: bytes) -> None:
