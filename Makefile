@@ -17,12 +17,13 @@ dev: ## Install what the tests and checks need, too
 demo: setup ## Run the whole pipeline and measure it: about seven minutes on two cores
 	@$(BIN)/freerein demo
 
-check: dev stubs-fresh ## Lint, format, types, import contracts, proto and its stubs
+check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stubs and its changes
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/buf lint proto
+	$(BIN)/buf breaking proto --against proto/released.binpb
 
 test: dev ## Run the tests, a file at a time on each core
 	$(BIN)/pytest --numprocesses logical --dist loadfile --no-loadscope-reorder

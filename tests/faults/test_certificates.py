@@ -35,21 +35,20 @@ def start(start_module_service: Callable[..., Any], tmp_path_factory: pytest.Tem
 
 @pytest.fixture(scope="module")
 def service(start: Callable[..., Any]) -> Any:
-    return start(AUTHORITY.issue_cert("localhost"))
+    return start(AUTHORITY.issue_cert("127.0.0.1"))
 
 
 def get(service: Any, authority: trustme.CA) -> int:
     """Returns the status of a GET over REST."""
     trusted = ssl.create_default_context(cadata=authority.cert_pem.bytes().decode())
     with httpx.Client(verify=trusted, trust_env=False) as client:
-        return client.get(service.url.replace("http://127.0.0.1", "https://localhost") + "/healthz").status_code
+        return client.get(f"{service.url.replace('http', 'https')}/healthz").status_code
 
 
 async def call(service: Any, authority: trustme.CA | None) -> None:
     """Makes a call over gRPC."""
     roots = authority.cert_pem.bytes() if authority else None
-    address = service.address.replace("127.0.0.1", "localhost")
-    async with SimClient(Channel(address, root_certificates=roots)) as client:
+    async with SimClient(Channel(service.address, root_certificates=roots)) as client:
         await client.list_tasks(ListTasksRequest(), timeout_s=5)
 
 
@@ -59,24 +58,24 @@ async def test_who_trusts_the_authority_is_answered(service: Any) -> None:
 
 
 async def test_who_trusts_another_authority_speaks_to_nobody(service: Any) -> None:
-    with pytest.raises(httpx.ConnectError, match="unable to get local issuer"):
+    with pytest.raises(httpx.ConnectError, match="local issuer"):
         get(service, trustme.CA())
-    with pytest.raises(Unavailable):
+    with pytest.raises(Unavailable, match="local issuer"):
         await call(service, trustme.CA())
 
 
 async def test_plain_text_is_refused(service: Any) -> None:
     with pytest.raises(httpx.TransportError):
         httpx.get(f"{service.url}/healthz", trust_env=False)
-    with pytest.raises(Unavailable):
+    with pytest.raises(Unavailable, match="Socket closed"):
         await call(service, None)
 
 
 @pytest.mark.parametrize(
     ("certificate", "reason"),
     [
-        (AUTHORITY.issue_cert("localhost", not_after=datetime(2020, 1, 1, tzinfo=UTC)), "expired"),
-        (AUTHORITY.issue_cert("elsewhere"), "mismatch"),
+        (AUTHORITY.issue_cert("127.0.0.1", not_after=datetime(2020, 1, 1, tzinfo=UTC)), "expired"),
+        (AUTHORITY.issue_cert("elsewhere"), "mismatch|Hostname"),
     ],
     ids=["expired", "of another name"],
 )
@@ -86,5 +85,5 @@ async def test_a_certificate_that_is_not_valid_ends_the_handshake(
     service = start(certificate)
     with pytest.raises(httpx.ConnectError, match=reason):
         get(service, AUTHORITY)
-    with pytest.raises(Unavailable):
+    with pytest.raises(Unavailable, match=reason):
         await call(service, AUTHORITY)

@@ -301,6 +301,7 @@ def test_a_trajectory_that_is_too_long_is_too_large_and_the_longest_is_answered(
 
 
 @pytest.mark.fault("S9")
+@pytest.mark.fault("R6")
 def test_an_unknown_model_is_told_from_one_that_was_never_fitted(faulty: Any, refusal: Any) -> None:
     request = faulty.trajectory()
     refusal(faulty.http.post(SEGMENT, json={**request, "model": {"version": "0" * 12}}), 404)

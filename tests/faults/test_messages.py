@@ -125,6 +125,12 @@ async def test_what_is_no_message_is_malformed(channel: grpc.aio.Channel, messag
     assert "SegmentRequest" in details
 
 
+@pytest.mark.fault("N4")
+async def test_fields_of_a_later_version_are_ignored(channel: grpc.aio.Channel) -> None:
+    later = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString() + b"\xba\x3e\x03new"  # field 999
+    assert await outcome(channel, SEGMENT, later) == (grpc.StatusCode.OK, "")
+
+
 @pytest.mark.fault("I3")
 async def test_a_message_of_just_the_limit_is_read_and_one_byte_more_is_not(channel: grpc.aio.Channel) -> None:
     request = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString()
