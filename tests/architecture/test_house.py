@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = [
     path
-    for folder in ("src/freerein", "services", "benchmarks", "experiments")
+    for folder in ("src/freerein", "services", "benchmarks", "experiments", "mutants", "soak")
     for path in sorted((ROOT / folder).rglob("*.py"))
     if "src/freerein/api" not in str(path)
 ]

@@ -16,17 +16,19 @@ async def main(address: str) -> None:
     """Writes a line for each reply."""
     async with SimClient(Channel(address)) as client:
         while await asyncio.to_thread(sys.stdin.readline):
-            while not await is_answered(client):
-                await asyncio.sleep(0.1)
-            print("answered", flush=True)
+            await call(client)
+            sys.stdout.write("answered\n")
+            sys.stdout.flush()
 
 
-async def is_answered(client: SimClient) -> bool:
-    """Makes a call; returns whether there was a reply."""
-    try:
-        return bool((await client.list_tasks(ListTasksRequest())).tasks)
-    except Unavailable:
-        return False
+async def call(client: SimClient) -> None:
+    """Makes a call, again and again until there is a reply."""
+    while True:
+        try:
+            await client.list_tasks(ListTasksRequest())
+            return
+        except Unavailable:
+            await asyncio.sleep(0.1)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ if __name__ == "__main__":
     service = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, **settings})
     try:
         port = json.loads(service.stdout.readline())["grpc_port"]
-        print("rewards", asyncio.run(reward(f"127.0.0.1:{port}")))
+        sys.stdout.write(f"reward {asyncio.run(reward(f'127.0.0.1:{port}'))}\n")
     finally:
         service.terminate()
         service.wait()

@@ -3,7 +3,6 @@
 import ssl
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -64,9 +63,12 @@ async def test_who_trusts_another_authority_speaks_to_nobody(service: Any) -> No
         await call(service, trustme.CA())
 
 
-async def test_plain_text_is_refused(service: Any) -> None:
+def test_plain_text_is_refused_over_rest(service: Any) -> None:
     with pytest.raises(httpx.TransportError):
         httpx.get(f"{service.url}/healthz", trust_env=False)
+
+
+async def test_plain_text_is_refused_over_grpc(service: Any) -> None:
     with pytest.raises(Unavailable, match="Socket closed"):
         await call(service, None)
 

@@ -51,4 +51,4 @@ def test_a_service_at_another_address_of_its_name_is_found_again(
 def test_a_shipped_model_answers_without_a_network(tmp_path: Path) -> None:
     command = [*ISOLATED, sys.executable, HERE / "offline_reward.py", tmp_path]
     ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
-    assert ran.stdout in ("rewards 0.0\n", "rewards 1.0\n"), ran.stderr
+    assert ran.stdout in ("reward 0.0\n", "reward 1.0\n"), ran.stderr
