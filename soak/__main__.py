@@ -2,7 +2,6 @@
 
 import argparse
 import asyncio
-import os
 import sys
 import time
 from collections import defaultdict
@@ -144,7 +143,7 @@ def report(findings: Findings) -> int:
 def main() -> int:
     """Soaks the services; returns 1 when something is wrong."""
     parser = argparse.ArgumentParser(prog="python -m soak", description="Soak all five services under mixed load.")
-    parser.add_argument("--minutes", type=float, default=float(os.environ.get("FREEREIN_SOAK_MINUTES", "20")))
+    parser.add_argument("--minutes", type=float, default=20, help="minutes under load")
     parser.add_argument("--leak", action="store_true", help="plant a leak, which must be found: succeed only then")
     arguments = parser.parse_args()
     findings = asyncio.run(soak(arguments.minutes, leaky=arguments.leak))

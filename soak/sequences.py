@@ -10,7 +10,7 @@ import numpy as np
 from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
 from freerein.types.orchestrator import WatchRunRequest
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, ResetRequest, StepRequest
-from soak.questions import Answer, Question, Services
+from soak.questions import Answer, Question, Services, WrongAnswer
 
 _OF_EACH_KIND = 8
 _LEASE_S = 5.0
@@ -46,7 +46,10 @@ async def session(services: Services, seed: int) -> Answer:
 async def control(services: Services, seed: int) -> Answer:
     """Sends observations on a control stream, each after the answer to the one before; returns the actions."""
     messages = [hello(services, seed), *(observed(services, seed, seq) for seq in range(4 + seed))]
-    replies = await converse(services, messages)
+    _, *replies = await converse(services, messages)
+    for reply in replies:
+        if reply.chunk is None:
+            raise WrongAnswer(f"An observation was not answered by a chunk: {reply.error or reply}")
     return np.concatenate([reply.chunk.actions.ravel() for reply in replies if reply.chunk])
 
 
@@ -60,7 +63,9 @@ async def watch(services: Services, _: float) -> Answer:
 def hello(services: Services, seed: int) -> ControlRequest:
     """Returns the Hello of a robot like the model's."""
     spec = services.spec
-    return ControlRequest(hello=Hello(services.act_request(seed).goal, spec.cameras, spec.action, spec.control_dt_s))
+    return ControlRequest(
+        hello=Hello(services.act_request(seed).goal, spec.cameras, spec.action, spec.control_dt_s, valid_for_s=60)
+    )
 
 
 def observed(services: Services, seed: int, seq: int) -> ControlRequest:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from soak.leak import MOST_MIB_PER_10K_CALLS, Sample, growth_mib_per_10k_calls
 
 
