@@ -2,7 +2,7 @@
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo check test bench tables fuzz compat stubs stubs-fresh fmt
+.PHONY: help setup dev demo check test bench tables fuzz soak mutants compat stubs stubs-fresh fmt
 
 help: ## List what can be made
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
@@ -17,12 +17,13 @@ dev: ## Install what the tests and checks need, too
 demo: setup ## Run the whole pipeline and measure it: about seven minutes on two cores
 	@$(BIN)/freerein demo
 
-check: dev stubs-fresh ## Lint, format, types, import contracts, proto and its stubs
+check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stubs and its changes
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/buf lint proto
+	$(BIN)/buf breaking proto --against proto/released.binpb
 
 test: dev ## Run the tests, a file at a time on each core
 	$(BIN)/pytest --numprocesses logical --dist loadfile --no-loadscope-reorder
@@ -35,6 +36,13 @@ tables: dev ## Make the tables of all experiments from the committed results
 
 fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
 	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults
+
+soak: dev ## All five services under mixed load: MINUTES=20, after a minute with a planted leak that must be found
+	$(BIN)/python -m soak --leak --minutes 1
+	$(BIN)/python -m soak --minutes $(or $(MINUTES),$(FREEREIN_SOAK_MINUTES),20)
+
+mutants: dev ## Change the code in 300 places, and expect a test to fail each time: 45 minutes on two cores
+	$(BIN)/python -m mutants
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
 	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run

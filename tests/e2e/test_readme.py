@@ -38,6 +38,7 @@ def newcomer(tmp_path: Path) -> Iterator[dict[str, str]]:
         services.kill()
 
 
+@pytest.mark.fault("G13")
 def test_the_readme_is_true(newcomer: dict[str, str], tmp_path: Path) -> None:
     assert BLOCKS[0] == ("sh", "freerein up\n")
     for language, block in BLOCKS[1:]:

@@ -157,6 +157,7 @@ async def until(stack: Stack, holds: Callable[[], bool], within_s: float) -> flo
 
 
 @pytest.mark.fault("C18")
+@pytest.mark.fault("G7")
 @pytest.mark.parametrize("name", list(MODULES)[:4] if FUZZ else ["sim", "reward"])  # others: lifecycle tests
 async def test_on_sigterm_a_service_answers_accepted_calls_and_refuses_new_ones(
     stack: Stack, probes: dict[str, Probe], repeats: int, name: str
@@ -260,6 +261,7 @@ async def test_on_sigterm_the_orchestrator_ends_streams_and_its_run_resumes_at_t
 
 
 @pytest.mark.fault("C19")
+@pytest.mark.fault("G6")
 @pytest.mark.parametrize("name", MODULES if FUZZ else ["reward", "orchestrator"])  # others: lifecycle tests
 async def test_a_killed_service_is_back_within_ten_seconds_and_retries_succeed(
     stack: Stack, probes: dict[str, Probe], repeats: int, name: str
@@ -286,6 +288,7 @@ async def test_a_killed_service_is_back_within_ten_seconds_and_retries_succeed(
 
 @pytest.mark.fault("C19")
 @pytest.mark.fault("O15")
+@pytest.mark.fault("G4")
 async def test_an_acknowledged_run_succeeds_though_all_five_services_are_killed_at_once(
     stack: Stack, probes: dict[str, Probe]
 ) -> None:

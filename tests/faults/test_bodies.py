@@ -381,6 +381,7 @@ HOSTILE_NAMES = st.one_of(
 
 
 @pytest.mark.fault("C15")
+@pytest.mark.fault("G11")
 @given(name=HOSTILE_NAMES)
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusal: Any, audit: Path, name: str) -> None:

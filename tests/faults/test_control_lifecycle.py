@@ -41,6 +41,7 @@ async def until_ready(faulty: Any) -> None:
 
 
 @pytest.mark.fault("I8")
+@pytest.mark.fault("G6")
 @pytest.mark.timeout(600)
 def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the_last_state(
     start: Any, tmp_path: Path, robots: Any, policies: Any, repeats: int, least_of_three: Any

@@ -292,6 +292,7 @@ def test_the_limit_is_on_what_is_sent_and_not_on_what_it_decodes_to(faulty: Any,
 
 
 @pytest.mark.fault("S6")
+@pytest.mark.fault("G11")
 @pytest.mark.parametrize("url", ["http://127.0.0.1:{port}/healthz", "file:///etc/passwd", "gopher://127.0.0.1/"])
 def test_no_url_is_ever_followed(faulty: Any, refusal: Any, audit: Path, url: str) -> None:
     address = url.format(port=faulty.service.http_port)
@@ -319,6 +320,7 @@ def test_too_many_images_are_refused_before_they_are_decoded(faulty: Any, refusa
 
 
 @pytest.mark.fault("S8")
+@pytest.mark.fault("G10")
 def test_health_is_told_at_once_while_images_are_decoded(
     start_faulty: Callable[..., Any], least_of_three: Any, fuzz: bool
 ) -> None:
@@ -389,6 +391,7 @@ def test_a_trajectory_that_is_too_long_is_too_large_and_the_longest_is_answered(
 
 
 @pytest.mark.fault("S9")
+@pytest.mark.fault("R6")
 def test_an_unknown_model_is_told_from_one_that_was_never_fitted(faulty: Any, refusal: Any) -> None:
     request = faulty.trajectory()
     refusal(faulty.http.post(SEGMENT, json={**request, "model": {"version": "0" * 12}}), 404)

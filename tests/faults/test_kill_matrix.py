@@ -145,6 +145,8 @@ async def undisturbed(running: Running) -> str:
 
 @pytest.mark.fault("O1")
 @pytest.mark.fault("O2")
+@pytest.mark.fault("G4")
+@pytest.mark.fault("G5")
 @pytest.mark.parametrize(("victim", "moment"), PPO)
 async def test_a_killed_ppo_run_ends_with_the_same_policy(
     running: Running, undisturbed: str, victim: str, moment: str
@@ -188,6 +190,8 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
 
 @pytest.mark.fault("O1")
 @pytest.mark.fault("O2")
+@pytest.mark.fault("G4")
+@pytest.mark.fault("G5")
 @pytest.mark.parametrize(("victim", "moment"), DISTILL)
 async def test_a_killed_distillation_ends_with_the_same_student(
     running: Running, undisturbed: str, student: str, victim: str, moment: str

@@ -109,6 +109,7 @@ def _field(number: int, content: bytes) -> bytes:
     return bytes([number << 3 | 2]) + length + bytes([size]) + content
 
 
+@pytest.mark.fault("G8")
 @given(message=st.binary(max_size=200))
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 async def test_any_bytes_are_a_message_or_refused(faulty: Any, message: bytes) -> None:
@@ -122,6 +123,12 @@ async def test_what_is_no_message_is_malformed(channel: grpc.aio.Channel, messag
     code, details = await outcome(channel, SEGMENT, message)
     assert code is INVALID
     assert "SegmentRequest" in details
+
+
+@pytest.mark.fault("N4")
+async def test_fields_of_a_later_version_are_ignored(channel: grpc.aio.Channel) -> None:
+    later = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString() + b"\xba\x3e\x03new"  # field 999
+    assert await outcome(channel, SEGMENT, later) == (grpc.StatusCode.OK, "")
 
 
 @pytest.mark.fault("I3")

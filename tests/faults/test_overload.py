@@ -62,6 +62,7 @@ async def open_loop(faulty: Any, *, calls: int, per_s: float, hundredths: int) -
 
 
 @pytest.mark.fault("C11")
+@pytest.mark.fault("G2")
 async def test_four_times_too_much_is_refused_quickly_and_what_is_accepted_is_right(faulty: Any) -> None:
     capacity_per_s, hundredths = 20.0, 5
     refused_s = accepted_s = math.inf
@@ -84,6 +85,7 @@ async def test_four_times_too_much_is_refused_quickly_and_what_is_accepted_is_ri
 
 
 @pytest.mark.fault("C11")
+@pytest.mark.fault("G2")
 async def test_after_the_overload_all_is_as_before(faulty: Any) -> None:
     await open_loop(faulty, calls=40, per_s=400, hundredths=5)
     begun = time.monotonic()

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.fault("C1"), pytest.mark.timeout(3_600)]
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("C1"), pytest.mark.fault("G8"), pytest.mark.timeout(3_600)]
 CHECKS = "not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance"
 CASES, SECONDS = 20_000, 6  # in `make fuzz`, and in `make test`
 SERVICES = {

@@ -104,6 +104,7 @@ def test_a_slow_answer_is_not_a_slow_client(faulty: Any) -> None:
 
 
 @pytest.mark.fault("C7")
+@pytest.mark.fault("G10")
 def test_many_slow_clients_slow_nobody_else(faulty: Any, least_of_three: Any, fuzz: bool) -> None:
     def times_slower() -> float:
         alone = latencies(faulty, 200)

@@ -265,11 +265,23 @@ async def test_all_attempts_share_one_deadline(channel: Channel, peer: Peer) -> 
     assert peer.calls == ["Render"] * 2
 
 
+@pytest.mark.fault("N5")
 async def test_a_call_is_tried_four_times_and_no_more(channel: Channel, peer: Peer) -> None:
     peer.refusals = [UNAVAILABLE] * 9
     with pytest.raises(errors.Unavailable):
         await SegmentationClient(channel).list_skills(SKILLS)
     assert len(peer.calls) == retry_policy.MAX_ATTEMPTS == 4
+
+
+@pytest.mark.fault("N5")
+async def test_an_outage_is_not_answered_with_a_storm(channel: Channel, peer: Peer) -> None:
+    peer.refusals = [UNAVAILABLE] * 10_000
+    client = SegmentationClient(channel)
+    for _ in range(2):
+        calls = [client.list_skills(SKILLS) for _ in range(500)]
+        failed = await asyncio.gather(*calls, return_exceptions=True)
+        assert all(isinstance(error, errors.Unavailable) for error in failed)
+    assert len(peer.calls) <= 1.1 * 1_000
 
 
 async def test_a_call_that_is_not_idempotent_is_tried_once(channel: Channel, peer: Peer) -> None:
@@ -281,6 +293,7 @@ async def test_a_call_that_is_not_idempotent_is_tried_once(channel: Channel, pee
     assert peer.calls == ["Reset", "ActivateModel"]
 
 
+@pytest.mark.fault("N5")
 @pytest.mark.parametrize("code", ["overloaded", "internal", "worker_lost"])
 async def test_only_unavailable_is_tried_again(channel: Channel, peer: Peer, code: str) -> None:
     peer.refusals = [refusal(code, grpc.StatusCode[errors.by_code(code).grpc_status])]

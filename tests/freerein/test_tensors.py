@@ -56,11 +56,23 @@ def test_whatever_a_header_says_the_answer_is_an_array_of_those_bytes_or_invalid
         ([1], b"\0\0"),
         ([], b""),
         ([0], b"\0"),
+        ([0, tensors.MAX_ELEMENTS + 1], b""),
     ],
 )
 def test_a_shape_that_lies_is_refused(shape: list[int], raw: bytes) -> None:
     with pytest.raises(InvalidInput, match="actions"):
         tensors.decode("UINT8", shape, raw, field="actions")
+
+
+@pytest.mark.parametrize(("shape", "raw"), [([1] * 8, b"\0"), ([0, 2**31 - 1], b"")])
+def test_a_shape_of_just_the_limit_is_one(shape: list[int], raw: bytes) -> None:
+    assert tensors.decode("UINT8", shape, raw).shape == tuple(shape)
+
+
+@pytest.mark.parametrize("name", ["BOOL", "UINT8", "UINT16", "UINT32", "INT32", "INT64", "FP32", "FP64"])
+def test_a_name_is_that_of_the_open_inference_protocol(name: str) -> None:
+    kind = name.replace("FP", "float").replace("INT", "int").replace("U", "u").lower()
+    assert tensors.datatype(np.zeros(1, kind)) == name
 
 
 @pytest.mark.parametrize(

@@ -520,6 +520,7 @@ async def test_no_more_sessions_are_open_than_may_be(start: StartSessions) -> No
 
 
 @pytest.mark.fault("M8")
+@pytest.mark.fault("G3")
 async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions) -> None:
     sessions, workers = await start()
     processes = [psutil.Process(), *workers]

@@ -249,6 +249,7 @@ def test_worlds_of_different_blocks_refuse_each_others_snapshots() -> None:
             two.restore(four.snapshot())
 
 
+@pytest.mark.fault("R6")
 def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
 

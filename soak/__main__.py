@@ -1,0 +1,159 @@
+"""Soaks the services: `python -m soak [--minutes 20] [--leak]`. Exits with 1 when something is wrong."""
+
+import argparse
+import asyncio
+import sys
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+from rich.table import Table
+
+from freerein.cli.services import Stack
+from freerein.types.sim import CloseSessionRequest
+from soak import sequences, services, watch
+from soak.leak import MOST_MIB_PER_10K_CALLS, Sample, growth_mib_per_10k_calls
+from soak.load import Load
+from soak.questions import Services
+from soak.watch import Held
+
+_SAMPLES = 60
+_WARM_UP = 1 / 6
+_QUIET_S = 15.0
+"""Until sessions that nobody closed have ended, and threads that nobody needs."""
+
+_MOST_MORE = 8
+"""Threads or file descriptors more than after the warm-up that are no leak: pools fill up late."""
+
+_SESSIONS = 64
+
+
+@dataclass
+class Findings:
+    """What the soak has measured."""
+
+    samples: dict[str, list[Sample]] = field(default_factory=lambda: defaultdict(list))
+    before: dict[str, Held] = field(default_factory=dict)
+    after: dict[str, Held] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    def growth(self, service: str) -> float:
+        """Returns the memory that a service gains, in MiB per 10 000 calls."""
+        return growth_mib_per_10k_calls(self.samples[service])
+
+    def all_failures(self) -> list[str]:
+        """Returns what is wrong, leaks included."""
+        leaks = [
+            f"{name}: memory grows by {self.growth(name):.2f} MiB per 10 000 calls"
+            for name in self.samples
+            if self.growth(name) > MOST_MIB_PER_10K_CALLS
+        ]
+        kept = [
+            f"{name}: {before} before the load, {self.after[name]} after it"
+            for name, before in self.before.items()
+            if has_more(self.after[name], before)
+        ]
+        return [*self.failures, *leaks, *kept]
+
+
+def has_more(after: Held, before: Held) -> bool:
+    """Returns whether a service has kept something."""
+    return (
+        after.busy > before.busy
+        or after.threads > before.threads + _MOST_MORE
+        or after.descriptors > before.descriptors + _MOST_MORE
+    )
+
+
+async def soak(minutes: float, *, leaky: bool) -> Findings:
+    """Runs the services under load and returns what was measured."""
+    findings, seconds = Findings(), 60 * minutes
+    with TemporaryDirectory(prefix="soak-") as folder:
+        async with services.start(Path(folder), leaky=leaky) as (stack, running):
+            load = Load(running, seed=0)
+            await load.learn_answers()
+            pids = [status.pid for status in stack.statuses]
+            await load.run(_WARM_UP * seconds)
+            await asyncio.sleep(_QUIET_S)
+            findings.before = await watch.held(stack, running.rest)
+            async with asyncio.TaskGroup() as group:
+                loading = group.create_task(load.run((1 - _WARM_UP) * seconds))
+                group.create_task(measure(findings, load, loading, stack, running, every_s=seconds / _SAMPLES))
+            await asyncio.sleep(_QUIET_S)
+            findings.after = await watch.held(stack, running.rest)
+            findings.failures = load.tally.failures + await sessions_left(running)
+            if pids != [status.pid for status in stack.statuses]:
+                findings.failures.append("A service was restarted.")
+        findings.failures += watch.complaints(Path(folder) / "logs")
+    return findings
+
+
+async def measure(
+    findings: Findings, load: Load, loading: "asyncio.Task[None]", stack: Stack, running: Services, *, every_s: float
+) -> None:
+    """Samples all services until the load ends, and shows how it goes."""
+    begun = time.monotonic()
+    while not loading.done():
+        await asyncio.wait([loading], timeout=every_s)
+        for name, sample in (await watch.sample(stack, running.rest)).items():
+            findings.samples[name].append(sample)
+        memory = "  ".join(f"{name} {some[-1].rss_mib:.0f}" for name, some in findings.samples.items())
+        came, failed = load.tally.clients.total(), len(load.tally.failures)
+        print(f"{time.monotonic() - begun:6.0f} s  {came:7} clients  {failed} failures  MiB: {memory}", flush=True)
+
+
+async def sessions_left(running: Services) -> list[str]:
+    """Returns a failure unless all sessions can be opened: none was left open."""
+    opened = []
+    try:
+        opened = [await sequences.open_session(running, seed) for seed in range(_SESSIONS)]
+    except Exception as error:
+        return [f"sim: only {len(opened)} of {_SESSIONS} sessions can be opened: {error}"]
+    finally:
+        for session in opened:
+            await running.sim.close_session(CloseSessionRequest(session))
+    return []
+
+
+def report(findings: Findings) -> int:
+    """Prints what was found; returns the exit code."""
+    table = Table("service", "calls", "MiB at first", "at the end", "MiB / 10 000 calls", "threads", "descriptors")
+    for name, some in findings.samples.items():
+        before, after = findings.before[name], findings.after[name]
+        table.add_row(
+            name,
+            f"{some[-1].calls:.0f}",
+            f"{some[0].rss_mib:.1f}",
+            f"{some[-1].rss_mib:.1f}",
+            f"{findings.growth(name):+.2f}",
+            f"{before.threads} -> {after.threads}",
+            f"{before.descriptors} -> {after.descriptors}",
+        )
+    Console().print(table)
+    failures = findings.all_failures()
+    for failure in failures[:20]:
+        print(failure)
+    print(f"{len(failures)} failures.")
+    return int(bool(failures))
+
+
+def main() -> int:
+    """Soaks the services; returns 1 when something is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m soak", description="Soak all five services under mixed load.")
+    parser.add_argument("--minutes", type=float, default=20, help="minutes under load")
+    parser.add_argument("--leak", action="store_true", help="plant a leak, which must be found: succeed only then")
+    arguments = parser.parse_args()
+    findings = asyncio.run(soak(arguments.minutes, leaky=arguments.leak))
+    code = report(findings)
+    if not arguments.leak:
+        return code
+    found = [failure for failure in findings.all_failures() if failure.startswith("segmentation: memory grows")]
+    print("The planted leak was found." if found else "The planted leak was not found.")
+    return int(not found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

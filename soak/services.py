@@ -1,0 +1,78 @@
+"""The soaked services: as `freerein up` runs them, with the shipped models and a small one for segmentation."""
+
+import asyncio
+import os
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from pathlib import Path
+
+import httpx
+import torch
+
+from freerein.cli.services import Stack, choose, free_ports
+from freerein.clients import Channel, ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
+from freerein.learning import weights
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
+from freerein.types.common import ActionSpec, Camera
+from freerein.types.imitation import GetSpecRequest
+from freerein.types.orchestrator import StartRunRequest, WatchRunRequest
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from soak.questions import Services
+
+_START_S = 120.0
+_SPEC = ModelSpec(
+    skills=("a", "b", "c"), cameras=(Camera("front", 33, 30, 3),), action=ActionSpec(1, 5, tuple("abcde"))
+)
+_RUN = {"task": "grid", "dataset": "soaked", "behaviour": "random", "count": 3}
+
+
+@asynccontextmanager
+async def start(data_dir: Path, *, leaky: bool) -> AsyncIterator[tuple[Stack, Services]]:
+    """Runs the services while the block lasts; with `leaky`, segmentation has a planted leak."""
+    publish_segmentation_model(data_dir)
+    modules = choose(()) | ({"segmentation": "soak.leaky_segmentation"} if leaky else {})
+    environ = {**os.environ, "OMP_NUM_THREADS": "1", "FREEREIN_SIM_WORKERS": "2"}
+    async with AsyncExitStack() as opened:
+        stack = await opened.enter_async_context(
+            Stack(modules, data_dir=data_dir, environ=environ, ports=free_ports(modules))
+        )
+        await stack.ready(timeout_s=_START_S)
+        channels = {name: Channel(address) for name, address in stack.addresses.items()}
+        sim = await opened.enter_async_context(SimClient(channels["sim"]))
+        segmentation = await opened.enter_async_context(SegmentationClient(channels["segmentation"]))
+        imitation = await opened.enter_async_context(ImitationClient(channels["imitation"]))
+        reward = await opened.enter_async_context(RewardClient(channels["reward"]))
+        orchestrator = await opened.enter_async_context(OrchestratorClient(channels["orchestrator"]))
+        rest = await opened.enter_async_context(httpx.AsyncClient(trust_env=False, timeout=30))
+        spec = await imitation.get_spec(GetSpecRequest())
+        run_id = await run_once(orchestrator)
+        yield (
+            stack,
+            Services(
+                sim, segmentation, imitation, reward, orchestrator, rest, stack.addresses, stack.urls, spec, run_id
+            ),
+        )
+
+
+def publish_segmentation_model(data_dir: Path) -> None:
+    """Publishes and activates a network with random weights: no segmentation model is shipped."""
+    network = SegmentationNetwork(_SPEC)
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    camera = _SPEC.cameras[0]
+    black = torch.zeros(1, camera.height, camera.width, camera.channels, dtype=torch.uint8)
+    network.image.fit_normalisation({camera.name: black}, generator=torch.Generator())
+    save_model(network, data_dir / "unpublished", card={"method": "set_supervised"})
+    store = ModelStore(data_dir / "models" / "segmentation")
+    store.activate(store.publish("", data_dir / "unpublished"))
+
+
+async def run_once(orchestrator: OrchestratorClient) -> str:
+    """Returns a run that has succeeded."""
+    run = (await orchestrator.start_run(StartRunRequest("collect", _RUN, "soaked"))).run
+    async with asyncio.timeout(_START_S), aclosing(orchestrator.watch_run(WatchRunRequest(run.id))) as events:
+        async for event in events:
+            run = event.run
+    if run.state != "succeeded":
+        raise RuntimeError(f"The run ended as {run.state}: {run.error}")
+    return run.id

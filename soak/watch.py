@@ -1,0 +1,56 @@
+"""Measurements of running services: memory, threads, file descriptors, calls, and what their logs complain of."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import psutil
+
+from freerein.cli.services import Stack
+from soak.leak import Sample
+
+_MIB = 2**20
+_CALLS = re.compile(r"^freerein_calls_total\{.*\} (\S+)$", re.MULTILINE)
+_BUSY = re.compile(r"^freerein_(?:calls_in_flight\{.*\}|queued_items) (\S+)$", re.MULTILINE)
+_COMPLAINTS = ('"event": "bug"', "Traceback", "never retrieved", "Exception ignored", "was destroyed")
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a service holds while nobody calls: threads, file descriptors, and calls in flight or queued."""
+
+    threads: int
+    descriptors: int
+    busy: float
+
+
+def processes(stack: Stack) -> dict[str, list[psutil.Process]]:
+    """Returns the process of each service and those below it."""
+    roots = {status.service: psutil.Process(status.pid) for status in stack.statuses}
+    return {name: [root, *root.children(recursive=True)] for name, root in roots.items()}
+
+
+async def sample(stack: Stack, client: httpx.AsyncClient) -> dict[str, Sample]:
+    """Returns the memory of each service, and how many calls it has completed."""
+    rss = {name: sum(one.memory_info().rss for one in found) / _MIB for name, found in processes(stack).items()}
+    return {name: Sample(sum(await _numbers(client, stack.urls[name], _CALLS)), rss[name]) for name in rss}
+
+
+async def held(stack: Stack, client: httpx.AsyncClient) -> dict[str, Held]:
+    """Returns what each service holds."""
+    found = {}
+    for name, some in processes(stack).items():
+        busy = sum(await _numbers(client, stack.urls[name], _BUSY))
+        found[name] = Held(sum(one.num_threads() for one in some), sum(one.num_fds() for one in some), busy)
+    return found
+
+
+def complaints(logs: Path) -> list[str]:
+    """Returns the lines of logs that tell of a bug."""
+    lines = [f"{path.stem}: {line}" for path in sorted(logs.iterdir()) for line in path.read_text().splitlines()]
+    return [line[:300] for line in lines if any(complaint in line for complaint in _COMPLAINTS)]
+
+
+async def _numbers(client: httpx.AsyncClient, url: str, pattern: re.Pattern[str]) -> list[float]:
+    return [float(number) for number in pattern.findall((await client.get(f"{url}/metrics")).text)]

@@ -1,0 +1,73 @@
+"""`docs/reliability.md` equals `tests/faults/rows.toml` and the tests that are marked with its rows.
+
+`python tests/architecture/test_reliability.py` rewrites its tables.
+"""
+
+import ast
+import re
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "reliability.md"
+ROWS: dict[str, dict[str, str]] = tomllib.loads((ROOT / "tests/faults/rows.toml").read_text())
+TABLE = re.compile(r"(<!-- rows: (?P<letter>[A-Z]) -->\n)\n*(?P<table>(\|.*\n)*)\n*")
+
+
+def test_the_page_says_what_the_rows_and_the_tests_say() -> None:
+    page = PAGE.read_text()
+    assert page == rewritten(page), "docs/reliability.md is stale: run python tests/architecture/test_reliability.py"
+
+
+@pytest.mark.fault("G12")
+def test_every_row_has_either_a_test_or_a_reason_for_none() -> None:
+    marked = marked_tests()
+    assert {row for row, texts in ROWS.items() if (row in marked) == ("why_not" in texts)} == set()
+
+
+def test_every_mark_names_a_row_and_every_row_is_on_the_page() -> None:
+    assert set(marked_tests()) - set(ROWS) == set()
+    shown = re.findall(TABLE, PAGE.read_text())
+    assert {row[0] for row in ROWS} == {letter for _, letter, *_ in shown}
+
+
+def marked_tests() -> dict[str, list[str]]:
+    """Returns the marked tests of each row, as `folder/file.py::test`, or the file where all its tests are marked."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for path in sorted(ROOT.glob("tests/**/test_*.py")):
+        for statement in ast.parse(path.read_text()).body:
+            test = f"::{statement.name}" if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) else ""
+            for row in marks(statement):
+                found[row].append(f"{path.relative_to(ROOT / 'tests')}{test}")
+    return found
+
+
+def marks(statement: ast.stmt) -> Iterator[str]:
+    """Yields the rows that `pytest.mark.fault` names in a statement."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.fault":
+            yield ast.literal_eval(node.args[0])
+
+
+def rewritten(page: str) -> str:
+    """Returns a page with its tables made anew."""
+    return TABLE.sub(lambda match: f"{match[1]}\n{table(match['letter'])}\n", page).rstrip("\n") + "\n"
+
+
+def table(letter: str) -> str:
+    """Returns the table of the rows that begin with a letter."""
+    marked = marked_tests()
+    lines = ["| row | promise | figure | tests |", "|---|---|---|---|"]
+    for row, texts in ROWS.items():
+        if row.startswith(letter):
+            tests = texts.get("why_not") or "<br>".join(f"`{test}`" for test in marked[row])
+            lines.append(f"| {row} | {texts['promise']} | {texts.get('figure', '')} | {tests} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rewritten(PAGE.read_text()))
