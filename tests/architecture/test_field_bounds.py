@@ -1,6 +1,12 @@
-"""Every list, map, text and configuration of a request has a bound in the contract, which both doors check."""
+"""Every list, map, text and configuration of a request has a bound in the contract, which both doors check.
 
+`python tests/architecture/test_field_bounds.py` rewrites the table of bounds in `docs/protocol.md`.
+"""
+
+import re
+from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +28,8 @@ from freerein.types.sim import ResetRequest
 
 CONTRACTS = (imitation_pb2, learning_pb2, orchestrator_pb2, reward_pb2, segmentation_pb2, sim_pb2)
 STRUCT = struct_pb2.Struct.DESCRIPTOR
+PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
+TABLE = re.compile(r"(<!-- bounds of requests -->\n\n)(\|.*\n)*")
 
 
 def request_fields() -> Iterator[FieldDescriptor]:
@@ -80,3 +88,30 @@ def test_a_key_that_the_caller_chose_is_not_repeated() -> None:
         with pytest.raises(InvalidInput) as raised:
             wire.unpack(reward_pb2.RewardRequest(frames=frames), RewardRequest)
         assert secret not in f"{raised.value.detail} {raised.value.field} {raised.value.hint}"
+
+
+@pytest.mark.fault("F10")
+def test_the_page_shows_the_bounds() -> None:
+    page = PAGE.read_text()
+    assert page == rewritten(page), f"{PAGE.name} is stale: run python tests/architecture/test_field_bounds.py"
+
+
+def rewritten(page: str) -> str:
+    """Returns a page with its table of bounds made anew."""
+    names: dict[tuple[int, int, bool], set[str]] = defaultdict(set)
+    for field in request_fields():
+        if any(bounds := bounds_of(field)):
+            name = f"{field.containing_type.name.removesuffix('Request')}.{field.name}"
+            names[(*bounds, field.message_type == STRUCT)].add(f"`{name}`")
+    rows = [f"| {words(*bounds)} | {', '.join(sorted(names[bounds]))} |\n" for bounds in sorted(names)]
+    return TABLE.sub(lambda match: f"{match[1]}| at most | fields |\n|---|---|\n{''.join(rows)}", page)
+
+
+def words(items: int, length: int, is_struct: bool) -> str:
+    unit = "bytes as JSON" if is_struct else "characters"
+    parts = [f"{items} elements"] * bool(items) + [f"{length} {unit}"] * bool(length)
+    return " of ".join(parts) + " each" * bool(items and length)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rewritten(PAGE.read_text()))

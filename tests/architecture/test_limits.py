@@ -1,0 +1,39 @@
+"""The table of limits in `docs/protocol.md` shows the limits of the code."""
+
+from pathlib import Path
+
+import pytest
+
+from freerein import images
+from freerein.serving.limits import MAX_VALUES, Limits
+from freerein.serving.rest import middleware
+
+PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+LIMITS = Limits()
+MIB = 2**20
+GRACE_S = 2  # after the drain, for what is left to close
+SHOWN = {
+    "REST body, gRPC message": f"{LIMITS.message_bytes / MIB:g} MiB",
+    "memory for all REST bodies together, three times their length": f"{LIMITS.buffered_bytes / MIB:g} MiB",
+    "HTTP headers and URL": f"{middleware._MAX_HEADERS} headers, {middleware.MAX_HEADER_BYTES // 1024} KiB together",
+    "values in a JSON body, fields and packed numbers in a gRPC message": f"{MAX_VALUES:,}".replace(",", " "),
+    "pixels of an image / of all images of a request": (
+        f"{images.MAX_PIXELS / 1e6:g} M / {images.MAX_REQUEST_PIXELS / 1e6:g} M"
+    ),
+    "receiving the first message of a gRPC call (`FREEREIN_RECEIPT_S`)": f"{LIMITS.receipt_s:g} s",
+    f"gRPC messages that take longer than {LIMITS.slow_receipt_s:g} s to arrive": (
+        f"{LIMITS.buffered_bytes // LIMITS.message_bytes}"
+    ),
+    "gRPC calls in progress / on one connection": f"{LIMITS.concurrent_calls} / {LIMITS.connection_calls}",
+    "gRPC health checks in progress, besides other calls": f"{LIMITS.health_calls}",
+    "leaving a reply unread (`FREEREIN_WRITE_S`)": f"{LIMITS.write_s:g} s",
+    "a unary call (`FREEREIN_UNARY_S`)": f"{LIMITS.unary_s:g} s, or the caller's shorter deadline",
+    "items waiting for the model (`FREEREIN_QUEUE`)": f"{LIMITS.queue}",
+    "streams open at once, over REST and over gRPC each": f"{LIMITS.streams}",
+    "from SIGTERM to exit": f"{LIMITS.drain_s + GRACE_S:g} s",
+}
+
+
+@pytest.mark.parametrize("limit", SHOWN)
+def test_the_page_shows_the_limit(limit: str) -> None:
+    assert f"| {limit} | {SHOWN[limit]} |" in PAGE
