@@ -1,56 +1,66 @@
 """The structure of an image file, checked before a decoder runs: what may not be there, and how much of it may.
 
-Decoders spend time on every chunk, segment and scan. A scan of 30 bytes passes over all pixels of a JPEG.
+Decoders spend time on every chunk, segment and scan. A scan of 30 bytes passes over all pixels of a JPEG. A colour
+profile of 1 KiB unpacks to 1 MiB.
 """
 
 import struct
-from collections.abc import Callable
 
 from freerein.errors import InvalidInput
 from freerein.types.common import Encoding
 
-MAX_PNG_CHUNKS = 16_384  # libpng writes 8 KiB each: 8 192 in the largest message
-MAX_JPEG_SEGMENTS = 256  # before the first scan; cameras write up to about 30
+MAX_SMALL_PARTS = 64  # chunks, or segments before the first scan; more must have a KiB each on average
+MAX_PARTS = 256  # of a JPEG or WebP; the pixels of a PNG come in many chunks
 MAX_JPEG_SCANS = 32  # libjpeg's progressive files have 10 scans, 18 in CMYK
-MAX_WEBP_CHUNKS = 256
 
 _START_OF_SCAN = b"\xff\xda"
 # Frames, tables, applications' data and comments. The other markers have no length, and decoders search for the next.
 _JPEG_SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDB, 0xF0), 0xFE} - {0xC8})
+_PNG_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND", b"acTL", b"fcTL", b"fdAT"})  # last: animations
 
 
-def check_structure(data: bytes, encoding: Encoding, *, field: str) -> None:
-    """Checks the parts of a PNG, JPEG or WebP file that begins with its signature.
+def checked_structure(data: bytes, encoding: Encoding, *, field: str) -> bytes:
+    """Returns the parts that a decoder needs of a PNG, JPEG or WebP file that begins with its signature.
 
     Raises:
         InvalidInput: The file has too many chunks, segments or scans.
         ValueError: The file is corrupt.
     """
-    unit, most, count = _PARTS[encoding]
-    _check_count(count(data, most), most, unit, field)
-    if encoding == "jpeg":  # these bytes are nothing else in a scan, and rarely in a segment
+    most = MAX_SMALL_PARTS + len(data) // 1024
+    if encoding == "png":
+        return _without_metadata(data, most, field)
+    most = min(most, MAX_PARTS)
+    if encoding == "webp":
+        _check_count(_count_webp_chunks(data, most), most, "chunks", field)
+    else:
+        _check_count(_count_jpeg_segments(data, most), most, "segments", field)
+        # these bytes are nothing else in a scan, and rarely in a segment
         _check_count(data.count(_START_OF_SCAN), MAX_JPEG_SCANS, "scans", field)
+    return data
 
 
 def _check_count(count: int, most: int, unit: str, field: str) -> None:
     if count > most:
         raise InvalidInput(
-            f"`{field}` may have at most {most} {unit} each; one has more.",
+            f"`{field}` may have at most {most} {unit} in a file of its size; one has more.",
             field=field,
             hint="Open and save the image again, without metadata.",
         )
 
 
-def _count_png_chunks(data: bytes, most: int) -> int:
-    """Returns the number of chunks, at most one above `most`; IHDR must be the first, and no other."""
-    at, count = 8, 0
+def _without_metadata(data: bytes, most: int, field: str) -> bytes:
+    """Returns a PNG of at most so many chunks without those that may unpack; IHDR must be the first, and no other."""
+    at, count, kept = 8, 0, [data[:8]]
     while at + 8 <= len(data) and count <= most:
         length, kind = struct.unpack_from(">I4s", data, at)
         if (kind == b"IHDR") != (count == 0):
             raise ValueError("IHDR is not the first chunk")
+        if kind in _PNG_CHUNKS:
+            kept.append(data[at : at + 12 + length])
         at += 12 + length
         count += 1
-    return count
+    _check_count(count, most, "chunks", field)
+    return b"".join(kept)
 
 
 def _count_jpeg_segments(data: bytes, most: int) -> int:
@@ -75,10 +85,3 @@ def _count_webp_chunks(data: bytes, most: int) -> int:
         at += 8 + length + length % 2
         count += 1
     return count
-
-
-_PARTS: dict[Encoding, tuple[str, int, Callable[[bytes, int], int]]] = {
-    "png": ("chunks", MAX_PNG_CHUNKS, _count_png_chunks),
-    "jpeg": ("segments", MAX_JPEG_SEGMENTS, _count_jpeg_segments),
-    "webp": ("chunks", MAX_WEBP_CHUNKS, _count_webp_chunks),
-}

@@ -17,7 +17,7 @@ import PIL.Image
 import PIL.ImageOps
 
 from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
-from freerein.image_structure import check_structure
+from freerein.image_structure import checked_structure
 from freerein.types.common import Encoding, Image
 
 MAX_PIXELS = 16_000_000
@@ -194,8 +194,8 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
             hint="Declare the encoding of the file.",
         )
     try:
-        check_structure(image.data, image.encoding, field=field)
-        with PIL.Image.open(io.BytesIO(image.data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
+        data = checked_structure(image.data, image.encoding, field=field)
+        with PIL.Image.open(io.BytesIO(data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
             _check_pixels(opened.height, opened.width, field)
             _check_kind(opened, image, field)
             yield opened

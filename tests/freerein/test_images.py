@@ -142,11 +142,13 @@ def test_one_pixel_and_the_longest_row_and_column_are_images() -> None:
     assert images.decode(file("png", save(PIL.Image.new("RGB", (1, 16_384)), "PNG"))).shape == (16_384, 1, 3)
 
 
-def test_the_orientation_of_a_png_is_not_applied() -> None:
+@pytest.mark.parametrize("encoding", ["png", "webp"])
+def test_the_orientation_of_another_file_than_a_jpeg_is_not_applied(encoding: Encoding) -> None:
     exif = PIL.Image.Exif()
     exif[0x0112] = 6
-    data = save(PIL.Image.fromarray(QUADRANTS[:, :24]), "PNG", exif=exif)
-    np.testing.assert_array_equal(images.decode(file("png", data))[:, :, 0], QUADRANTS[:, :24])
+    data = save(PIL.Image.fromarray(QUADRANTS[:, :24]).convert("RGB"), encoding, exif=exif, lossless=True)
+    pixels = images.decode(file(encoding, data), size=(32, 24))
+    np.testing.assert_array_equal(pixels[:, :, 0], QUADRANTS[:, :24])
 
 
 # --- what is refused
@@ -268,25 +270,30 @@ WHOLE = {
 # --- what is costly
 
 
-def with_parts(encoding: Encoding, parts: int) -> bytes:
-    """Returns a whole file of so many chunks or segments, most of them empty."""
-    data = WHOLE[encoding]
+def with_parts(encoding: Encoding, parts: int, size: int) -> bytes:
+    """Returns a whole file of so many chunks or segments, most of them of a size and without meaning."""
+    data, content = WHOLE[encoding], bytes(size)
     if encoding == "png":  # IHDR, IDAT, IEND
-        return data[:33] + chunk(b"teSt", b"") * (parts - 3) + data[33:]
+        return data[:33] + chunk(b"teSt", content) * (parts - 3) + data[33:]
     if encoding == "jpeg":
-        before_scan = data[: data.index(b"\xff\xda")].count(b"\xff") - 1  # each begins one; the first is the file's
-        return data[:2] + b"\xff\xfe\0\2" * (parts - before_scan) + data[2:]
-    body = data[8:] + (b"teSt" + bytes(4)) * (parts - 1)
+        own = data[: data.index(b"\xff\xda")].count(b"\xff") - 1  # each begins one; the first is the file's
+        return data[:2] + (b"\xff\xfe" + struct.pack(">H", size + 2) + content) * (parts - own) + data[2:]
+    extended = b"VP8X" + struct.pack("<I", 10) + bytes(4) + b"\7\0\0" * 2
+    body = b"WEBP" + extended + data[12:] + (b"teSt" + struct.pack("<I", size) + content) * (parts - 2)
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
 @pytest.mark.fault("F6")
-@pytest.mark.parametrize(("encoding", "most"), [("png", 16_384), ("jpeg", 256), ("webp", 256)])
-def test_a_file_may_have_so_many_parts_and_no_more(encoding: Encoding, most: int) -> None:
-    if encoding != "webp":  # whose decoder takes such a file only with another header
-        assert images.decode(file(encoding, with_parts(encoding, most))).shape == (8, 8, 3)
-    with pytest.raises(InvalidInput, match=f"at most {most} "):
-        images.decode(file(encoding, with_parts(encoding, most + 1)))
+@pytest.mark.parametrize("encoding", FILES)
+@pytest.mark.parametrize(("size", "most"), [(0, 64), (1_100, 256)])
+def test_a_file_may_have_so_many_parts_and_no_more(encoding: Encoding, size: int, most: int) -> None:
+    assert images.decode(file(encoding, with_parts(encoding, most, size))).shape == (8, 8, 3)
+    more = file(encoding, with_parts(encoding, most + 1, size))
+    if encoding == "png" and size:  # pixels, too, come in chunks
+        assert images.decode(more).shape == (8, 8, 3)
+    else:
+        with pytest.raises(InvalidInput, match=f"at most {most} "):
+            images.decode(more)
 
 
 @pytest.mark.fault("F3")
