@@ -1,0 +1,132 @@
+"""Control streams whose robot vanishes or does not read, or whose service hangs."""
+
+import asyncio
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import grpc
+import pytest
+
+from freerein import wire
+from freerein.clients import Channel, ImitationClient
+
+pytestmark = pytest.mark.e2e
+CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
+SERVER_KEEPALIVE_S = 10.0
+EAGER = (
+    ("grpc.keepalive_time_ms", 1_100),
+    ("grpc.http2.ping_timeout_ms", 1_000),
+    ("grpc.http2.max_pings_without_data", 0),
+)
+SMALL_WINDOW = (("grpc.http2.lookahead_bytes", 1024), ("grpc.http2.bdp_probe", 0))
+UNREAD = 3_000  # replies of 300 bytes: many times what the client's window holds
+ROBOT = """
+import sys, threading, grpc
+
+def hello():
+    yield bytes.fromhex(sys.argv[3])
+    threading.Event().wait()
+
+for _ in grpc.insecure_channel(sys.argv[1]).stream_stream(sys.argv[2])(hello()):
+    print("open", flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def start(start_faulty: Callable[..., Any]) -> Callable[[], Any]:
+    """A function that starts the service, and returns when it is ready."""
+
+    def start_ready() -> Any:
+        faulty = start_faulty(script="faulty_policy.py")
+        while faulty.http.get("/readyz").status_code != 200:
+            pass
+        return faulty
+
+    return start_ready
+
+
+@pytest.fixture(scope="module")
+def faulty(start: Callable[[], Any]) -> Any:
+    return start()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def abandoned(start: Callable[[], Any], robots: Any) -> Iterator[tuple[Any, float]]:
+    """A service whose robot's process was stopped, and when: its connection stays open, and nobody answers pings.
+
+    It comes first, so that the other tests take place while the service waits.
+    """
+    faulty = start()
+    hello = wire.pack(robots.hello()).SerializeToString().hex()
+    command = [sys.executable, "-c", ROBOT, faulty.service.address, CONTROL, hello]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as robot:
+        assert robot.stdout is not None
+        assert robot.stdout.readline() == b"open\n"
+        robot.send_signal(signal.SIGSTOP)
+        yield faulty, time.monotonic()
+        robot.kill()
+
+
+def streams(faulty: Any) -> int:
+    return int(faulty.metric('freerein_calls_in_flight{protocol="grpc"}'))
+
+
+@pytest.mark.fault("I6")
+async def test_a_robot_that_does_not_read_delays_only_itself_and_fills_no_memory(faulty: Any, robots: Any) -> None:
+    before = faulty.process.memory_info().rss
+    async with (
+        grpc.aio.insecure_channel(faulty.service.address, SMALL_WINDOW) as channel,
+        ImitationClient(Channel(faulty.service.address)) as client,
+    ):
+        deaf, listening = channel.stream_stream(CONTROL)(), robots.Stream(client.control)
+        await deaf.write(wire.pack(robots.hello()).SerializeToString())
+        assert await deaf.read()
+        again = wire.pack(robots.seen(0)).SerializeToString()  # all but the first are answered by an error
+        sending = asyncio.create_task(send(deaf, [again] * UNREAD))
+        await listening.ask(robots.hello())
+        seconds = []
+        for seq in range(200):
+            begun = time.perf_counter()
+            assert (await listening.ask(robots.seen(seq))).chunk is not None
+            seconds.append(time.perf_counter() - begun)
+        assert sorted(seconds)[100] < 0.05
+        assert streams(faulty) == 2
+        assert faulty.process.memory_info().rss - before < 16 * 2**20
+        replies = [await deaf.read() for _ in range(UNREAD)]
+        assert all(isinstance(reply, bytes) for reply in replies)  # it reads again, and nothing was lost
+        await sending
+        await listening.leave()
+
+
+async def send(call: Any, messages: list[bytes]) -> None:
+    for message in messages:
+        await call.write(message)
+
+
+@pytest.mark.fault("I9")
+async def test_a_service_that_hangs_is_noticed_within_three_seconds(faulty: Any, robots: Any) -> None:
+    async with grpc.aio.insecure_channel(faulty.service.address, EAGER) as channel:
+        call = channel.stream_stream(CONTROL)()
+        await call.write(wire.pack(robots.hello()).SerializeToString())
+        assert await call.read()
+        begun = time.monotonic()
+        faulty.service.process.send_signal(signal.SIGSTOP)
+        try:
+            with pytest.raises(grpc.aio.AioRpcError) as noticed:
+                await asyncio.wait_for(call.read(), 10)
+        finally:
+            faulty.service.process.send_signal(signal.SIGCONT)
+    assert noticed.value.code() is grpc.StatusCode.UNAVAILABLE
+    assert time.monotonic() - begun < 3
+
+
+@pytest.mark.fault("I10")
+def test_a_robot_that_vanishes_frees_its_stream(abandoned: tuple[Any, float]) -> None:
+    faulty, since = abandoned
+    while streams(faulty):
+        assert time.monotonic() - since < 2 * SERVER_KEEPALIVE_S
+        time.sleep(0.05)
