@@ -32,6 +32,7 @@ def test_the_five_services_and_postgres_start_and_the_demo_only_when_asked_for()
     assert CONTAINERS["demo"]["profiles"] == ["demo"]
 
 
+@pytest.mark.fault("D3")
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_a_container_writes_to_its_volume_and_tmp_and_can_do_nothing_else(name: str) -> None:
     container = CONTAINERS[name]
@@ -45,6 +46,7 @@ def test_a_container_writes_to_its_volume_and_tmp_and_can_do_nothing_else(name: 
     assert container["tmpfs"][0].split(":")[0] == "/tmp"
 
 
+@pytest.mark.fault("D3")
 def test_no_container_runs_as_root() -> None:
     final = DOCKERFILE.split("\nFROM ")[-1]
     (user,) = re.findall(r"^USER (\d+):(\d+)$", final, re.MULTILINE)
@@ -53,6 +55,7 @@ def test_no_container_runs_as_root() -> None:
     assert CONTAINERS["postgres"]["user"] == "postgres"
 
 
+@pytest.mark.fault("D3")
 def test_ports_are_those_of_the_table_on_loopback() -> None:
     published = {name: container["ports"] for name, container in CONTAINERS.items() if "ports" in container}
     assert published == {
@@ -95,6 +98,7 @@ def test_the_database_is_within_reach_of_the_orchestrator_alone() -> None:
     assert "ports" not in CONTAINERS["postgres"]
 
 
+@pytest.mark.fault("D3")
 def test_secrets_come_from_the_environment() -> None:
     assert {container["environment"]["FREEREIN_TOKEN"] for container in OURS.values()} == {"${FREEREIN_TOKEN:-}"}
     assert CONTAINERS["postgres"]["environment"]["POSTGRES_PASSWORD"] == "${POSTGRES_PASSWORD:-freerein}"

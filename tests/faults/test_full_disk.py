@@ -235,6 +235,38 @@ def test_an_orchestrator_waits_for_room_to_begin_and_refuses_runs_whole(
     assert orchestrator.http.post("/v1/cancel-run", json={"id": run_id}).json()["run"]["state"] == "cancelled"
 
 
+@pytest.mark.fault("C21")
+def test_a_run_that_records_data_goes_on_once_there_is_room(
+    start_faulty: Any, new_disk: Callable[[], Disk], tmp_path_factory: pytest.TempPathFactory, fuzz: bool
+) -> None:
+    if not fuzz:
+        pytest.skip("a case of `make fuzz`")
+    disk = new_disk()
+    sim = start_faulty(tmp_path_factory.mktemp("sim"), script="freerein_sim", FREEREIN_SIM_WORKERS="1")
+    orchestrator = start_faulty(
+        tmp_path_factory.mktemp("log"),
+        script="freerein_orchestrator",
+        FREEREIN_DATA_DIR=str(disk.path),
+        FREEREIN_SIM_ADDRESS=sim.service.address,
+    )
+    until(lambda: orchestrator.http.get("/readyz").status_code == 200)
+    asked = {"kind": "collect", "config": {**RUN, "count": 150}}
+    run_id = orchestrator.http.post("/v1/start-run", json=asked).json()["run"]["id"]
+
+    def run() -> Any:
+        return orchestrator.http.get("/v1/get-run", params={"id": run_id}).json()["run"]
+
+    until(lambda: run()["step"] >= 5)
+    with disk.full():
+        until(lambda: not living(orchestrator))
+    until(lambda: run()["state"] in ("succeeded", "failed"))
+    if run()["state"] == "failed":  # its end could be recorded before the disk was full to the last byte
+        assert "must be writable" in run()["error"]
+        assert orchestrator.http.post("/v1/resume-run", json={"id": run_id}).status_code == 200
+        until(lambda: run()["state"] == "succeeded")
+    assert run()["step"] == 150
+
+
 def until(condition: Callable[[], bool]) -> None:
     begun = time.monotonic()
     while not condition():

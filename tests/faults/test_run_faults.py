@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import pytest
 
-from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE
+from freerein.jobs.child import PERMANENT_FAILURE
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240)]
@@ -213,7 +213,7 @@ def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, 
         kept = run.checkpoints[0] / "state.safetensors"
         before = kept.read_bytes()
         process.rlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))  # no checkpoint is so small
-        assert process.wait(PATIENCE_S) == OUT_OF_STORAGE
+        assert process.wait(PATIENCE_S) == PERMANENT_FAILURE
     assert "3 in a row could not be" in run.reason
     assert kept.read_bytes() == before
 

@@ -67,25 +67,26 @@ def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one
     assert rows == [("play", "collect", 4), ("chance", "evaluate", 2), ("fit", "fit", 20)]
 
 
-def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancelled_with_the_run(
+def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancelled_when_the_run_is_or_fails(
     new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
 ) -> None:
     imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
     long = {**FIT, "config": {**FIT["config"], "config": TINY | {"steps": 100_000}}, "after": ["play"]}
     many = CHANCE | {"config": CHANCE["config"] | {"episodes": 100_000}}
-    run = new_run(
-        tmp_path,
-        "pipeline",
-        {"steps": [COLLECT, many, long]},
-        FREEREIN_SIM_ADDRESS=sim,
-        FREEREIN_IMITATION_ADDRESS=imitation.address,
-    )
+    lost = CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}
+    addresses = {"FREEREIN_SIM_ADDRESS": sim, "FREEREIN_IMITATION_ADDRESS": imitation.address}
+    run = new_run(tmp_path, "pipeline", {"steps": [COLLECT, many, long]}, **addresses)
     with SyncClient(FitClient(Channel(imitation.address))) as fits:
         assert not run.do(stop=lambda: any(fit.state == "running" for fit in fits.list_fits(ListFitsRequest()).fits))
         assert [each.parent.name for each in run.folder.glob("parts/*/done.json")] == ["play"]
         assert not run.do(stop=lambda: True, cancelled=True)
         (fit,) = fits.list_fits(ListFitsRequest()).fits
         assert fit.state == "cancelled"
+        again = COLLECT | {"config": COLLECT["config"] | {"dataset": "again"}}
+        with pytest.raises(NotFound):
+            new_run(tmp_path, "pipeline", {"steps": [again, lost, long]}, **addresses).do()
+        begun, _ = fits.list_fits(ListFitsRequest()).fits
+        assert (begun.id != fit.id, begun.state) == (True, "cancelled")
 
 
 def test_fits_are_cancelled_at_once_though_their_service_does_not_answer(

@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import InvalidInput, OutOfStorage
 
 D = TypeVar("D", bound=np.generic)
 
@@ -71,7 +71,7 @@ def _build(path: Path, parts: Iterable[npt.NDArray[D]], *, size: int) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(path.parent).free
     if free < size:
-        raise FailedPrecondition(
+        raise OutOfStorage(
             f"The decoded dataset takes {size / 1e9:.1f} GB of disk; {free / 1e9:.1f} GB are free.",
             hint="Free some space where the dataset lies.",
         )

@@ -112,7 +112,7 @@ class Dataset:
 
         Raises:
             InvalidInput: The dataset is empty; or as `dataset[i]`.
-            FailedPrecondition: The disk is full.
+            OutOfStorage: The disk is full.
         """
         parts = (self.actions(index) for index in range(len(self)))
         shape, dtype = (self.spec.action.size,), self.spec.action.dtype
@@ -124,7 +124,7 @@ class Dataset:
 
         Raises:
             InvalidInput: The dataset is empty; or as `dataset[i]`.
-            FailedPrecondition: The disk is full.
+            OutOfStorage: The disk is full.
         """
         if not self.spec.has_terminations:
             return None

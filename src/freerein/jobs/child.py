@@ -3,15 +3,14 @@
 import json
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from freerein.atomic_files import storage_errors
-from freerein.errors import OutOfStorage, ServiceError
+from freerein.errors import ServiceError
 
 STOPPED = 143
 """Exit code of a child that was stopped by SIGTERM and can be resumed, as shells report it."""
@@ -19,7 +18,7 @@ PERMANENT_FAILURE = 2
 """Exit code of a child that cannot succeed, however often it is started; the last line of its log says why."""
 
 OUT_OF_STORAGE = 74
-"""Exit code of a child that cannot write its files, so that its log may not say why; BSD calls it EX_IOERR."""
+"""Exit code of such a child whose disk is full, so that its log cannot say why; BSD calls it EX_IOERR."""
 
 
 def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
@@ -37,10 +36,7 @@ def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
         with storage_errors():
             return 0 if work(json.loads((folder / "config.json").read_bytes())) else STOPPED
     except ServiceError as error:
-        with suppress(OSError):  # a full disk
-            sys.stderr.write(f"{error.detail} {error.hint}\n")
-            sys.stderr.flush()
-        return OUT_OF_STORAGE if isinstance(error, OutOfStorage) else PERMANENT_FAILURE
+        return _say(f"{error.detail} {error.hint}\n".encode())
 
 
 def die_with_parent() -> None:
@@ -57,6 +53,15 @@ def stop_on_sigterm() -> Iterator[Callable[[], bool]]:
         yield stopped.is_set
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _say(reason: bytes) -> int:
+    """Writes the last line of the log; returns the exit code."""
+    try:
+        written = os.write(2, reason)  # not `sys.stderr`, which would try again at exit and change the code
+    except OSError:
+        written = 0
+    return PERMANENT_FAILURE if written == len(reason) else OUT_OF_STORAGE
 
 
 def _wait_and_exit() -> None:

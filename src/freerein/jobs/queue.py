@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from freerein.atomic_files import storage_errors
 from freerein.errors import FailedPrecondition, Overloaded, ServiceError
 from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest
 from freerein.jobs.retry import retry
@@ -103,15 +104,15 @@ class LocalQueue:
     def _run_all(self) -> None:
         while job_id := self._next():
             try:
-                self._run(job_id)
+                with storage_errors():
+                    self._run(job_id)
             except AttemptStopped:
                 pass
             except ServiceError as error:
                 self._record(job_id, "failed", error=f"{error.detail} {error.hint}")
-            except Exception as error:  # a bug, or the disk: it must not end the queue
+            except Exception:  # a bug must not end the queue
                 _log.exception("a job failed", extra={"job": job_id})
-                reason = f"The disk failed: {error.strerror}." if isinstance(error, OSError) else INTERNAL_ERROR
-                self._record(job_id, "failed", error=reason)
+                self._record(job_id, "failed", error=INTERNAL_ERROR)
 
     def _run(self, job_id: str) -> None:
         result = retry(partial(self._runner.run, job_id, lambda: self._request))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
+from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, make_folder, write_atomic
 from freerein.errors import FailedPrecondition, NotFound
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import Model
@@ -49,7 +49,7 @@ class ModelStore:
         if target.exists():
             shutil.rmtree(folder)
         else:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(target.parent)
             folder.rename(target)
             fsync_folder(target.parent)
         return ModelRef(name, version)

@@ -130,6 +130,9 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
             if context.cancelled():
                 _cancel(kinds, context, _to_do(context, pipeline))
             raise
+        except ServiceError:  # the run fails
+            _cancel(kinds, context, _to_do(context, pipeline))
+            raise
 
     return Kind(parse_pipeline, steps, run, check, dump)
 

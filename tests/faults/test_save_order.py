@@ -1,0 +1,98 @@
+"""What is acknowledged is on the disk: data, then the rename, then its folder, each synced before the next.
+
+SIGKILL cannot test this, for the kernel keeps what a killed process has written; so the calls themselves are checked.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("O4")]
+Call = tuple[str, ...]
+HOOKED = Path(__file__).with_name("hooked_saves.py")
+SAVED = "acknowledged"
+LINE = re.compile(
+    r"(?P<name>openat|mkdir|fsync|rename)\((?:AT_FDCWD<[^>]*>, |\d+<(?P<synced>[^>]*)>)?(?P<rest>.*)\) += \d"
+)
+
+
+def check(calls: Iterable[Call]) -> int:
+    """Raises AssertionError unless whatever a call acknowledges was synced before; returns the number of renames."""
+    files: set[str] = set()
+    folders: set[str] = set()
+    renames = 0
+    for name, path, *more in calls:
+        match name:
+            case "open" if path.endswith(SAVED):
+                assert not files | folders, "acknowledged before it was synced"
+            case "open" if not path.endswith("lock"):
+                files.add(path)
+            case "mkdir":
+                folders.add(str(Path(path).parent))
+            case "fsync":
+                files.discard(path)
+                folders.discard(path)
+            case "rename":
+                assert not [file for file in files if file == path or file.startswith(f"{path}/")], "renamed too early"
+                folders = {each for each in folders if not each.startswith(path)} | {str(Path(more[0]).parent)}
+                renames += 1
+    return renames
+
+
+def by_strace(root: Path, tmp_path: Path) -> list[Call]:
+    """Returns the system calls of the main thread that write below a folder."""
+    if shutil.which("strace") is None:
+        pytest.skip("no strace here")
+    trace = tmp_path / "trace"
+    command = ["strace", "-y", "-qq", "-e", "trace=openat,mkdir,fsync,rename", "-o", str(trace)]
+    subprocess.run([*command, sys.executable, str(HOOKED), str(root)], check=True)
+    return [call for line in trace.read_text().splitlines() if (call := parsed(line)) and call[1].startswith(str(root))]
+
+
+def parsed(line: str) -> Call | None:
+    """Returns the call of a line of strace; None for one that failed, or opens a file to read it."""
+    found = LINE.match(line)
+    if found is None or (found["name"] == "openat" and not re.search(r"O_WRONLY|O_RDWR", line)):
+        return None
+    name = {"openat": "open"}.get(found["name"], found["name"])
+    return (name, found["synced"]) if found["synced"] else (name, *re.findall(r'"([^"]*)"', found["rest"]))
+
+
+def by_hooks(root: Path, tmp_path: Path) -> list[Call]:
+    """Returns the calls of Python's own functions."""
+    log = tmp_path / "calls"
+    subprocess.run([sys.executable, str(HOOKED), str(root), str(log)], check=True)
+    calls = [tuple(json.loads(line)) for line in log.read_text().splitlines()]
+    return [call for call in calls if call[1].startswith(str(root))]
+
+
+@pytest.mark.parametrize("traced", [by_strace, by_hooks])
+def test_data_are_synced_before_a_rename_and_folders_before_the_acknowledgement(
+    traced: Callable[[Path, Path], list[Call]], tmp_path: Path, fuzz: bool
+) -> None:
+    if traced is by_hooks and shutil.which("strace") and not fuzz:
+        pytest.skip("strace has seen more")
+    (tmp_path / "root").mkdir()
+    calls = traced(tmp_path / "root", tmp_path)
+    assert check(calls) == 10  # 4 of a checkpoint, 2 of a job, 3 of a model, and which is active
+    assert sum(call[1].endswith(SAVED) for call in calls) == 5
+
+
+@pytest.mark.parametrize("forgotten", [("fsync", "/r/a.tmp"), ("fsync", "/r")])
+def test_a_sync_that_was_forgotten_is_found(forgotten: Call) -> None:
+    calls = [
+        ("open", "/r/a.tmp"),
+        ("fsync", "/r/a.tmp"),
+        ("rename", "/r/a.tmp", "/r/a"),
+        ("fsync", "/r"),
+        ("open", SAVED),
+    ]
+    assert check(calls) == 1
+    with pytest.raises(AssertionError):
+        check(call for call in calls if call != forgotten)
