@@ -28,6 +28,9 @@ _OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitOr: ast.BitAnd,
 }
 
+_LIKE_NONE = ("None", "False", "0", "''", "b''", "()", "[]", "{}")
+"""Values that mostly serve as None does."""
+
 
 @dataclass(frozen=True, order=True)
 class Edit:
@@ -113,7 +116,7 @@ def _other_statements(node: ast.stmt) -> Iterator[str]:
         case ast.AugAssign(target, operator, value) if type(operator) in _OPERATORS:
             yield ast.unparse(ast.AugAssign(target, _OPERATORS[type(operator)](), value))
             yield "pass"
-        case ast.Return(value) if value is not None and ast.unparse(value) != "None":
+        case ast.Return(value) if value is not None and ast.unparse(value) not in _LIKE_NONE:
             yield "return None"
         case ast.Raise() | ast.Break() | ast.Expr(ast.Call() | ast.Await()):
             yield "pass"

@@ -75,6 +75,7 @@ async def soak(minutes: float, *, leaky: bool) -> Findings:
         async with services.start(Path(folder), leaky=leaky) as (stack, running):
             load = Load(running, seed=0)
             await load.learn_answers()
+            print(f"Warming up for {_WARM_UP * seconds:.0f} s.", flush=True)
             pids = [status.pid for status in stack.statuses]
             await load.run(_WARM_UP * seconds)
             await asyncio.sleep(_QUIET_S)

@@ -1,15 +1,17 @@
 """What ill-behaved clients do: they die in the middle of a call, have hardly any time, or break the rules."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from random import Random
+from typing import Any
 
 import httpx
 import numpy as np
 
 from freerein.clients import Channel, ImitationClient, SimClient
+from freerein.clients.rpc import Client
 from freerein.errors import (
     DeadlineExceeded,
     FailedPrecondition,
@@ -18,6 +20,7 @@ from freerein.errors import (
     ServiceError,
     SessionNotFound,
     StepOutOfOrder,
+    Unavailable,
 )
 from freerein.types.orchestrator import GetRunRequest
 from freerein.types.sim import CloseSessionRequest, ResetRequest, RestoreRequest, StepRequest
@@ -26,7 +29,7 @@ from soak.crashing import dying_connection, reset_after
 from soak.questions import Answer, Question, Services, WrongAnswer, check, segment_json
 
 _NOTHING = "0" * 32
-_LONGEST_CALL_S = 0.03
+_CALL_S, _LEAVES_AFTER_S = 30.0, 0.03
 _TEXTS = (b"", b"{", b'{"frames": NaN}', b'{"frames": {}, "secret": 1}', b"\xff\xfe", b"[" * 5_000)
 
 Misuse = Callable[[Services, Random], Awaitable[None]]
@@ -38,28 +41,39 @@ async def crash_over_rest(services: Services, rng: Random) -> None:
     head = "POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: "
     request = f"{head}{len(body)}\r\n\r\n".encode() + body
     await reset_after(
-        services.urls["segmentation"], request[: rng.choice((len(request), 9_000))], rng.uniform(0, _LONGEST_CALL_S)
+        services.urls["segmentation"], request[: rng.choice((len(request), 9_000))], rng.uniform(0, _LEAVES_AFTER_S)
     )
 
 
 async def crash_on_a_stream(services: Services, rng: Random) -> None:
     """Dies on a control stream."""
-    async with (
-        dying_connection(services.addresses["imitation"]) as address,
-        ImitationClient(Channel(address)) as client,
-    ):
-        await _leave(sequences.control(replace(services, imitation=client), rng.randrange(8)), rng)
+    async with dying_connection(services.addresses["imitation"]) as address:
+        client = ImitationClient(Channel(address))
+        control = sequences.control(replace(services, imitation=client), _CALL_S, rng.randrange(8))
+        sequence = await _begin(control, rng)
+    await _end(sequence, client)
 
 
 async def crash_in_a_session(services: Services, rng: Random) -> None:
     """Dies with a session open."""
-    async with dying_connection(services.addresses["sim"]) as address, SimClient(Channel(address)) as client:
-        await _leave(sequences.session(replace(services, sim=client), rng.randrange(8)), rng)
+    async with dying_connection(services.addresses["sim"]) as address:
+        client = SimClient(Channel(address))
+        session = sequences.session(replace(services, sim=client), _CALL_S, rng.randrange(8))
+        sequence = await _begin(session, rng)
+    await _end(sequence, client)
 
 
-async def _leave(sequence: Awaitable[Answer], rng: Random) -> None:
-    with suppress(TimeoutError):
-        await asyncio.wait_for(sequence, rng.uniform(0, _LONGEST_CALL_S))
+async def _begin(sequence: Coroutine[Any, Any, Answer], rng: Random) -> "asyncio.Task[Answer]":
+    begun = asyncio.create_task(sequence)
+    await asyncio.wait([begun], timeout=rng.uniform(0, _LEAVES_AFTER_S))
+    return begun
+
+
+async def _end(sequence: "asyncio.Task[Answer]", client: Client) -> None:
+    """Waits until a client has noticed that its connection is broken."""
+    with suppress(Unavailable):
+        await sequence
+    await client.close()
 
 
 def hurry(questions: dict[Question, Answer]) -> Misuse:
@@ -68,7 +82,7 @@ def hurry(questions: dict[Question, Answer]) -> Misuse:
     async def ask(services: Services, rng: Random) -> None:
         question = rng.choice(list(questions))
         with suppress(DeadlineExceeded, httpx.TimeoutException):
-            check(await question(services, rng.uniform(0.0005, _LONGEST_CALL_S)), questions[question])
+            check(await question(services, rng.uniform(0.0005, _LEAVES_AFTER_S)), questions[question])
 
     return ask
 
@@ -88,11 +102,11 @@ async def break_rules_of_sessions(services: Services, rng: Random) -> None:
 
 
 async def break_rules_of_streams(services: Services, rng: Random) -> None:
-    """Begins without a Hello, says it twice, or leaves without having heard the answer."""
+    """Begins without a Hello, says it twice, repeats itself, and leaves in the middle."""
     hello, first = sequences.hello(services, 0), sequences.observed(services, 0, 0)
     await _refused(FailedPrecondition, sequences.converse(services, [first]))
     await _refused(FailedPrecondition, sequences.converse(services, [hello, first, hello]))
-    await _leave(sequences.control(services, 7), rng)
+    await sequences.converse(services, [hello] + 9 * [first], heard=rng.randrange(4))
 
 
 async def break_rules_of_rest(services: Services, rng: Random) -> None:

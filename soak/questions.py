@@ -70,14 +70,8 @@ Question = Callable[[Services, float], Awaitable[Answer]]
 
 def all_questions() -> list[Question]:
     """Returns the questions, equally many of each kind."""
-    kinds = (segment, segment_over_rest, act, reward, demonstrate, get_run)
-    return [partial(_ask, kind, seed) for kind in kinds for seed in range(_OF_EACH_KIND)]
-
-
-async def _ask(
-    kind: Callable[[Services, int, float], Awaitable[Answer]], seed: int, services: Services, timeout_s: float
-) -> Answer:
-    return await kind(services, seed, timeout_s)
+    kinds = (segment, segment_over_rest, act, reward, demonstrate)
+    return [partial(kind, seed=seed) for kind in kinds for seed in range(_OF_EACH_KIND)] + [get_run] * _OF_EACH_KIND
 
 
 def check(answer: Answer, expected: Answer) -> None:
@@ -92,7 +86,7 @@ def segment_request(seed: int) -> SegmentRequest:
     return SegmentRequest(frames=_noise(seed, 12, 33, 30), actions=rng.integers(0, 5, (12, 1)))
 
 
-async def segment(services: Services, seed: int, timeout_s: float) -> Answer:
+async def segment(services: Services, timeout_s: float, seed: int) -> Answer:
     """Asks for the labels of a trajectory over gRPC."""
     response = await services.segmentation.segment(segment_request(seed), timeout_s=timeout_s)
     return np.concatenate([response.labels, response.confidence])
@@ -103,7 +97,7 @@ def segment_json(seed: int) -> bytes:
     return httpx.Request("POST", "http://x", json=wire.to_json(segment_request(seed))).content
 
 
-async def segment_over_rest(services: Services, seed: int, timeout_s: float) -> Answer:
+async def segment_over_rest(services: Services, timeout_s: float, seed: int) -> Answer:
     """Asks for the labels of a trajectory over REST."""
     headers = {"content-type": "application/json"}
     url = f"{services.urls['segmentation']}/v1/segment"
@@ -112,12 +106,12 @@ async def segment_over_rest(services: Services, seed: int, timeout_s: float) -> 
     return np.array(document["labels"] + document["confidence"])
 
 
-async def act(services: Services, seed: int, timeout_s: float) -> Answer:
+async def act(services: Services, timeout_s: float, seed: int) -> Answer:
     """Asks for the next actions towards a goal."""
     return (await services.imitation.act(services.act_request(seed), timeout_s=timeout_s)).actions
 
 
-async def reward(services: Services, seed: int, timeout_s: float) -> Answer:
+async def reward(services: Services, timeout_s: float, seed: int) -> Answer:
     """Asks for the similarity of an image to a goal text."""
     colours = ("red", "green", "yellow", "blue")
     text = f"a {colours[seed % 4]} block on top of a {colours[(seed + 1) % 4]} block"
@@ -125,14 +119,14 @@ async def reward(services: Services, seed: int, timeout_s: float) -> Answer:
     return (await services.reward.reward(request, timeout_s=timeout_s)).similarities
 
 
-async def demonstrate(services: Services, seed: int, timeout_s: float) -> Answer:
+async def demonstrate(services: Services, timeout_s: float, seed: int) -> Answer:
     """Asks for a trajectory of random actions."""
     request = DemonstrateRequest("grid", "random", count=1, seed=seed)
     found = [each.trajectory async for each in services.sim.demonstrate(request, timeout_s=timeout_s)]
     return np.concatenate([frames.ravel() for trajectory in found for frames in trajectory.frames.values()])
 
 
-async def get_run(services: Services, _seed: int, timeout_s: float) -> Answer:
+async def get_run(services: Services, timeout_s: float) -> Answer:
     """Asks for the state of a run that has ended."""
     run = (await services.orchestrator.get_run(GetRunRequest(services.run_id), timeout_s=timeout_s)).run
     return np.array([run.state == "succeeded", run.step, run.steps])

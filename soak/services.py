@@ -24,6 +24,11 @@ _START_S = 120.0
 _SPEC = ModelSpec(
     skills=("a", "b", "c"), cameras=(Camera("front", 33, 30, 3),), action=ActionSpec(1, 5, tuple("abcde"))
 )
+_SETTINGS = {
+    "OMP_NUM_THREADS": "1",
+    "FREEREIN_SIM_WORKERS": "2",
+    "FREEREIN_GOAL_CACHE_BYTES": "20000",  # fewer than the texts of the load: a cache that fills up is no leak
+}
 _RUN = {"task": "grid", "dataset": "soaked", "behaviour": "random", "count": 3}
 
 
@@ -32,7 +37,7 @@ async def start(data_dir: Path, *, leaky: bool) -> AsyncIterator[tuple[Stack, Se
     """Runs the services while the block lasts; with `leaky`, segmentation has a planted leak."""
     publish_segmentation_model(data_dir)
     modules = choose(()) | ({"segmentation": "soak.leaky_segmentation"} if leaky else {})
-    environ = {**os.environ, "OMP_NUM_THREADS": "1", "FREEREIN_SIM_WORKERS": "2"}
+    environ = {**os.environ, **_SETTINGS}
     async with AsyncExitStack() as opened:
         stack = await opened.enter_async_context(
             Stack(modules, data_dir=data_dir, environ=environ, ports=free_ports(modules))

@@ -49,7 +49,7 @@ async def held(stack: Stack, client: httpx.AsyncClient) -> dict[str, Held]:
 def complaints(logs: Path) -> list[str]:
     """Returns the lines of logs that tell of a bug."""
     lines = [f"{path.stem}: {line}" for path in sorted(logs.iterdir()) for line in path.read_text().splitlines()]
-    return [line[:300] for line in lines if any(complaint in line for complaint in _COMPLAINTS)]
+    return [line[:2_000] for line in lines if any(complaint in line for complaint in _COMPLAINTS)]
 
 
 async def _numbers(client: httpx.AsyncClient, url: str, pattern: re.Pattern[str]) -> list[float]:

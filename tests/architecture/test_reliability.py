@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,7 @@ def test_every_mark_names_a_row_and_every_row_is_on_the_page() -> None:
     assert {row[0] for row in ROWS} == {letter for _, letter, *_ in shown}
 
 
+@cache
 def marked_tests() -> dict[str, list[str]]:
     """Returns the marked tests of each row, as `folder/file.py::test`, or the file where all its tests are marked."""
     found: dict[str, list[str]] = defaultdict(list)
@@ -43,14 +45,15 @@ def marked_tests() -> dict[str, list[str]]:
             test = f"::{statement.name}" if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) else ""
             for row in marks(statement):
                 found[row].append(f"{path.relative_to(ROOT / 'tests')}{test}")
-    return found
+    return dict(found)
 
 
 def marks(statement: ast.stmt) -> Iterator[str]:
     """Yields the rows that `pytest.mark.fault` names in a statement."""
     for node in ast.walk(statement):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.fault":
-            yield ast.literal_eval(node.args[0])
+        match node:
+            case ast.Call(ast.Attribute(attr="fault"), [ast.Constant(row)]):
+                yield row
 
 
 def rewritten(page: str) -> str:
@@ -64,7 +67,7 @@ def table(letter: str) -> str:
     lines = ["| row | promise | figure | tests |", "|---|---|---|---|"]
     for row, texts in ROWS.items():
         if row.startswith(letter):
-            tests = texts.get("why_not") or "<br>".join(f"`{test}`" for test in marked[row])
+            tests = texts.get("why_not") or "<br>".join(f"`{test}`" for test in marked.get(row, ()))
             lines.append(f"| {row} | {texts['promise']} | {texts.get('figure', '')} | {tests} |")
     return "\n".join(lines) + "\n"
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+import time
 from collections.abc import AsyncIterator, Sequence
 
 import pytest
@@ -149,6 +150,36 @@ async def test_five_failures_in_a_row_make_it_not_ready_until_a_call_succeeds(ba
     assert batcher.not_ready()
     await batcher.submit(1, timeout_s=10)
     assert not batcher.not_ready()
+
+
+async def test_what_waits_is_measured_until_it_is_refused_by_closing(model: Model) -> None:
+    metrics = Metrics()
+    batcher = Batcher(model, queue=4, batch=3, metrics=metrics)
+    first = await busy(batcher, model)
+    calls = await waiting(batcher, 1, 2)
+    assert metrics.registry.get_sample_value("freerein_queued_items") == 2
+    closing = asyncio.create_task(asyncio.to_thread(batcher.close))
+    await asyncio.wait(calls)
+    assert metrics.registry.get_sample_value("freerein_queued_items") == 0
+    model.gate.set()
+    await asyncio.gather(first, closing)
+    assert metrics.registry.get_sample_value("freerein_batch_size_sum") == 1
+
+
+async def test_its_thread_ends_when_closed_and_holds_up_no_exit(model: Model) -> None:
+    others = set(threading.enumerate())
+    batcher = Batcher(model, queue=4, batch=3, metrics=Metrics())
+    (thread,) = set(threading.enumerate()) - others
+    assert (thread.name, thread.daemon) == ("model", True)
+    batcher.close()
+    assert not thread.is_alive()
+
+
+async def test_an_idle_batcher_takes_no_time_of_the_processor(batcher: Batcher[int, int]) -> None:
+    await batcher.submit(1, timeout_s=10)
+    begun = time.process_time()
+    await asyncio.sleep(0.2)  # what is measured is this span
+    assert time.process_time() - begun < 0.1
 
 
 async def test_closed_it_refuses_what_waits_and_what_comes(batcher: Batcher[int, int], model: Model) -> None:

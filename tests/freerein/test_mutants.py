@@ -56,8 +56,9 @@ def test_every_target_has_tests_and_every_equivalent_mutant_exists() -> None:
 
 
 @pytest.fixture
-def make_copy(tmp_path: Path) -> Callable[[str], Copy]:
+def make_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Copy]:
     """A function that copies a repository with one test."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # loading them takes most of the time
 
     def make(test: str) -> Copy:
         repository = tmp_path / "repository"
@@ -80,7 +81,6 @@ def test_a_blind_test_lets_a_mutant_survive(make_copy: Callable[[str], Copy], te
     copy, path = make_copy(test), "src/code_under_test.py"
     source = (copy.folder / path).read_bytes()
     edit = next(each for each in find_edits(source) if b"> 18" in each.apply(source))
-    assert copy.test(["test_it.py"], timeout_s=30) is Outcome.SURVIVED
     assert copy.try_edit(path, edit, ["test_it.py"], timeout_s=30) is outcome
     assert (copy.folder / path).read_bytes() == source
 
@@ -89,6 +89,6 @@ def test_a_mutant_that_does_not_end_is_ended(make_copy: Callable[[str], Copy]) -
     copy = make_copy(BLIND)
     source = (copy.folder / "src/code_under_test.py").read_bytes()
     endless = Edit(0, len(source), "", "while True:\n    pass\n")
-    assert copy.try_edit("src/code_under_test.py", endless, ["test_it.py"], timeout_s=2) is Outcome.TIMED_OUT
+    assert copy.try_edit("src/code_under_test.py", endless, ["test_it.py"], timeout_s=1) is Outcome.TIMED_OUT
     with pytest.raises(RuntimeError, match="exit code 4"):
         copy.test(["test_that_is_not_there.py"], timeout_s=30)
