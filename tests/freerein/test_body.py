@@ -225,10 +225,10 @@ async def test_a_million_bad_items_are_a_short_error(items: int) -> None:
 
 @pytest.mark.parametrize("data", [b'{"images": [%s[]]}', b'{"images": [%s{}]}', b'{"images": %s'])
 async def test_small_values_that_would_fill_the_memory_are_not_parsed(data: bytes) -> None:
-    with pytest.raises(InvalidInput, match="1000000 values"):
-        await read(data % (b"[]," * 1_000_000), SegmentRequest)
-    with pytest.raises(InvalidInput, match="1000000 values"):
-        await read(form(part("model", b"[%s[]]" % (b"[]," * 1_000_000))), SegmentRequest, MULTIPART)
+    with pytest.raises(InvalidInput, match="200000 values"):
+        await read(data % (b"[]," * 200_000), SegmentRequest)
+    with pytest.raises(InvalidInput, match="200000 values"):
+        await read(form(part("model", b"[%s[]]" % (b"[]," * 200_000))), SegmentRequest, MULTIPART)
 
 
 # --- media types

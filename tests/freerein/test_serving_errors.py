@@ -41,7 +41,7 @@ async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str
                 await client.reward(refused(20_000 * character))
     finally:
         await server.server.stop(None)
-    assert error.value.field.startswith("frames.")
+    assert error.value.field == "frames"
     assert error.value.hint
 
 
@@ -52,7 +52,7 @@ async def test_over_rest_a_name_of_any_length_is_a_problem_of_at_most_4_kib(char
     async with httpx.AsyncClient(transport=transport, base_url="http://service") as client:
         reply = await client.post("/v1/reward", json=wire.to_json(refused(20_000 * character)))
     assert (reply.status_code, reply.json()["code"]) == (422, "invalid_input")
-    assert reply.json()["field"].startswith("frames.")
+    assert reply.json()["field"] == "frames"
     assert len(reply.content) <= 4096
 
 
