@@ -4,18 +4,21 @@ Decoders spend time on every chunk, segment and scan. A scan of 30 bytes passes 
 profile of 1 KiB unpacks to 1 MiB.
 """
 
+import re
 import struct
 
 from freerein.errors import InvalidInput
 from freerein.types.common import Encoding
 
-MAX_SMALL_PARTS = 64  # chunks, or segments before the first scan; more must have a KiB each on average
+MAX_SMALL_PARTS = 64  # chunks or segments; more must have a KiB each on average
 MAX_PARTS = 256  # of a JPEG or WebP; the pixels of a PNG come in many chunks
 MAX_JPEG_SCANS = 32  # libjpeg's progressive files have 10 scans, 18 in CMYK
 
-_START_OF_SCAN = b"\xff\xda"
-# Frames, tables, applications' data and comments. The other markers have no length, and decoders search for the next.
-_JPEG_SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDB, 0xF0), 0xFE} - {0xC8})
+_START_OF_SCAN = 0xDA
+_END_OF_IMAGE = b"\xff\xd9"
+# Frames, tables, scans, applications' data and comments. Decoders disagree on the length of others, or know none.
+_JPEG_SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDA, 0xF0), 0xFE} - {0xC8})
+_MARKER_AFTER_SCAN = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")  # neither a byte of the scan nor a restart
 _PNG_CHUNKS = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND", b"acTL", b"fcTL", b"fdAT"})  # last: animations
 
 
@@ -33,9 +36,9 @@ def checked_structure(data: bytes, encoding: Encoding, *, field: str) -> bytes:
     if encoding == "webp":
         _check_count(_count_webp_chunks(data, most), most, "chunks", field)
     else:
-        _check_count(_count_jpeg_segments(data, most), most, "segments", field)
-        # these bytes are nothing else in a scan, and rarely in a segment
-        _check_count(data.count(_START_OF_SCAN), MAX_JPEG_SCANS, "scans", field)
+        segments, scans = _count_jpeg_segments(data, most)
+        _check_count(segments, most, "segments", field)
+        _check_count(scans, MAX_JPEG_SCANS, "scans", field)
     return data
 
 
@@ -63,18 +66,22 @@ def _without_metadata(data: bytes, most: int, field: str) -> bytes:
     return b"".join(kept)
 
 
-def _count_jpeg_segments(data: bytes, most: int) -> int:
-    """Returns the number of segments before the first scan, at most one above `most`."""
-    at, count = 2, 0
-    while count <= most:
+def _count_jpeg_segments(data: bytes, most: int) -> tuple[int, int]:
+    """Returns the number of segments and that of scans, each at most one above its limit."""
+    at, segments, scans = 2, 0, 0
+    while segments <= most and scans <= MAX_JPEG_SCANS and not data.startswith(_END_OF_IMAGE, at):
         mark, marker, length = struct.unpack_from(">BBH", data, at)
-        if data.startswith(_START_OF_SCAN, at):
-            break
         if mark != 0xFF or marker not in _JPEG_SEGMENTS or length < 2:
             raise ValueError("bytes between segments")
         at += 2 + length
-        count += 1
-    return count
+        segments += 1
+        if marker == _START_OF_SCAN:
+            scans += 1
+            following = _MARKER_AFTER_SCAN.search(data, at)
+            if following is None:
+                break
+            at = following.start()
+    return segments, scans
 
 
 def _count_webp_chunks(data: bytes, most: int) -> int:
