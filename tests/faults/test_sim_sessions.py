@@ -164,6 +164,27 @@ def test_over_its_quota_the_service_refuses_and_a_closed_session_makes_room(sim:
         sim.close_session(CloseSessionRequest(each))
 
 
+@pytest.mark.fault("G3")
+@pytest.mark.timeout(1200)
+def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, fuzz: bool) -> None:
+    processes = [psutil.Process(service.process.pid), *psutil.Process(service.process.pid).children()]
+
+    def cycle(count: int) -> list[int]:
+        """Opens and closes sessions; returns the memory of each process, in bytes."""
+        for seed in range(count):
+            session = sim.create_session(CreateSessionRequest("grid", num_envs=4, seed=seed)).session
+            sim.reset(ResetRequest(session))
+            sim.close_session(CloseSessionRequest(session))
+        return [process.memory_info().rss for process in processes]
+
+    before = cycle(100)
+    held = [(process.num_fds(), process.num_threads()) for process in processes]
+    after = cycle(10_000 if fuzz else 200)
+    assert [(process.num_fds(), process.num_threads()) for process in processes] == held
+    assert psutil.Process(service.process.pid).children() == processes[1:]
+    assert all(now < 1.05 * then for now, then in zip(after, before, strict=True)), (before, after)
+
+
 @pytest.mark.fault("M10")
 def test_a_restored_snapshot_goes_on_to_the_same_bits_and_a_tampered_one_is_refused(sim: Any, session: str) -> None:
     kept = sim.snapshot(SnapshotRequest(session)).snapshot
