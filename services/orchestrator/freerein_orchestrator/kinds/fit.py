@@ -1,12 +1,12 @@
 """Kind `fit`: starts a fit of a learned service once, and follows it to its end.
 
-<folder>/fit.json   id of the fit, and the number of abandoned ones, failed or cancelled: each has a key of its own
+<folder>/fit.json   id of the fit; empty once it has failed or was cancelled: the run, when resumed, resumes it
 """
 
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, cast
 
@@ -15,7 +15,7 @@ from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
-from freerein.types.learning import CancelFitRequest, Fit, StartFitRequest, WatchFitRequest
+from freerein.types.learning import CancelFitRequest, Fit, ResumeFitRequest, StartFitRequest, WatchFitRequest
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind, RemoteWork
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
@@ -89,26 +89,26 @@ def run(context: RunContext, config: FitRunConfig) -> None:
             _cancel(fits, watch.fit.id, context)
         raise
     if watch.fit.model is None:
-        _abandon(context)
+        _save_id(context, "")
         raise FailedPrecondition(
             f"The fit must succeed; it has {watch.fit.state}. {watch.fit.error}"
             if watch.fit.error
             else "The fit was cancelled.",
-            hint="Resume the run once the cause is mended: it starts another fit.",
+            hint="Resume the run once the cause is mended: the fit continues from its last checkpoint.",
         )
     context.record_model(watch.fit.model)
 
 
 def begin(context: RunContext, config: FitRunConfig) -> None:
     """Starts the fit, unless it was started already; `run` will follow it."""
-    if not _saved(context).id:
+    if not _saved_id(context):
         fits = context.fits(config.service)
         context.retry().call(lambda: _start(fits, context, config))
 
 
 def cancel(context: RunContext, config: FitRunConfig) -> None:
     """Cancels the fit that was started, if any; an unavailable service continues it."""
-    if fit_id := _saved(context).id:
+    if fit_id := _saved_id(context):
         _cancel(context.fits(config.service), fit_id, context)
 
 
@@ -153,46 +153,26 @@ class _FitWatch:
 
 
 def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
-    """Returns the one fit of this run that was not abandoned."""
-    while True:
-        abandoned = _saved(context).abandoned
-        key = f"{context.key}-{abandoned}" if abandoned else context.key
-        request = StartFitRequest(config.dataset, config.model_name, config.config, idempotency_key=key)
-        fit = cast(Fit, fits.start_fit(request).fit)
-        if fit.state != "cancelled":
-            _save(context, _SavedFit(abandoned, fit.id))
-            return fit
-        _abandon(context)  # it was cancelled with the run, which is resumed now
+    """Returns the fit of this run; resumes one that ended with an earlier attempt, for the run is resumed now."""
+    request = StartFitRequest(config.dataset, config.model_name, config.config, idempotency_key=context.key)
+    fit = cast(Fit, fits.start_fit(request).fit)
+    if fit.state == "cancelled" or (fit.state == "failed" and not _saved_id(context)):
+        fit = cast(Fit, fits.resume_fit(ResumeFitRequest(fit.id)).fit)
+    _save_id(context, fit.id)
+    return fit
 
 
 def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
     with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
         fit: Fit = fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S).fit
         if fit.state != "succeeded":
-            _abandon(context)
+            _save_id(context, "")
 
 
-@dataclass(frozen=True)
-class _SavedFit:
-    """What is on disk.
-
-    Attributes:
-        abandoned: Number of abandoned fits.
-        id: Id of the fit that was started since; empty for none.
-    """
-
-    abandoned: int = 0
-    id: str = ""
-
-
-def _saved(context: RunContext) -> _SavedFit:
+def _saved_id(context: RunContext) -> str:
     path = context.folder / "fit.json"
-    return _SavedFit(**json.loads(path.read_bytes())) if path.is_file() else _SavedFit()
+    return str(json.loads(path.read_bytes())["id"]) if path.is_file() else ""
 
 
-def _save(context: RunContext, saved: _SavedFit) -> None:
-    write_atomic(context.folder / "fit.json", json.dumps(asdict(saved)).encode())
-
-
-def _abandon(context: RunContext) -> None:
-    _save(context, _SavedFit(_saved(context).abandoned + 1))
+def _save_id(context: RunContext, fit_id: str) -> None:
+    write_atomic(context.folder / "fit.json", json.dumps({"id": fit_id}).encode())

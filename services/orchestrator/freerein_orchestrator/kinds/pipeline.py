@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-from freerein.atomic_files import fsync_folder, write_atomic
+from freerein.atomic_files import fsync_folder, storage_errors, write_atomic
 from freerein.errors import InvalidInput, ServiceError
 from freerein.learning.config import parse
 from freerein.types.common import check_name
@@ -122,7 +122,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 child = context.child(step.name, first_step=done)
                 child.folder.mkdir(parents=True, exist_ok=True)
                 if not _is_done(context, step.name):
-                    with _step_errors(step.name), _timed(child), child.closing:
+                    with _step_errors(step.name), storage_errors(), _timed(child), child.closing:
                         kinds[step.kind].run(child, step.config)
                     _finish(context, child, step)
                 done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])

@@ -19,7 +19,7 @@ def database_error(error: Exception) -> ServiceError:
     cause = getattr(error, "orig", error)
     if isinstance(cause, DiskFull):
         return out_of_storage("the disk of Postgres is full")
-    if isinstance(cause, sqlite3.Error) and cause.sqlite_errorcode & 0xFF in _SQLITE_STORAGE:
+    if getattr(cause, "sqlite_errorcode", 0) & 0xFF in _SQLITE_STORAGE:  # the last byte; the rest says more
         return out_of_storage(str(cause))
     return unreachable()
 
