@@ -73,13 +73,13 @@ def _copies(count: int) -> Iterator["SimpleQueue[Copy]"]:
 
 
 def _time_limits(copies: "SimpleQueue[Copy]", paths: set[str]) -> dict[str, float]:
-    """Returns the seconds that the tests of each file may take: thrice what they take without a change, and 10."""
+    """Returns the seconds that the tests of each file may take: twice what they take without a change, and 10."""
     copy, limits = copies.get(), {}
     for path in sorted(paths):
         begun = time.monotonic()
         if copy.test(TARGETS[path], timeout_s=600) is not Outcome.SURVIVED:
             sys.exit(f"The tests of {path} fail without a change. Make them pass first.")
-        limits[path] = 3 * (time.monotonic() - begun) + 10
+        limits[path] = 2 * (time.monotonic() - begun) + 10
         print(f"{limits[path]:6.0f} s at most for the tests of {path}", flush=True)
     copies.put(copy)
     return limits

@@ -15,7 +15,7 @@ from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.core import SkillModel
 from freerein_segmentation.methods import METHODS
 
-_LEAKED_BYTES = 16 * 2**10
+LEAKED_BYTES = 16 * 2**10
 
 
 class LeakyModel:
@@ -32,7 +32,7 @@ class LeakyModel:
 
     def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
         """Returns the model's answer."""
-        self._kept.append(bytearray(b"x" * _LEAKED_BYTES))
+        self._kept.append(bytearray(b"x" * LEAKED_BYTES))
         return self._model.probabilities(frames, actions)
 
 

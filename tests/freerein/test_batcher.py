@@ -113,6 +113,16 @@ async def test_an_item_whose_caller_is_gone_frees_its_place_and_never_reaches_th
     assert model.batches[1:] == [[4, 5, 6], [7]]
 
 
+async def test_an_item_cancelled_a_moment_ago_never_reaches_the_model(batcher: Batcher[int, int], model: Model) -> None:
+    await busy(batcher, model)
+    calls = await waiting(batcher, 1, 2)
+    calls[0].cancel()
+    model.gate.set()
+    assert model.begun.acquire(timeout=10)  # before the loop, which this blocks, can remove the item
+    assert model.batches[1:] == [[2]]
+    await asyncio.gather(*calls, return_exceptions=True)
+
+
 async def test_an_item_that_waited_too_long_is_dropped(batcher: Batcher[int, int], model: Model) -> None:
     await busy(batcher, model)
     call = asyncio.create_task(batcher.submit(1, timeout_s=0))
@@ -149,6 +159,9 @@ async def test_five_failures_in_a_row_make_it_not_ready_until_a_call_succeeds(ba
             await batcher.submit(13, timeout_s=10)
     assert batcher.not_ready()
     await batcher.submit(1, timeout_s=10)
+    for _ in range(4):
+        with pytest.raises(ModelFault):
+            await batcher.submit(13, timeout_s=10)
     assert not batcher.not_ready()
 
 

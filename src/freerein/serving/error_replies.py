@@ -1,5 +1,6 @@
 """`ServiceError` as a reply: an RFC 9457 problem document over HTTP, a status with google.rpc details over gRPC."""
 
+import asyncio
 import math
 
 import grpc
@@ -69,7 +70,10 @@ async def abort_grpc(context: "grpc.aio.ServicerContext[object, object]", error:
     """Ends a gRPC call with an error: ErrorInfo always, RetryInfo when a retry can help. Never returns."""
     code, detail = grpc.StatusCode[error.grpc_status], _sanitised(error.detail)
     status = status_pb2.Status(code=code.value[0], message=detail, details=_grpc_details(error, request_id))
-    await context.abort(code, detail, rpc_status.to_status(status).trailing_metadata)
+    try:
+        await context.abort(code, detail, rpc_status.to_status(status).trailing_metadata)
+    except grpc.aio.InternalError:  # the client is gone, or its deadline ended just now
+        raise asyncio.CancelledError from None
 
 
 def _grpc_details(error: ServiceError, request_id: str) -> list[any_pb2.Any]:
