@@ -17,6 +17,7 @@ from freerein.clients import Channel, ImitationClient
 pytestmark = pytest.mark.e2e
 CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
 SERVER_KEEPALIVE_S = 10.0
+WRITE_S = 1.0
 EAGER = (
     ("grpc.keepalive_time_ms", 1_100),
     ("grpc.http2.ping_timeout_ms", 1_000),
@@ -37,11 +38,11 @@ for _ in grpc.insecure_channel(sys.argv[1]).stream_stream(sys.argv[2])(hello()):
 
 
 @pytest.fixture(scope="module")
-def start(start_faulty: Callable[..., Any]) -> Callable[[], Any]:
+def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
     """A function that starts the service, and returns when it is ready."""
 
-    def start_ready() -> Any:
-        faulty = start_faulty(script="faulty_policy.py")
+    def start_ready(**environ: str) -> Any:
+        faulty = start_faulty(script="faulty_policy.py", **environ)
         while faulty.http.get("/readyz").status_code != 200:
             pass
         return faulty
@@ -50,12 +51,17 @@ def start(start_faulty: Callable[..., Any]) -> Callable[[], Any]:
 
 
 @pytest.fixture(scope="module")
-def faulty(start: Callable[[], Any]) -> Any:
+def faulty(start: Callable[..., Any]) -> Any:
     return start()
 
 
+@pytest.fixture(scope="module")
+def impatient(start: Callable[..., Any]) -> Any:
+    return start(FREEREIN_WRITE_S=str(WRITE_S))
+
+
 @pytest.fixture(scope="module", autouse=True)
-def abandoned(start: Callable[[], Any], robots: Any) -> Iterator[tuple[Any, float]]:
+def abandoned(start: Callable[..., Any], robots: Any) -> Iterator[tuple[Any, float]]:
     """A service whose robot's process was stopped, and when: its connection stays open, and nobody answers pings.
 
     It comes first, so that the other tests take place while the service waits.
@@ -100,6 +106,34 @@ async def test_a_robot_that_does_not_read_delays_only_itself_and_fills_no_memory
         assert all(isinstance(reply, bytes) for reply in replies)  # it reads again, and nothing was lost
         await sending
         await listening.leave()
+
+
+@pytest.mark.fault("I6")
+@pytest.mark.parametrize("reads_late", [True, False])
+async def test_a_robot_that_leaves_a_reply_unread_loses_its_stream(
+    impatient: Any, robots: Any, *, reads_late: bool
+) -> None:
+    async with grpc.aio.insecure_channel(impatient.service.address, SMALL_WINDOW) as channel:
+        deaf = channel.stream_stream(CONTROL)()
+        await deaf.write(wire.pack(robots.hello()).SerializeToString())
+        assert await deaf.read()
+        again = wire.pack(robots.seen(0)).SerializeToString()
+        sending = asyncio.create_task(send(deaf, [again] * UNREAD))
+        until = time.monotonic() + (1.5 * WRITE_S if reads_late else 20)
+        while await asyncio.to_thread(streams, impatient) and time.monotonic() < until:
+            pass
+        assert bool(streams(impatient)) == reads_late
+        if reads_late:
+            with pytest.raises(grpc.aio.AioRpcError) as ended:
+                await asyncio.wait_for(read_all(deaf), 20)
+            assert ended.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+        sending.cancel()
+        await asyncio.wait([sending])
+
+
+async def read_all(call: Any) -> None:
+    while await call.read() is not grpc.aio.EOF:
+        pass
 
 
 async def send(call: Any, messages: list[bytes]) -> None:

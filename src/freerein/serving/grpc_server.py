@@ -134,12 +134,32 @@ class GrpcServer:
                     else:
                         request = await decode(incoming, method.request)
                     async with contextlib.aclosing(method.call(request)) as responses:
-                        async for response in responses:
-                            await context.write(wire.pack(response).SerializeToString())
+                        unread = await self._write_all(responses, context)
+                if unread is not None:
+                    await self._end_unread(unread)
 
             await self._run(method, context, work())
 
         return answer
+
+    async def _write_all(self, responses: AsyncIterator[object], context: _Context) -> "asyncio.Future[None] | None":
+        """Writes responses until one is left unread for `write_s`; returns its writing, None when all are written."""
+        async for response in responses:
+            writing = asyncio.ensure_future(context.write(wire.pack(response).SerializeToString()))
+            if not await _ends(writing, within_s=self._limits.write_s):
+                return writing
+            writing.result()
+        return None
+
+    async def _end_unread(self, writing: "asyncio.Future[None]") -> None:
+        """Raises DeadlineExceeded once the client reads: no status can be sent before. Does not wait for long."""
+        if await _ends(writing, within_s=self._limits.write_s):
+            raise DeadlineExceeded(
+                f"A reply must be read within {self._limits.write_s:g} s; one was not.",
+                hint="Read replies while sending, or open another stream.",
+            )
+        writing.cancel()
+        raise asyncio.CancelledError
 
     async def _run(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
         """Awaits the work of a call; counts it, logs it, and turns exceptions into gRPC statuses."""
@@ -192,6 +212,16 @@ async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> Asyn
     """Yields each message as its dataclass, or as an `InvalidMessage`."""
     async for message in messages:
         yield await decode_part(message, cls)
+
+
+async def _ends(writing: "asyncio.Future[None]", *, within_s: float) -> bool:
+    """Returns whether the writing of a message ends in time; cancels it when the call is cancelled."""
+    try:
+        await asyncio.wait({writing}, timeout=within_s)
+    except asyncio.CancelledError:
+        writing.cancel()
+        raise
+    return writing.done()
 
 
 def _timeout_s(context: _Context, longest: float) -> float:
