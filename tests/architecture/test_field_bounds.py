@@ -29,7 +29,7 @@ from freerein.types.sim import ResetRequest
 CONTRACTS = (imitation_pb2, learning_pb2, orchestrator_pb2, reward_pb2, segmentation_pb2, sim_pb2)
 STRUCT = struct_pb2.Struct.DESCRIPTOR
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
-TABLE = re.compile(r"(<!-- bounds of requests -->\n\n)(\|.*\n)*")
+TABLE = re.compile(r"(<!-- bounds: requests -->\n\n)(\|.*\n)*")
 
 
 def request_fields() -> Iterator[FieldDescriptor]:
