@@ -29,7 +29,7 @@ def audit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def faulty(start_faulty: Callable[..., Any], audit: Path) -> Any:
-    return start_faulty(FAULTY_AUDIT=str(audit))
+    return start_faulty(FAULTY_AUDIT=str(audit), FREEREIN_RECEIPT_S="60")  # for large bodies on a busy machine
 
 
 def raw_request(method: str, path: str, body: bytes = b"", *headers: str) -> bytes:
