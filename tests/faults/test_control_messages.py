@@ -68,7 +68,11 @@ NAN = np.full(2, np.nan, "<f4").tobytes()
         ([common_pb2.Image(encoding=1, height=4, width=5, data=bytes(60))], None, "observation.images.0"),
         ([common_pb2.Image(encoding=1, height=4, width=4, data=bytes(47))], None, "observation.images.0"),
         ([common_pb2.Image(encoding=3, data=b"\x89PNG\r\n\x1a\n")], None, "observation.images.0"),
-        ([common_pb2.Image(encoding=1, height=4, width=4, data=bytes(48), camera="x" * MIB)], None, "observation.im"),
+        (
+            [common_pb2.Image(encoding=1, height=4, width=4, data=bytes(48), camera="x" * MIB)],
+            None,
+            "observed.observation.im",
+        ),
         ([IMAGE], common_pb2.Tensor(datatype="FP64", shape=[1, 2], raw=bytes(16)), "executed_actions"),
         ([IMAGE], common_pb2.Tensor(datatype="FP32", shape=[1, 3], raw=bytes(12)), "executed_actions"),
         ([IMAGE], common_pb2.Tensor(datatype="FP32", shape=[1, 2], raw=NAN), "executed_actions"),

@@ -37,6 +37,7 @@ class Admission(grpc.aio.ServerInterceptor):
         self._health = health
         self._token = token
         self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
+        self._streams = Slots(limits.streams, "streams may be open")
         self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
         self._receipts = Receipts(limits)
         self._request_id = request_id
@@ -45,17 +46,19 @@ class Admission(grpc.aio.ServerInterceptor):
     async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
         """Returns the handler of a call, or one that refuses it."""
         is_health = details.method.startswith(_HEALTH_METHODS)
-        slots = self._health_calls if is_health else self._calls
+        places = contextlib.ExitStack()
+        if call := asyncio.current_task():  # each call is a task of its own
+            call.add_done_callback(lambda _: places.close())
         try:
             if not is_health:
                 auth.check(str(dict(details.invocation_metadata or ()).get("authorization", "")), self._token)
                 self._check_draining()
-            slots.take()
+            places.enter_context((self._health_calls if is_health else self._calls).hold())
+            handler = await continuation(details)
+            if handler is not None and handler.response_streaming and not is_health:
+                places.enter_context(self._streams.hold())
         except ServiceError as error:
             return self._refusal(error)
-        if call := asyncio.current_task():  # each call is a task of its own
-            call.add_done_callback(lambda _: slots.free())
-        handler = await continuation(details)
         return handler and self._received(handler)
 
     @property

@@ -20,7 +20,7 @@ from freerein.serving.error_replies import abort_grpc, internal_error
 from freerein.serving.grpc_admission import Admission
 from freerein.serving.grpc_messages import decode, decode_part
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits, Slots
+from freerein.serving.limits import Limits
 from freerein.serving.methods import Method, service_names
 from freerein.serving.metrics import Metrics
 
@@ -45,7 +45,6 @@ class GrpcServer:
         self._health = health
         self._metrics = metrics
         self._limits = limits
-        self._slots = Slots(limits.streams, "streams may be open")
         self._names = service_names(methods)
         self._health_servicer = _HealthServicer(("", *self._names))
         self._admission = Admission(health, limits, token=token, request_id=_request_id)
@@ -128,13 +127,12 @@ class GrpcServer:
     def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
         async def answer(incoming: Any, context: _Context) -> None:
             async def work() -> None:
-                with self._slots.hold():
-                    if method.descriptor.client_streaming:
-                        request: Any = _decode_stream(incoming, method.request)
-                    else:
-                        request = await decode(incoming, method.request)
-                    async with contextlib.aclosing(method.call(request)) as responses:
-                        unread = await self._write_all(responses, context)
+                if method.descriptor.client_streaming:
+                    request: Any = _decode_stream(incoming, method.request)
+                else:
+                    request = await decode(incoming, method.request)
+                async with contextlib.aclosing(method.call(request)) as responses:
+                    unread = await self._write_all(responses, context)
                 if unread is not None:
                     await self._end_unread(unread)
 
