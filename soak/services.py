@@ -29,6 +29,9 @@ _SETTINGS = {
     "FREEREIN_SIM_WORKERS": "2",
     "FREEREIN_GOAL_CACHE_BYTES": "20000",  # fewer than the texts of the load: a cache that fills up is no leak
 }
+_LIMITS = httpx.Limits(
+    keepalive_expiry=1.0
+)  # shorter than the services', or both may use and close a connection at once
 _RUN = {"task": "grid", "dataset": "soaked", "behaviour": "random", "count": 3}
 
 
@@ -49,7 +52,7 @@ async def start(data_dir: Path, *, leaky: bool) -> AsyncIterator[tuple[Stack, Se
         imitation = await opened.enter_async_context(ImitationClient(channels["imitation"]))
         reward = await opened.enter_async_context(RewardClient(channels["reward"]))
         orchestrator = await opened.enter_async_context(OrchestratorClient(channels["orchestrator"]))
-        rest = await opened.enter_async_context(httpx.AsyncClient(trust_env=False, timeout=30))
+        rest = await opened.enter_async_context(httpx.AsyncClient(trust_env=False, timeout=30, limits=_LIMITS))
         spec = await imitation.get_spec(GetSpecRequest())
         run_id = await run_once(orchestrator)
         yield (

@@ -56,7 +56,7 @@ def test_whatever_a_header_says_the_answer_is_an_array_of_those_bytes_or_invalid
         ([1], b"\0\0"),
         ([], b""),
         ([0], b"\0"),
-        ([0, tensors.MAX_ELEMENTS + 1], b""),
+        ([0, 2**31], b""),
     ],
 )
 def test_a_shape_that_lies_is_refused(shape: list[int], raw: bytes) -> None:

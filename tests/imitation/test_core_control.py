@@ -1,7 +1,10 @@
 """Control streams: the Hello, the order of replies, dropped observations, and what ends a stream."""
 
 import asyncio
+import gc
 import itertools
+import weakref
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 
@@ -302,6 +305,28 @@ async def test_interleaved_streams_hear_what_each_would_hear_alone(
 
     policy = policies.FaultyPolicy(policies.SEEDS[0])
     await asyncio.gather(*(run(robot) for robot in range(16)))
+
+
+@pytest.mark.fault("G9")
+async def test_a_stream_that_breaks_the_protocol_keeps_nothing_alive(core: Any, robots: Any) -> None:
+    async def requests() -> AsyncIterator[ControlRequest]:
+        yield robots.seen(1)
+
+    async def ask() -> "weakref.ref[Exception]":
+        try:
+            await anext(core.control.control(requests()))
+        except FailedPrecondition as error:
+            return weakref.ref(error)
+        raise AssertionError
+
+    gc.collect()
+    gc.disable()  # an error that holds its own stream would stay until the next collection
+    try:
+        error = await ask()
+        await robots.turns()
+        assert error() is None
+    finally:
+        gc.enable()
 
 
 async def test_an_error_of_the_hello_ends_the_stream(open_stream: Any, robots: Any) -> None:

@@ -70,6 +70,7 @@ async def abort_grpc(context: "grpc.aio.ServicerContext[object, object]", error:
     """Ends a gRPC call with an error: ErrorInfo always, RetryInfo when a retry can help. Never returns."""
     code, detail = grpc.StatusCode[error.grpc_status], _sanitised(error.detail)
     status = status_pb2.Status(code=code.value[0], message=detail, details=_grpc_details(error, request_id))
+    error.__traceback__ = None  # gRPC keeps the error with the call, in a cycle: not the frames and their images, too
     try:
         await context.abort(code, detail, rpc_status.to_status(status).trailing_metadata)
     except grpc.aio.InternalError:  # the client is gone, or its deadline ended just now

@@ -67,6 +67,7 @@ class ControlService:
             reading.cancel()
             draining.cancel()
             await asyncio.gather(reading, draining, return_exceptions=True)
+            del reading  # its error holds this frame
 
     async def _open(self, hello: Hello) -> "_ControlSession":
         model, policy = await self._models.resolve(hello.model)
