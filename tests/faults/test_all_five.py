@@ -216,7 +216,7 @@ async def refused(stack: Stack, name: str) -> None:
                 answers = False
     async with grpc.aio.insecure_channel(stack.addresses[name]) as late:
         with pytest.raises(grpc.aio.AioRpcError) as error:
-            await late.unary_unary("/grpc.health.v1.Health/Check")(b"", timeout=5)
+            await late.unary_unary("/freerein.api.any.v1.AnyService/Any")(b"", timeout=5)
         assert error.value.code() is grpc.StatusCode.UNAVAILABLE
 
 

@@ -105,7 +105,7 @@ def test_a_guessed_id_is_answered_like_that_of_a_session_that_was(sim: Any, serv
     states = {"datatype": "FP64", "shape": [1, 1, 12], "raw": base64.b64encode(bytes(96)).decode()}
     parts = {"step": {"step_id": 1, "actions": actions}, "check": {"predicate": "at-landmark", "states": states}}
     answers = set()
-    for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed, "0" * 10_000):
+    for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed):
         request = {"session": session, **parts.get(call, {})}
         reply = httpx.post(f"{service.url}/v1/{call}", json=request, trust_env=False)
         problem = reply.json()

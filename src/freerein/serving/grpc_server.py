@@ -146,6 +146,8 @@ class GrpcServer:
             writing = asyncio.ensure_future(context.write(wire.pack(response).SerializeToString()))
             if not await _ends(writing, within_s=self._limits.write_s):
                 return writing
+            if isinstance(writing.exception(), grpc.aio.InternalError):  # the client is gone, or its deadline ended
+                raise asyncio.CancelledError
             writing.result()
         return None
 
