@@ -1,38 +1,63 @@
-"""The limits that a service has unless told otherwise are those that `docs/protocol.md` states."""
+"""`docs/protocol.md` shows the limits that a service has unless told otherwise; slots bound what they count."""
 
 from pathlib import Path
 
 import pytest
 
-from freerein.serving.limits import Limits
+from freerein import images
+from freerein.errors import Overloaded
+from freerein.serving.limits import MAX_INLINE_BYTES, MAX_VALUES, Limits, Slots
+from freerein.serving.rest import middleware
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+LIMITS = Limits()
 MIB = 2**20
+GRACE_S = 2  # after the drain, for what is left to close
+SHOWN = {
+    "REST body, gRPC message": f"{LIMITS.message_bytes / MIB:g} MiB",
+    "memory for all REST bodies together, three times their length": f"{LIMITS.buffered_bytes / MIB:g} MiB",
+    "HTTP headers and URL": f"{middleware._MAX_HEADERS} headers, {middleware.MAX_HEADER_BYTES // 1024} KiB together",
+    "values in a JSON body, fields and packed numbers in a gRPC message": f"{MAX_VALUES:,}".replace(",", " "),
+    "pixels of an image / of all images of a request": (
+        f"{images.MAX_PIXELS / 1e6:g} M / {images.MAX_REQUEST_PIXELS / 1e6:g} M"
+    ),
+    "receiving the first message of a gRPC call (`FREEREIN_RECEIPT_S`)": f"{LIMITS.receipt_s:g} s",
+    f"gRPC messages that take longer than {LIMITS.slow_receipt_s:g} s to arrive": (
+        f"{LIMITS.buffered_bytes // LIMITS.message_bytes}"
+    ),
+    "gRPC calls in progress / on one connection": f"{LIMITS.concurrent_calls} / {LIMITS.connection_calls}",
+    "gRPC health checks in progress, besides other calls": f"{LIMITS.health_calls}",
+    "leaving a reply unread (`FREEREIN_WRITE_S`)": f"{LIMITS.write_s:g} s",
+    "a unary call (`FREEREIN_UNARY_S`)": f"{LIMITS.unary_s:g} s, or the caller's shorter deadline",
+    "items waiting for the model (`FREEREIN_QUEUE`)": f"{LIMITS.queue}",
+    "streams open at once, over REST and over gRPC each": f"{LIMITS.streams}",
+    "from SIGTERM to exit": f"{LIMITS.drain_s + GRACE_S:g} s",
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "row"),
-    [
-        ("message_bytes", 64 * MIB, "| REST body, gRPC message | 64 MiB |"),
-        ("buffered_bytes", 512 * MIB, "| 512 MiB | `overloaded` |"),
-        ("receipt_s", 10.0, "(`FREEREIN_RECEIPT_S`) | 10 s"),
-        ("write_s", 30.0, "(`FREEREIN_WRITE_S`) | 30 s |"),
-        ("unary_s", 30.0, "| 30 s, or the caller's shorter deadline |"),
-        ("queue", 256, "(`FREEREIN_QUEUE`) | 256 |"),
-        ("streams", 64, "| streams open at once, over REST and over gRPC each | 64 |"),
-    ],
-)
-def test_a_default_is_the_stated_one(name: str, value: float, row: str) -> None:
-    assert getattr(Limits(), name) == value
-    assert row in PAGE
+@pytest.mark.parametrize("limit", SHOWN)
+def test_the_page_shows_the_limit(limit: str) -> None:
+    assert f"| {limit} | {SHOWN[limit]} |" in PAGE
 
 
-def test_calls_in_flight_have_time_to_end_before_a_service_must_have_ended() -> None:
-    assert "| from SIGTERM to exit | 10 s |" in PAGE
-    assert Limits().drain_s == 8.0
+def test_what_the_page_does_not_show() -> None:
+    assert LIMITS.concurrent_calls > LIMITS.queue + LIMITS.streams  # streams do not keep calls from the queue
+    assert LIMITS.batch == 32
+    assert MAX_INLINE_BYTES == 64 * 1024
 
 
-def test_more_calls_may_be_in_progress_than_may_wait_for_the_model_with_all_streams_open() -> None:
-    limits = Limits()
-    assert limits.concurrent_calls == 512 > limits.queue + limits.streams
-    assert limits.batch == 32
+def test_slots_are_taken_freed_and_bounded() -> None:
+    slots = Slots(2, "doors may be open")
+    slots.take()
+    with slots.hold():
+        assert slots.taken == 2
+        with pytest.raises(Overloaded, match="At most 2 doors may be open at once"):
+            slots.take()
+        with pytest.raises(Overloaded), slots.hold():
+            pass
+        assert slots.taken == 2  # a refusal takes none
+    slots.free()
+    assert slots.taken == 0
+    with pytest.raises(ZeroDivisionError), slots.hold():
+        raise ZeroDivisionError
+    assert slots.taken == 0

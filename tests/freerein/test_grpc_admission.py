@@ -1,0 +1,152 @@
+"""Which gRPC calls are answered: how many at once, and how long their first message may take."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+import pytest
+
+from freerein.api.learning.v1 import learning_pb2
+from freerein.errors import DeadlineExceeded, Overloaded
+from freerein.serving.grpc_admission import Receipts
+from freerein.serving.grpc_server import GrpcServer
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.methods import methods_of
+from freerein.serving.metrics import Metrics
+from freerein.types.learning import ListModelsResponse
+
+LIST = "/freerein.api.learning.v1.ModelService/ListModels"
+CHECK, WATCH = "/grpc.health.v1.Health/Check", "/grpc.health.v1.Health/Watch"
+LIMITS = Limits(
+    message_bytes=100,
+    buffered_bytes=250,
+    receipt_s=0.4,
+    slow_receipt_s=0.1,
+    concurrent_calls=2,
+    health_calls=2,
+    drain_s=0.5,
+)  # two messages may arrive slowly
+
+
+class Core:
+    """Answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.called, self.answer = asyncio.Semaphore(0), asyncio.Event()
+
+    async def list_models(self, _request: Any) -> ListModelsResponse:
+        self.called.release()
+        await self.answer.wait()
+        return ListModelsResponse(())
+
+    async def activate_model(self, _request: Any) -> Any: ...
+
+
+@asynccontextmanager
+async def serving(core: Core, health: Health) -> AsyncIterator[tuple[GrpcServer, grpc.aio.Channel]]:
+    methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], core)
+    server = GrpcServer(methods, health=health, metrics=Metrics(), limits=LIMITS)
+    port = server.server.add_insecure_port("127.0.0.1:0")
+    await server.server.start()
+    async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
+        yield server, channel
+    await server.server.stop(None)
+
+
+async def outcome(call: Any) -> str:
+    try:
+        await call
+    except grpc.aio.AioRpcError as error:
+        return f"{error.code().name}: {error.details()}"
+    return "OK"
+
+
+async def test_calls_and_health_checks_have_places_of_their_own_and_give_them_back() -> None:
+    core, health = Core(), Health()
+    async with serving(core, health) as (_server, channel):
+        for _ in range(2):
+            core.answer.clear()
+            calls = [asyncio.create_task(outcome(channel.unary_unary(LIST)(b""))) for _ in range(2)]
+            for _ in calls:
+                await core.called.acquire()
+            assert "At most 2 calls" in await outcome(channel.unary_unary(LIST)(b""))
+            watches = [channel.unary_stream(WATCH)(b"") for _ in range(2)]
+            for watch in watches:
+                await watch.read()
+            assert "At most 2 health checks" in await outcome(channel.unary_unary(CHECK)(b""))
+            for watch in watches:
+                watch.cancel()
+            core.answer.set()
+            assert await asyncio.gather(*calls) == ["OK", "OK"]
+
+
+async def test_a_drain_refuses_new_calls_and_waits_for_those_in_flight() -> None:
+    core, health = Core(), Health()
+    async with serving(core, health) as (server, channel):
+        accepted = asyncio.create_task(outcome(channel.unary_unary(LIST)(b"")))
+        await core.called.acquire()
+        health.drain()
+        draining = asyncio.create_task(server.drain())
+        assert "UNAVAILABLE: The service must be ready" in await outcome(channel.unary_unary(LIST)(b""))
+        assert await outcome(channel.unary_unary(CHECK)(b"")) == "OK"
+        assert not draining.done()
+        core.answer.set()
+        assert await accepted == "OK"
+        await draining
+
+
+async def test_a_drain_cuts_calls_that_do_not_end() -> None:
+    core, health = Core(), Health()
+    async with serving(core, health) as (server, channel):
+        hanging = asyncio.create_task(outcome(channel.unary_unary(LIST)(b"")))
+        await core.called.acquire()
+        health.drain()
+        await server.drain()
+        assert (await hanging).startswith(("UNAVAILABLE", "CANCELLED"))
+
+
+# --- how long a message may take
+
+
+@pytest.fixture
+def receive() -> Callable[[], "asyncio.Task[str]"]:
+    """A function that begins to receive a message that never comes."""
+    receipts = Receipts(LIMITS)
+
+    async def never() -> str:
+        try:
+            return await receipts.receive(asyncio.get_running_loop().create_future())
+        except DeadlineExceeded as error:
+            return f"late: {error.detail}"
+        except Overloaded as error:
+            return f"overloaded: {error.detail}"
+
+    return lambda: asyncio.create_task(never())
+
+
+async def test_a_message_may_take_until_its_deadline_and_few_may_take_long(
+    receive: Callable[[], "asyncio.Task[str]"],
+) -> None:
+    for _ in range(2):  # whoever is refused or late gives its place back
+        begun = asyncio.get_running_loop().time()
+        tasks = [receive() for _ in range(3)]
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        assert [each.result() for each in done] == [
+            "overloaded: At most 2 messages may arrive slowly at once; the limit is reached."
+        ]
+        assert asyncio.get_running_loop().time() - begun >= LIMITS.slow_receipt_s
+        late = "late: A message must arrive within 0.4 s; this one did not."
+        assert sorted(await asyncio.gather(*tasks))[:2] == [late, late]
+        assert asyncio.get_running_loop().time() - begun >= LIMITS.receipt_s
+
+
+async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
+    receipts = Receipts(LIMITS)
+    loop = asyncio.get_running_loop()
+    for _ in range(3):  # more than may arrive slowly at once
+        message = loop.create_future()
+        loop.call_later(2 * LIMITS.slow_receipt_s, message.set_result, b"x")
+        assert await receipts.receive(message) == b"x"
