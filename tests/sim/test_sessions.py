@@ -520,6 +520,16 @@ async def test_no_more_sessions_are_open_than_may_be(start: StartSessions) -> No
 
 
 @pytest.mark.fault("M8")
+async def test_a_session_that_has_expired_makes_room_at_once(start: StartSessions, clock: Clock) -> None:
+    sessions, _ = await start(max_sessions=1)
+    first = (await sessions.create_session(ONE)).session
+
+    clock.now_s += 3600
+    assert (await sessions.create_session(ONE)).session != first
+    assert len(sessions) == 1
+
+
+@pytest.mark.fault("M8")
 @pytest.mark.fault("G3")
 async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions) -> None:
     sessions, workers = await start()

@@ -204,13 +204,14 @@ class SimCore:
         return sim.CloseSessionResponse()
 
     def reap(self) -> None:
-        """Closes expired sessions; called every second."""
+        """Closes expired sessions; called every second, and before a session is created."""
         for session in [session for session in self._sessions.values() if self._has_expired(session)]:
             self._forget(session)
             self._run(_close_quietly(session))
 
     async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         worker = None
+        self.reap()  # expired sessions are no reason to refuse one
         self._creating += 1
         try:
             if len(self._sessions) + self._creating > self._max_sessions:
