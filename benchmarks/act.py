@@ -15,6 +15,7 @@ The overhead of an interface over the model call is relative to that of `bare-po
 """
 
 import base64
+import asyncio
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack
 from itertools import count, repeat
@@ -93,11 +94,10 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
 async def _open_bare(opened: AsyncExitStack, scene: Scene, address: str, *, reply_bytes: int) -> dict[str, Call]:
     """Returns the calls of bare clients, to the service and to bare servers, open as long as the stack is."""
     frame, goal, size, model = scene.frame.tobytes(), scene.goal.tobytes(), str(reply_bytes), str(scene.folder)
-    ports = {
-        kind: await opened.enter_async_context(run_server("benchmarks.bare_transport", kind, argument))
-        for kind, argument in (("stream", size), ("websocket", size), ("policy", model), ("threaded", model))
-    }
-    at = {kind: f"127.0.0.1:{port}" for kind, port in ports.items()}
+    arguments = {"stream": size, "websocket": size, "policy": model, "threaded": model}
+    servers = (run_server("benchmarks.bare_transport", kind, argument) for kind, argument in arguments.items())
+    ports = await asyncio.gather(*map(opened.enter_async_context, servers))
+    at = {kind: f"127.0.0.1:{port}" for kind, port in zip(arguments, ports, strict=True)}
     observations, hello = scene.observed_bytes(), scene.hello_bytes()
     calls = {
         "control-bytes": grpc_stream(address, CONTROL, observations, first=hello, first_is_answered=True),

@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -241,13 +241,25 @@ SERVICES = {
 # --- what holds for all
 
 
-@pytest_asyncio.fixture(loop_scope="module", scope="module", params=SERVICES)
-async def transports(
-    request: pytest.FixtureRequest, connect: Connect, tmp_path_factory: pytest.TempPathFactory
-) -> AsyncIterator[Any]:
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def open_service(connect: Connect, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Any]:
+    """A function that opens a service when it is first asked for."""
+    opened: dict[str, Any] = {}
+    async with AsyncExitStack() as stack:
+
+        async def open_once(name: str) -> Any:
+            if name not in opened:
+                service = connect(SERVICES[name].build, tmp_path_factory.mktemp(name))
+                opened[name] = await stack.enter_async_context(service)
+            return opened[name]
+
+        yield open_once
+
+
+@pytest_asyncio.fixture(loop_scope="module", params=SERVICES)
+async def transports(request: pytest.FixtureRequest, open_service: Any) -> Any:
     """Each service, shared by the tests of this module."""
-    async with connect(SERVICES[request.param].build, tmp_path_factory.mktemp(request.param)) as opened:
-        yield opened
+    return await open_service(request.param)
 
 
 @pytest_asyncio.fixture(loop_scope="module")
