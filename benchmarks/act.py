@@ -14,8 +14,8 @@ The overhead of an interface over the model call is relative to that of `bare-po
 (interface - torch) / (bare-policy - torch).
 """
 
-import base64
 import asyncio
+import base64
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack
 from itertools import count, repeat

@@ -19,7 +19,7 @@ WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
 HEALTH = "/grpc.health.v1.Health/Check"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
 MIB = 2**20
-RECEIPT_S = 2.0
+RECEIPT_S = 1.5
 OVERLOADED, LATE = "8", "4"
 OPTIONS = (("grpc.max_send_message_length", -1), ("grpc.use_local_subchannel_pool", 1))
 

@@ -38,7 +38,6 @@ _QUEUE_POLL_S = 0.5  # a poll costs milliseconds of a core
 _STOP_S = 7.0
 _PREDECESSOR_S = 2.0
 _DATABASE_S = 30.0
-_ANSWER_S = 10.0
 _QUERIES = 4  # at a time
 _POSTGRES_TIMEOUTS = {  # in seconds; the last in milliseconds
     "connect_timeout": "5",
@@ -86,6 +85,7 @@ class DbosQueue:
         database_url: URL of Postgres, `postgresql://...`; empty for SQLite.
         executor_id: Name of the worker, the same at every start: a restarted worker resumes its runs at once.
         takeover_s: Interval between searches for runs of dead workers.
+        answer_s: Seconds after which a query counts as unanswered.
     """
 
     def __init__(
@@ -97,6 +97,7 @@ class DbosQueue:
         database_url: str = "",
         executor_id: str,
         takeover_s: float = 5.0,
+        answer_s: float = 10.0,
     ) -> None:
         self._folder = folder
         self._store = store
@@ -105,6 +106,7 @@ class DbosQueue:
         self._url = url or f"sqlite:///{folder.absolute() / 'runs.sqlite'}"
         self._executor_id = executor_id
         self._takeover_s = takeover_s
+        self._answer_s = answer_s
         self._locks = PostgresLocks(url) if url else FileLocks(folder)
         self._opening, self._opened = threading.Lock(), False
         self._closing = threading.Event()
@@ -213,7 +215,7 @@ class DbosQueue:
         """
         answer = self._queries.submit(query)
         try:
-            return answer.result(_ANSWER_S)
+            return answer.result(self._answer_s)
         except (DBAPIError, TimeoutError) as away:
             answer.cancel()
             raise database_error(away) from away
