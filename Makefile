@@ -35,7 +35,7 @@ tables: dev ## Make the tables of all experiments from the committed results
 	$(BIN)/python -m experiments table
 
 fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
-	FREEREIN_FUZZ=1 $(BIN)/pytest --timeout 1200 tests/faults
+	FREEREIN_FUZZ=1 $(BIN)/pytest --numprocesses logical --dist loadfile --no-loadscope-reorder --timeout 1200 tests/faults
 
 soak: dev ## All five services under mixed load: MINUTES=20, after a minute with a planted leak that must be found
 	$(BIN)/python -m soak --leak --minutes 1
