@@ -32,7 +32,7 @@ def images(count: int) -> Message:
 
 def packed(count: int) -> Message:
     """One field, and the numbers in it."""
-    return sim_pb2.ResetRequest(envs=[300] * (count - 1))
+    return sim_pb2.ResetRequest(envs=[128] * (count - 1))
 
 
 def nested(count: int) -> Message:
@@ -72,6 +72,20 @@ def test_fields_that_no_message_has_are_values_too(field: bytes) -> None:
         _parse(field * (MAX_VALUES + 1), SegmentRequest)
 
 
+@pytest.mark.fault("F2")
+def test_parts_of_any_length_are_passed_over() -> None:
+    lengths = (1, 127, 128, 200, 16_383, 16_384, 100_000)
+    parts = b"".join(b"\xa2\x06" + varint(each) + b"\xff" * each for each in lengths)
+    assert not _parse(parts + TEXT * (MAX_VALUES - len(lengths)), SegmentRequest).ListFields()
+    with pytest.raises(InvalidInput, match="values"):
+        _parse(parts + TEXT * (MAX_VALUES - len(lengths) + 1), SegmentRequest)
+
+
+def varint(number: int) -> bytes:
+    more = [number >> shift & 0x7F | 0x80 for shift in range(0, 28, 7) if number >> shift + 7]
+    return bytes([*more, number >> 7 * len(more)])
+
+
 @pytest.mark.parametrize(
     "end",
     [b"\x1a", b"\x1a\x80", b"\x1a\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01", b"\xa3\x06", b"\x12\x05\x12\x7f\x00\x00"],
@@ -99,6 +113,10 @@ async def test_a_message_of_a_stream_that_is_invalid_keeps_its_number() -> None:
     invalid = await decode_part(request.SerializeToString(), ControlRequest)
     assert isinstance(invalid, InvalidMessage)
     assert (invalid.seq, invalid.error.field) == (7, "observed.observation.images.0.encoding")
+    hello = imitation_pb2.ControlRequest(hello=imitation_pb2.Hello(model=common_pb2.ModelRef(name="x" * 65)))
+    unnumbered = await decode_part(hello.SerializeToString(), ControlRequest)
+    assert isinstance(unnumbered, InvalidMessage)
+    assert (unnumbered.seq, unnumbered.error.field) == (None, "hello.goal")
     broken = await decode_part(b"\x12\x7f", ControlRequest)
     assert isinstance(broken, InvalidMessage)
     assert broken.seq is None
