@@ -55,6 +55,8 @@ def main() -> int:
     """Tries the mutants; returns 1 when too few are killed."""
     arguments = _parser().parse_args()
     mutants = all_mutants(arguments.only)
+    if not mutants:
+        sys.exit(f"No file of targets.toml has {arguments.only!r} in its path.")
     drawn = random.Random(arguments.seed).sample(mutants, min(arguments.count, len(mutants)))  # noqa: S311
     print(f"{len(drawn)} of {len(mutants)} mutants are drawn by seed {arguments.seed}; {arguments.jobs} at a time.")
     with _copies(arguments.jobs) as copies:

@@ -27,7 +27,7 @@ class Held:
 
 def processes(stack: Stack) -> dict[str, list[psutil.Process]]:
     """Returns the process of each service and those below it."""
-    roots = {status.service: psutil.Process(status.pid) for status in stack.statuses}
+    roots = {status.service: psutil.Process(status.pid) for status in stack.statuses if psutil.pid_exists(status.pid)}
     return {name: [root, *root.children(recursive=True)] for name, root in roots.items()}
 
 

@@ -13,6 +13,7 @@ from freerein.types.common import Encoding
 MAX_SMALL_PARTS = 64  # chunks or segments; more must have a KiB each on average
 MAX_PARTS = 256  # of a JPEG or WebP; the pixels of a PNG come in many chunks
 MAX_JPEG_SCANS = 32  # libjpeg's progressive files have 10 scans, 18 in CMYK
+_MAX_FILL = 1024  # bytes
 
 _START_OF_SCAN = 0xDA
 _END_OF_IMAGE = b"\xff\xd9"
@@ -68,8 +69,13 @@ def _without_metadata(data: bytes, most: int, field: str) -> bytes:
 
 def _count_jpeg_segments(data: bytes, most: int) -> tuple[int, int]:
     """Returns the number of segments and that of scans, each at most one above its limit."""
-    at, segments, scans = 2, 0, 0
+    at, segments, scans, fill = 2, 0, 0, 0
     while segments <= most and scans <= MAX_JPEG_SCANS and not data.startswith(_END_OF_IMAGE, at):
+        if data.startswith(b"\xff\xff", at):  # the standard allows bytes of fill before a marker
+            at, fill = at + 1, fill + 1
+            if fill > _MAX_FILL:
+                raise ValueError("bytes between segments")
+            continue
         mark, marker, length = struct.unpack_from(">BBH", data, at)
         if mark != 0xFF or marker not in _JPEG_SEGMENTS or length < 2:
             raise ValueError("bytes between segments")

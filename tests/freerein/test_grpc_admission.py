@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from typing import Any
 
 import grpc
@@ -76,11 +77,27 @@ async def test_calls_and_health_checks_have_places_of_their_own_and_give_them_ba
             watches = [channel.unary_stream(WATCH)(b"") for _ in range(2)]
             for watch in watches:
                 await watch.read()
-            assert "At most 2 health checks" in await outcome(channel.unary_unary(CHECK)(b""))
+            assert await outcome(channel.unary_unary(CHECK)(b"")) == "OK"  # watches have places of their own
+            refused = channel.unary_stream(WATCH)(b"")
+            with pytest.raises(grpc.aio.AioRpcError, match="At most 2 health watches"):
+                await refused.read()
             for watch in watches:
                 watch.cancel()
             core.answer.set()
             assert await asyncio.gather(*calls) == ["OK", "OK"]
+
+
+async def test_messages_share_the_memory_for_all_until_they_are_answered() -> None:
+    core, health = Core(), Health()
+    message = b"\xa2\x06\x39" + bytes(57)  # a field that no message has; three times 60 bytes fit once
+    async with serving(core, health) as (_server, channel):
+        for _ in range(2):
+            core.answer.clear()
+            first = asyncio.create_task(outcome(channel.unary_unary(LIST)(message)))
+            await core.called.acquire()
+            assert "At most 250 bytes" in await outcome(channel.unary_unary(LIST)(message))
+            core.answer.set()
+            assert await first == "OK"
 
 
 async def test_a_drain_refuses_new_calls_and_waits_for_those_in_flight() -> None:
@@ -144,7 +161,7 @@ async def test_a_message_may_take_until_its_deadline_and_few_may_take_long(
 
 
 async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
-    receipts = Receipts(LIMITS)
+    receipts = Receipts(replace(LIMITS, receipt_s=10.0))
     loop = asyncio.get_running_loop()
     for _ in range(3):  # more than may arrive slowly at once
         message = loop.create_future()

@@ -1,5 +1,6 @@
 """The values of a gRPC message are counted before it is parsed; what cannot be parsed is a malformed request."""
 
+import time
 from collections.abc import Callable
 
 import pytest
@@ -70,6 +71,15 @@ def test_fields_that_no_message_has_are_values_too(field: bytes) -> None:
     assert not _parse(field * MAX_VALUES, SegmentRequest).ListFields()
     with pytest.raises(InvalidInput, match="values"):
         _parse(field * (MAX_VALUES + 1), SegmentRequest)
+
+
+@pytest.mark.fault("F2")
+def test_no_byte_is_counted_twice() -> None:
+    beyond = b"\x12\x01\x12" * 10_000  # frames of one byte, which begins a shape whose length comes after the frames
+    begun = time.process_time()
+    with pytest.raises(MalformedRequest):
+        _parse(beyond + b"\xa2\x06" + varint(30 * 2**20) + b"\xff" * 30 * 2**20, SegmentRequest)
+    assert time.process_time() - begun < 5  # minutes, if each read on to the end
 
 
 @pytest.mark.fault("F2")

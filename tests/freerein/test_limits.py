@@ -26,7 +26,9 @@ SHOWN = {
         f"{LIMITS.buffered_bytes // LIMITS.message_bytes}"
     ),
     "gRPC calls in progress / on one connection": f"{LIMITS.concurrent_calls} / {LIMITS.connection_calls}",
-    "gRPC health checks in progress, besides other calls": f"{LIMITS.health_calls}",
+    "gRPC health checks in progress / health watches, besides other calls": (
+        f"{LIMITS.health_calls} / {LIMITS.health_calls}"
+    ),
     "leaving a reply unread (`FREEREIN_WRITE_S`)": f"{LIMITS.write_s:g} s",
     "a unary call (`FREEREIN_UNARY_S`)": f"{LIMITS.unary_s:g} s, or the caller's shorter deadline",
     "items waiting for the model (`FREEREIN_QUEUE`)": f"{LIMITS.queue}",

@@ -49,7 +49,7 @@ _RETRY_POLICY = {
     "initialBackoff": "0.1s",
     "backoffMultiplier": 3,
     "maxBackoff": "1s",
-    "retryableStatusCodes": ["UNAVAILABLE"],
+    "retryableStatusCodes": ["UNAVAILABLE", "CANCELLED"],  # the latter by a server that stops, never by the caller
 }
 _RETRY_THROTTLING = {"maxTokens": 100, "tokenRatio": 0.1}
 

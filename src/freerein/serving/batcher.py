@@ -152,9 +152,7 @@ class Batcher(Generic[I, O]):
     def _work(self) -> None:
         while batch := self._next_batch():
             started_ns = time.perf_counter_ns()
-            self._call_began = time.monotonic()
             outputs = self._run([queued.item for queued in batch])
-            self._call_began = None
             infer_ns = time.perf_counter_ns() - started_ns
             self._metrics.batches.observe(len(batch))
             for queued, output in zip(batch, outputs, strict=True):
@@ -186,7 +184,7 @@ class Batcher(Generic[I, O]):
     def _run(self, items: list[I]) -> Sequence[O | ServiceError]:
         """Calls the model. When it raises, calls it again for each item alone, so that only the faulty item fails."""
         try:
-            outputs = self._call(items)
+            outputs = self._timed_call(items)
             if len(outputs) != len(items):
                 raise ValueError(f"the model returned {len(outputs)} outputs for {len(items)} items")
         except Exception:  # whatever a model raises is a fault of the model
@@ -197,6 +195,13 @@ class Batcher(Generic[I, O]):
             return [ModelFault("The model failed on this input; the log holds the cause.", hint="Report it.")]
         self._faults = 0
         return outputs
+
+    def _timed_call(self, items: list[I]) -> Sequence[O | ServiceError]:
+        self._call_began = time.monotonic()
+        try:
+            return self._call(items)
+        finally:
+            self._call_began = None
 
 
 def _closed_error() -> Unavailable:

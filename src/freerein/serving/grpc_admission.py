@@ -5,7 +5,7 @@ import contextlib
 import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import grpc
 from grpc_health.v1 import health_pb2
@@ -14,7 +14,7 @@ from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, Serv
 from freerein.serving import auth
 from freerein.serving.error_replies import abort_grpc
 from freerein.serving.health import Health
-from freerein.serving.limits import Limits, Slots
+from freerein.serving.limits import COPIES, Limits, Slots
 
 _HEALTH_METHODS = f"/{health_pb2.DESCRIPTOR.services_by_name['Health'].full_name}/"
 Context = grpc.aio.ServicerContext[Any, Any]
@@ -39,6 +39,8 @@ class Admission(grpc.aio.ServerInterceptor):
         self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
         self._streams = Slots(limits.streams, "streams may be open")
         self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
+        self._watches = Slots(limits.health_calls, "health watches may be open")
+        self._bytes = Slots(limits.buffered_bytes, "bytes of messages and what is parsed of them may be in memory")
         self._receipts = Receipts(limits)
         self._request_id = request_id
         self._received = cache(self._receive_first)
@@ -53,10 +55,14 @@ class Admission(grpc.aio.ServerInterceptor):
             if not is_health:
                 auth.check(str(dict(details.invocation_metadata or ()).get("authorization", "")), self._token)
                 self._check_draining()
-            places.enter_context((self._health_calls if is_health else self._calls).hold())
             handler = await continuation(details)
-            if handler is not None and handler.response_streaming and not is_health:
-                places.enter_context(self._streams.hold())
+            is_stream = handler is not None and handler.response_streaming
+            if is_health:
+                places.enter_context((self._watches if is_stream else self._health_calls).hold())
+            else:
+                places.enter_context(self._calls.hold())
+                if is_stream:
+                    places.enter_context(self._streams.hold())
         except ServiceError as error:
             return self._refusal(error)
         return handler and self._received(handler)
@@ -90,6 +96,9 @@ class Admission(grpc.aio.ServerInterceptor):
                 first = await self._receipts.receive(context.read())
                 if first is grpc.aio.EOF:
                     raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
+                if isinstance(first, bytes):  # not of health and reflection, whose messages are small
+                    self._bytes.take(size := COPIES * len(first))
+                    cast(Any, context).add_done_callback(lambda _: self._bytes.free(size))  # stubs want another type
             except ServiceError as error:
                 await abort_grpc(context, error, self._request_id(context))
             return _stream(first, context) if handler.request_streaming else first

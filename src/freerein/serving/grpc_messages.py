@@ -74,7 +74,8 @@ def _parse(message: bytes, cls: type[Any]) -> Message:
 def _check_values(data: bytes, descriptor: Descriptor) -> None:
     """Raises InvalidInput when a message has too many fields, counting those of its messages and each packed number.
 
-    Raises IndexError where the bytes end too soon, DecodeError for a wire type that no message has.
+    Raises IndexError where the bytes end too soon, DecodeError for a part that is longer than the whole, or a wire type
+    that no message has.
     """
     values, parts = 0, [(0, len(data), _nested(descriptor))]
     while parts:
@@ -85,12 +86,14 @@ def _check_values(data: bytes, descriptor: Descriptor) -> None:
             if key & 7 == _BYTES:
                 length, position = _varint(data, position)
                 number = key >> 3
+                if position + length > end:  # else bytes could be counted many times
+                    raise DecodeError
                 if number in nested:
                     if (inner := nested[number]) is None:
-                        packed = np.frombuffer(data, np.uint8, min(length, end - position), position)
+                        packed = np.frombuffer(data, np.uint8, length, position)
                         values += int(np.count_nonzero(packed < _LAST_BYTE))
                     else:
-                        parts.append((position, min(position + length, end), _nested(inner)))
+                        parts.append((position, position + length, _nested(inner)))
                 position += length
             elif key & 7 == _VARINT:
                 _, position = _varint(data, position)

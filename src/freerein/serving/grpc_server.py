@@ -52,6 +52,7 @@ class GrpcServer:
             interceptors=[self._admission],
             options=[
                 ("grpc.max_concurrent_streams", limits.connection_calls),
+                ("grpc.server_handshake_timeout_ms", int(limits.receipt_s * 1000)),
                 ("grpc.max_receive_message_length", limits.message_bytes),
                 ("grpc.max_send_message_length", limits.message_bytes),
                 ("grpc.so_reuseport", 0),  # a port in use is an error
@@ -87,7 +88,7 @@ class GrpcServer:
         ):
             refused = self._admission.refused
             await asyncio.sleep(_QUIET_S)
-        await self.server.stop(max(0.0, cut_at - loop.time()))
+        await self.server.stop(_QUIET_S)  # health watches are all that is left, or what is cut
 
     async def report_health(self) -> None:
         """Copies readiness to the standard health service until the graceful shutdown begins."""

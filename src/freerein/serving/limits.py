@@ -8,6 +8,8 @@ from freerein.errors import Overloaded
 
 MAX_VALUES = 200_000
 """Values in one JSON body, or fields and packed numbers in one gRPC message."""
+COPIES = 3
+"""Of a body or message in memory: as received, as parsed, and decoded from base64 or multipart."""
 MAX_INLINE_BYTES = 64 * 1024
 """Longer bodies and messages are parsed off the event loop."""
 
@@ -18,8 +20,8 @@ class Limits:
 
     Attributes:
         message_bytes: Bytes of one REST body or gRPC message.
-        buffered_bytes: Bytes of memory for all REST bodies together, and for what is parsed of them; and for all gRPC
-            messages that arrive slowly.
+        buffered_bytes: Bytes of memory for all REST bodies together, and for what is parsed of them; as much for the
+            first messages of all gRPC calls, and for those that arrive slowly.
         receipt_s: Seconds to receive a whole HTTP request, or the first message of a gRPC call.
         slow_receipt_s: Seconds after which a gRPC message arrives slowly.
         write_s: Seconds that a client may leave a reply unread.
@@ -60,18 +62,18 @@ class Slots:
         self._what = what
         self.taken = 0
 
-    def take(self) -> None:
-        """Takes one slot. Raises Overloaded when all are taken."""
-        if self.taken >= self._limit:
+    def take(self, count: int = 1) -> None:
+        """Takes slots. Raises Overloaded when too few are free."""
+        if self.taken + count > self._limit:
             raise Overloaded(
                 f"At most {self._limit} {self._what} at once; the limit is reached.",
                 hint="Try again after Retry-After, or call another replica.",
             )
-        self.taken += 1
+        self.taken += count
 
-    def free(self) -> None:
-        """Gives one slot back."""
-        self.taken -= 1
+    def free(self, count: int = 1) -> None:
+        """Gives slots back."""
+        self.taken -= count
 
     @contextmanager
     def hold(self) -> Iterator[None]:

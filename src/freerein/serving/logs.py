@@ -31,7 +31,7 @@ def configure(service: str) -> None:
     logging.captureWarnings(True)
     for name in ("uvicorn", "python_multipart"):  # whose warnings are of what clients send
         logging.getLogger(name).setLevel(logging.ERROR)
-    logging.getLogger("grpc._cython.cygrpc").addFilter(_is_not_about_metadata)
+    logging.getLogger("grpc._cython.cygrpc").addFilter(_is_not_the_callers)
     sys.excepthook = _log_crash
     threading.excepthook = lambda crash: _log_crash(crash.exc_type, crash.exc_value, crash.exc_traceback)
     structlog.contextvars.bind_contextvars(service=service)
@@ -46,9 +46,9 @@ def configure(service: str) -> None:
     )
 
 
-def _is_not_about_metadata(record: logging.LogRecord) -> bool:
-    """Drops gRPC's traceback for metadata in no encoding: the caller's mistake, and it would show a token."""
-    return not record.getMessage().startswith("Invalid encoding")
+def _is_not_the_callers(record: logging.LogRecord) -> bool:
+    """Drops gRPC's tracebacks for metadata in no encoding, which may hold a token, and for callers that are gone."""
+    return not record.getMessage().startswith(("Invalid encoding", "ExecuteBatchError raised in core"))
 
 
 def _log_crash(_kind: object, error: BaseException | None, _trace: object) -> None:

@@ -123,6 +123,8 @@ class DbosQueue:
             lazy=True,
         )
         self._queries = ThreadPoolExecutor(_QUERIES, "database")
+        logging.getLogger("dbos").addHandler(logging.NullHandler())  # without a handler, DBOS adds its own
+        logging.getLogger("dbos").addFilter(_without_traceback)
 
     def open(self) -> None:
         """Opens the database, resumes the runs of this worker, and starts to execute queued ones.
@@ -136,8 +138,6 @@ class DbosQueue:
             self._folder.mkdir(parents=True, exist_ok=True)
             if not self._take_own_lock():
                 return
-            logging.getLogger("dbos").addHandler(logging.NullHandler())  # without a handler, DBOS adds its own
-            logging.getLogger("dbos").addFilter(_without_traceback)
             config: DBOSConfig = {
                 "name": _APPLICATION,
                 "system_database_url": self._url,
@@ -156,12 +156,12 @@ class DbosQueue:
 
             try:
                 DBOS.launch()
+                DBOS.register_queue(
+                    _QUEUE, worker_concurrency=1, polling_interval_sec=_QUEUE_POLL_S, on_conflict="always_update"
+                )
             except DBAPIError as refused:
                 DBOS.destroy(destroy_registry=True)
                 raise database_error(refused) from refused
-            DBOS.register_queue(
-                _QUEUE, worker_concurrency=1, polling_interval_sec=_QUEUE_POLL_S, on_conflict="always_update"
-            )
             self._sweeper.start()
             self._opened = True
 

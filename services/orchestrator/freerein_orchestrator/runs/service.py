@@ -97,7 +97,7 @@ class RunService:
     async def _record_ends(self) -> None:
         """Reads every run, which records the ends that no worker could."""
         token = ""
-        with suppress(Unavailable):
+        with suppress(Unavailable, OutOfStorage):
             while True:
                 token = (await self.list_runs(orchestrator.ListRunsRequest(page_token=token))).next_page_token
                 if not token:

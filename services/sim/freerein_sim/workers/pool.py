@@ -123,9 +123,9 @@ class _WorkerSlot:
             try:
                 return await Worker.start(stuck_s=self._stuck_s)
             except WorkerLost:
+                await asyncio.sleep(0 if self._is_closed else pause_s)
                 if self._is_closed:
                     raise
-                await asyncio.sleep(pause_s)
         try:
             return await Worker.start(stuck_s=self._stuck_s)
         except WorkerLost:

@@ -23,7 +23,7 @@ from freerein.errors import (
 )
 from freerein.serving import auth
 from freerein.serving.error_replies import internal_error, problem_document, problem_headers
-from freerein.serving.limits import Limits
+from freerein.serving.limits import COPIES, Limits
 from freerein.serving.metrics import Metrics
 
 MAX_HEADER_BYTES = 16 * 1024
@@ -31,7 +31,6 @@ MAX_HEADER_BYTES = 16 * 1024
 _log = logging.getLogger(__name__)
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
-_COPIES = 3  # of a body in memory: as received, as parsed, and decoded from base64 or multipart
 _OUT_OF_FILES = (errno.EMFILE, errno.ENFILE)
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
@@ -111,13 +110,13 @@ class RequestMiddleware:
             message = await receive()
             size = len(message.get("body", b""))
             received += size
-            self._buffered_bytes += _COPIES * size
+            self._buffered_bytes += COPIES * size
             if received > self._limits.message_bytes:
                 raise self._too_large()
             if self._buffered_bytes > self._limits.buffered_bytes:
                 raise Overloaded(
                     f"Request bodies may take at most {self._limits.buffered_bytes} bytes of memory together, "
-                    f"{_COPIES} times their length; they would take more.",
+                    f"{COPIES} times their length; they would take more.",
                     hint="Retry after Retry-After, or send less per call.",
                 )
             return message
@@ -131,7 +130,7 @@ class RequestMiddleware:
                 "The process must have free file descriptors; all are in use.", hint="Raise its limit of open files."
             ) from None
         finally:
-            self._buffered_bytes -= _COPIES * received
+            self._buffered_bytes -= COPIES * received
 
     def _too_large(self) -> TooLarge:
         return TooLarge(
