@@ -236,3 +236,29 @@ def test_whatever_is_cancelled_each_caller_gets_its_own_answer(
         batcher.close()
 
     asyncio.run(scenario())
+
+
+@pytest.mark.fault("C17")
+async def test_a_batch_that_fails_and_is_tried_one_by_one_is_no_call_that_hangs() -> None:
+    begun, seen = threading.Semaphore(0), []
+
+    def slow(items: Sequence[int]) -> list[int]:
+        begun.release()
+        seen.append((batcher.not_ready(), batcher.hangs()))
+        threading.Event().wait(0.03)
+        seen.append((batcher.not_ready(), batcher.hangs()))
+        if 13 in items:
+            raise ZeroDivisionError
+        return list(items)
+
+    batcher: Batcher[int, int] = Batcher(slow, queue=64, batch=32, metrics=Metrics(), call_s=0.1)
+    first = asyncio.create_task(batcher.submit(0, timeout_s=10))  # the others wait for it, and become a batch
+    await asyncio.to_thread(begun.acquire)
+    results = await asyncio.gather(
+        *(batcher.submit(item, timeout_s=10) for item in range(1, 33)), return_exceptions=True
+    )
+    await first
+    batcher.close()
+    assert sum(isinstance(result, ModelFault) for result in results) == 1
+    assert len(seen) > 2 * 32 * 0.9
+    assert seen.count(("", False)) > 0.9 * len(seen)  # a busy machine may hold up a call

@@ -312,6 +312,13 @@ def test_a_jpeg_may_have_so_many_scans_and_no_more() -> None:
                 assert isinstance(outcome, np.ndarray) is allowed
 
 
+def test_a_jpeg_may_have_some_bytes_of_fill_before_a_marker() -> None:
+    data = save(PIL.Image.new("L", (8, 8)), "JPEG")
+    for fill, allowed in ((1, True), (1024, True), (1025, False)):
+        outcome = decoded("jpeg", data[:2] + b"\xff" * fill + data[2:])
+        assert isinstance(outcome, np.ndarray) is allowed
+
+
 @pytest.mark.fault("F3")
 def test_a_file_of_another_size_than_expected_is_not_decoded() -> None:
     broken = gray_jpeg(np.arange(192, dtype=np.uint8).reshape(8, 24), 6)[:-20]
