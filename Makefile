@@ -41,7 +41,7 @@ soak: dev ## All five services under mixed load: MINUTES=20, after a minute with
 	$(BIN)/python -m soak --leak --minutes 1
 	$(BIN)/python -m soak --minutes $(or $(MINUTES),$(FREEREIN_SOAK_MINUTES),20)
 
-mutants: dev ## Change the code in 300 places, and expect a test to fail each time
+mutants: dev ## Change the code in up to 300 places, and expect a test to fail each time
 	$(BIN)/python -m mutants
 
 compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
