@@ -43,6 +43,7 @@ class Task:
         max_episode_steps: Steps after which an episode is truncated.
         predicates: What a privileged session can check.
         has_expert: Whether the task has a scripted expert.
+        conditions: Named variations with which a session can be created.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Task:
     max_episode_steps: int
     predicates: tuple[Predicate, ...] = ()
     has_expert: bool = False
+    conditions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ class CreateSessionRequest:
         width: Frame width in pixels; 0 means the cameras' own.
         privileged: Whether replies include `Truth`. For evaluation only.
         idempotency_key: The same key and request returns the session already created; empty for none.
+        conditions: Conditions of the task, at most one of each group, in any order; empty for the nominal task.
     """
 
     task: str
@@ -91,6 +94,7 @@ class CreateSessionRequest:
     width: int = 0
     privileged: bool = False
     idempotency_key: str = ""
+    conditions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -269,6 +273,7 @@ class DemonstrateRequest:
         height: Frame height in pixels; 0 means the camera's own.
         width: Frame width in pixels; 0 means the camera's own.
         privileged: Whether replies include `labels`. For evaluation only.
+        conditions: As of `CreateSessionRequest`.
     """
 
     task: str
@@ -283,6 +288,7 @@ class DemonstrateRequest:
     height: int = 0
     width: int = 0
     privileged: bool = False
+    conditions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ def _act(
     rng: np.random.Generator,
 ) -> RecordedEpisode:
     if request.behaviour == "expert":
-        least, most = _number_of_skills(request, skills)
+        least, most = _number_of_skills(world.spec, request, skills)
         number = rng.integers(least, most, endpoint=True)
         chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
         world.reset(rng, recipe=chosen)
@@ -76,20 +76,24 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
     skills = request.skills or spec.skills
     if len(set(skill_indices(spec, skills))) != len(skills):
         raise InvalidInput("`skills` must name each skill once; got one twice.", field="skills")
-    least, most = _number_of_skills(request, skills)
-    if not least <= most <= len(skills):
+    least, most = _number_of_skills(spec, request, skills)
+    if not least <= most <= _most_skills(spec, skills):
         raise InvalidInput(
-            f"1 <= `min_skills` <= `max_skills` <= {len(skills)} must hold, the number of skills to choose from; got "
-            f"{request.min_skills} and {request.max_skills}.",
+            f"1 <= `min_skills` <= `max_skills` <= {_most_skills(spec, skills)} must hold, the number of skills to "
+            f"choose from, or of a recipe; got {request.min_skills} and {request.max_skills}.",
             field="max_skills",
             hint="Each skill occurs once at most. 0 means no bound.",
         )
     return skills
 
 
-def _number_of_skills(request: DemonstrateRequest, skills: Sequence[str]) -> tuple[int, int]:
+def _number_of_skills(spec: WorldSpec, request: DemonstrateRequest, skills: Sequence[str]) -> tuple[int, int]:
     """Returns the fewest and the most skills of a trajectory; 0 of an expert that has none."""
-    return request.min_skills or min(1, len(skills)), request.max_skills or len(skills)
+    return request.min_skills or min(1, len(skills)), request.max_skills or _most_skills(spec, skills)
+
+
+def _most_skills(spec: WorldSpec, skills: Sequence[str]) -> int:
+    return min(len(skills), spec.max_skills or len(skills))
 
 
 def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:

@@ -10,6 +10,7 @@ from freerein.types import sim
 from freerein_sim.workers import demonstrations, protocol
 from freerein_sim.workers.checks import check
 from freerein_sim.workers.vector_env import VectorEnv
+from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import TaskDefinition, World
 
 _LOG = logging.getLogger(__name__)
@@ -21,7 +22,7 @@ class RequestHandler:
     def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
         self._sessions: dict[str, VectorEnv] = {}
-        self._demonstration_worlds: dict[str, World] = {}  # by task
+        self._demonstration_worlds: dict[str, tuple[list[str], World]] = {}  # by task: the last
 
     def reply(self, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
         """Returns the framed response to a framed request, or its refusal.
@@ -47,7 +48,7 @@ class RequestHandler:
         """Frees every world."""
         for envs in self._sessions.values():
             envs.close()
-        for world in self._demonstration_worlds.values():
+        for _, world in self._demonstration_worlds.values():
             world.close()
 
     def handle(self, request: object) -> object:
@@ -59,9 +60,7 @@ class RequestHandler:
             case sim.CreateSessionRequest():
                 response = self._create_session(request)
             case sim.DemonstrateRequest():
-                if request.task not in self._demonstration_worlds:
-                    self._demonstration_worlds[request.task] = self._task(request.task).make()
-                response = demonstrations.make_demonstration(self._demonstration_worlds[request.task], request)
+                response = demonstrations.make_demonstration(self._demonstration_world(request), request)
             case sim.CloseSessionRequest():
                 self._discard(request.session)
                 response = sim.CloseSessionResponse()
@@ -79,8 +78,21 @@ class RequestHandler:
             height=request.height,
             width=request.width,
             privileged=request.privileged,
+            conditions=request.conditions,
         )
         return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
+
+    def _demonstration_world(self, request: sim.DemonstrateRequest) -> World:
+        """Returns the world of the task's last demonstration, or a new one where that had other conditions."""
+        conditions = sorted(request.conditions)
+        before, world = self._demonstration_worlds.get(request.task, (None, None))
+        if world is not None and before == conditions:
+            return world
+        made = build(self._task(request.task), conditions)
+        if world is not None:
+            world.close()
+        self._demonstration_worlds[request.task] = conditions, made
+        return made
 
     def _task(self, name: str) -> TaskDefinition:
         if (task := self._tasks.get(name)) is None:

@@ -12,6 +12,7 @@ from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResp
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.replay import ReplayedWorld
+from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import (
     ScriptedPolicy,
     TaskDefinition,
@@ -38,6 +39,7 @@ class VectorEnv:
         height: Frame height in pixels; 0 means the cameras' own.
         width: Frame width in pixels; 0 means the cameras' own.
         privileged: Whether replies hold `Truth`.
+        conditions: Conditions of the task.
 
     Attributes:
         step_id: Steps made in total; not changed by `reset`, set by `restore`.
@@ -52,6 +54,7 @@ class VectorEnv:
         height: int = 0,
         width: int = 0,
         privileged: bool = False,
+        conditions: Sequence[str] = (),
     ) -> None:
         self.task = task
         self.num_envs = num_envs
@@ -59,7 +62,7 @@ class VectorEnv:
         self._height, self._width = height, width
         self._privileged = privileged
         self._cameras(camera.name for camera in task.spec.cameras)
-        self._worlds = [task.make() for _ in range(num_envs)]
+        self._worlds = [build(task, conditions) for _ in range(num_envs)]
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
         self._experts: dict[int, ScriptedPolicy] = {}  # by environment, of the current episode
@@ -152,7 +155,7 @@ class VectorEnv:
         return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
 
     def restore(self, snapshot: bytes) -> None:
-        """Restores a snapshot of the same task, build and number of environments."""
+        """Restores a snapshot of the same task, build, conditions and number of environments."""
         check_saves(self._worlds[0])
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
@@ -260,13 +263,14 @@ class VectorEnv:
 
     def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
         if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
-            got = "of another task or build"
+            got = "of another task, build or conditions"
         elif len(snapshot.envs) != self.num_envs:
             got = f"of {len(snapshot.envs)} environments"
         else:
             return
         raise FailedPrecondition(
-            f"`snapshot` must be of this session's task and build, and of {self.num_envs} environments; got one {got}.",
+            f"`snapshot` must be of this session's task, build and conditions, and of {self.num_envs} environments; "
+            f"got one {got}.",
             field="snapshot",
             hint="Create a session like the one that the snapshot was taken from.",
         )

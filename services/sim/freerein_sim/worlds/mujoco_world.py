@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein_sim.worlds import generators
+from freerein_sim.worlds.camera_moves import CameraMove
 from freerein_sim.worlds.rendering import Renderer, open_renderer
 from freerein_sim.worlds.world import Frame, WorldSpec, check_view
 
@@ -41,17 +43,23 @@ class MujocoSimulation:
         data: The current state.
     """
 
-    def __init__(self, spec: WorldSpec, scene: Scene) -> None:
+    def __init__(self, spec: WorldSpec, scene: Scene, camera_move: CameraMove | None = None) -> None:
         mujoco.set_mju_user_warning(_log.warning)  # else MuJoCo writes MUJOCO_LOG.TXT where the process runs
         self.fingerprint = scene.fingerprint
         self._model = scene.model
         self.data = mujoco.MjData(scene.model)
         self._spec = spec
         self._renderer: Renderer | None = None
+        self._camera_move = camera_move
 
-    def reset(self) -> None:
-        """Sets the model's initial state, and forgets a divergence; call `refresh` after changing the state."""
+    def reset(self, rng: np.random.Generator) -> None:
+        """Sets the model's initial state, and forgets a divergence; call `refresh` after changing the state.
+
+        Cameras move as drawn from a jump of `rng`, so that an episode begins as it does where they do not move.
+        """
         mujoco.mj_resetData(self._model, self.data)
+        if self._camera_move is not None:
+            self._camera_move.draw(generators.jumped(rng))
 
     def step(self, substeps: int) -> bool:
         """Simulates; returns whether the simulation has diverged. Call `refresh` before rendering."""
@@ -62,6 +70,8 @@ class MujocoSimulation:
         """Updates the poses of bodies and cameras, which MuJoCo leaves at the start of the last substep."""
         mujoco.mj_kinematics(self._model, self.data)
         mujoco.mj_camlight(self._model, self.data)
+        if self._camera_move is not None:
+            self._camera_move.apply(self.data)
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
         """Returns the camera's image; the first call opens an OpenGL context on the calling thread."""
@@ -71,14 +81,17 @@ class MujocoSimulation:
         return self._renderer.render(self.data, camera, height=height, width=width)
 
     def snapshot(self) -> bytes:
-        """Returns MuJoCo's complete integration state."""
+        """Returns MuJoCo's complete integration state, and how the cameras have moved."""
         state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
         mujoco.mj_getState(self._model, self.data, state, _STATE)
+        if self._camera_move is not None:
+            state = np.append(state, self._camera_move.directions)
         return _HEADER.pack(_MAGIC, state.size) + state.astype("<f8").tobytes()
 
     def restore(self, snapshot: bytes) -> None:
-        """Sets MuJoCo's integration state. Raises InvalidInput for bytes that are no state of this model."""
-        size = mujoco.mj_stateSize(self._model, _STATE)
+        """Sets the state that `snapshot` returned. Raises InvalidInput for bytes that are no state of this model."""
+        integrated = mujoco.mj_stateSize(self._model, _STATE)
+        size = integrated + (0 if self._camera_move is None else self._camera_move.directions.size)
         if len(snapshot) != _HEADER.size + 8 * size or _HEADER.unpack_from(snapshot) != (_MAGIC, size):
             raise InvalidInput(
                 f"Expected a snapshot of this world, {_HEADER.size + 8 * size} bytes; got something else.",
@@ -87,8 +100,10 @@ class MujocoSimulation:
         state = np.frombuffer(snapshot, "<f8", offset=_HEADER.size).astype(np.float64)
         if not np.isfinite(state).all():
             raise InvalidInput("Expected a snapshot of finite numbers; got one that is not.", field="snapshot")
+        if self._camera_move is not None:
+            self._camera_move.restore(state[integrated:])
         mujoco.mj_resetData(self._model, self.data)
-        mujoco.mj_setState(self._model, self.data, state, _STATE)
+        mujoco.mj_setState(self._model, self.data, state[:integrated], _STATE)
         self.refresh()
 
     def close(self) -> None:
@@ -98,8 +113,15 @@ class MujocoSimulation:
             self._renderer = None
 
 
-def compile_scene(spec: mujoco.MjSpec) -> Scene:
-    """Compiles a scene: drawn without shadows and multisampling; divergence is reported, never reset away."""
+def compile_scene(spec: mujoco.MjSpec, *, light: float = 1.0) -> Scene:
+    """Compiles a scene: drawn without shadows and multisampling; divergence is reported, never reset away.
+
+    Args:
+        spec: The scene; changed.
+        light: Factor of all lights' diffuse and ambient parts.
+    """
+    for each in (spec.visual.headlight, *spec.lights):
+        each.diffuse, each.ambient = light * np.asarray(each.diffuse), light * np.asarray(each.ambient)
     spec.visual.quality.shadowsize = 0
     spec.visual.quality.offsamples = 0
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET

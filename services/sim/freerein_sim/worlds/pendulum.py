@@ -5,7 +5,7 @@ Dynamics, initial noise, termination and oracle reward are Gymnasium's; its MJCF
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, LIGHTS, light_scale
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import (
     Action,
@@ -62,7 +63,7 @@ class PendulumWorld:
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws positions and velocities near the upright pose; the recipe has no effect."""
         skill_indices(SPEC, recipe)
-        self._simulation.reset()
+        self._simulation.reset(rng)
         data = self._simulation.data
         data.qpos += rng.uniform(-_NOISE, _NOISE, size=data.qpos.shape)
         data.qvel += _NOISE * rng.standard_normal(data.qvel.shape)
@@ -109,15 +110,15 @@ class PendulumWorld:
         return fallen
 
 
-def _make() -> World:
+def _make(conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.mujoco_world import MujocoSimulation
 
-    return PendulumWorld(MujocoSimulation(SPEC, _scene()))
+    return PendulumWorld(MujocoSimulation(SPEC, _scene(light_scale(conditions))))
 
 
-@lru_cache(maxsize=1)
-def _scene() -> "Scene":
+@lru_cache(maxsize=1 + len(LIGHTS))
+def _scene(light: float) -> "Scene":
     """Returns Gymnasium's model with a camera."""
     import mujoco
 
@@ -126,7 +127,7 @@ def _scene() -> "Scene":
     folder = asset_folder("gymnasium") / "envs" / "mujoco" / "assets"
     spec = mujoco.MjSpec.from_file(str(folder / "inverted_double_pendulum.xml"))
     spec.worldbody.add_camera(name="front", pos=_CAMERA_AT_M, quat=_CAMERA_QUATERNION)
-    return compile_scene(spec)
+    return compile_scene(spec, light=light)
 
 
-TASKS = (TaskDefinition("pendulum", "pendulum", "", SPEC, _make),)
+TASKS = (TaskDefinition("pendulum", "pendulum", "", SPEC, _make, own_conditions=LIGHT_CONDITIONS),)

@@ -6,6 +6,8 @@ The names that several worlds share have one meaning in all of them:
 - `object-moves` (with references): some object is not where the reference has it.
 - `lifted/SKILL`: the object of the skill has risen since the first state.
 - `completed/SKILL`: the skill was executed since the first state.
+- `start/WHAT`: how the sequence began; figures are split by it. `start/in-order` means that the goal needs no change of
+  order, only a push.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,7 @@ import numpy.typing as npt
 
 from freerein.types.sim import Predicate
 
-AT_LANDMARK, OBJECT_MOVES = "at-landmark", "object-moves"
+AT_LANDMARK, OBJECT_MOVES, START = "at-landmark", "object-moves", "start/"
 
 States = npt.NDArray[np.float64]
 """float64 (N, T, S): true states of N sequences of T timesteps, named by the spec's `state_names`."""

@@ -1,7 +1,7 @@
 """The `World` protocol: one simulated environment that can be reset, stepped, rendered and snapshotted."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,6 +10,8 @@ import numpy.typing as npt
 import freerein.types.sim
 from freerein.errors import InvalidInput, Unimplemented
 from freerein.types.common import ActionSpec, Camera, check_name
+from freerein_sim.worlds import camera_effects
+from freerein_sim.worlds.conditions import Condition
 from freerein_sim.worlds.predicates import StatePredicate
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
@@ -35,6 +37,7 @@ class WorldSpec:
         state_names: Name of each number of the true state.
         has_expert: Whether worlds of this spec have a scripted expert.
         max_size: Greatest frame height and width, in pixels.
+        max_skills: Most skills of a recipe; 0 means all.
     """
 
     cameras: tuple[Camera, ...]
@@ -45,6 +48,7 @@ class WorldSpec:
     state_names: tuple[str, ...]
     has_expert: bool = False
     max_size: int = 256
+    max_skills: int = field(default=0, repr=False)  # fingerprints of worlds hash the repr
 
 
 @dataclass(frozen=True)
@@ -177,20 +181,28 @@ class TaskDefinition:
         world: World name.
         goal_text: Goal in words; empty for a task without a goal.
         spec: The world's spec, available without building it.
-        make: Builds a world; it must be reset before use.
+        make: Builds a world; it must be reset before use. Takes `conditions` where it has `own_conditions`.
         predicates: What can be checked on true states.
+        own_conditions: Conditions that its world implements.
     """
 
     name: str
     world: str
     goal_text: str
     spec: WorldSpec
-    make: Callable[[], World]
+    make: Callable[..., World]
     predicates: tuple[StatePredicate, ...] = ()
+    own_conditions: tuple[Condition, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")
         check_name(self.world, field="world")
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """All conditions: camera effects, if its cameras see RGB, and those of its world."""
+        sees_rgb = all(camera.channels == 3 for camera in self.spec.cameras)
+        return (camera_effects.CONDITIONS if sees_rgb else ()) + self.own_conditions
 
     def describe(self) -> freerein.types.sim.Task:
         """Returns the task as the API describes it."""
@@ -205,6 +217,7 @@ class TaskDefinition:
             max_episode_steps=self.spec.max_episode_steps,
             predicates=tuple(predicate.describe() for predicate in self.predicates),
             has_expert=self.spec.has_expert,
+            conditions=tuple(condition.name for condition in self.conditions),
         )
 
 

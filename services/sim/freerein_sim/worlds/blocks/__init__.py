@@ -1,16 +1,21 @@
 """Tasks of the blocks world: a Fetch gripper and coloured blocks in a plane. MuJoCo is imported when one is made.
 
 `blocks` has four blocks and no goal. A goal task, such as `blocks.red-left-of-green`, has two blocks and an oracle.
-`blocks.scatter` shows two of the four at random poses: images to train reward models from (dissertation, 4.2).
+`blocks.scatter` shows two of the four at random poses: images to train reward models from (dissertation, 4.2). With
+the conditions `blocks-2` to `blocks-4` any of them shows as many; the others lie behind the wall.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 from itertools import permutations
 
 from freerein.types.common import ActionSpec, Camera
-from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation
+from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS, BlockGoal
 from freerein_sim.worlds.blocks.predicates import BlockPredicates
+from freerein_sim.worlds.blocks.relations import BlockRelation
+from freerein_sim.worlds.blocks.variation import FREE_CONDITIONS, GOAL_CONDITIONS, SCATTER_CONDITIONS, Variation
+from freerein_sim.worlds.conditions import Condition
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
@@ -33,7 +38,7 @@ _SCATTER_STEPS = 6
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: int) -> WorldSpec:
+def _spec(moved: tuple[str, ...], max_episode_steps: int) -> WorldSpec:
     return WorldSpec(
         cameras=_CAMERAS,
         action=_ACTION,
@@ -44,40 +49,64 @@ def _spec(colours: tuple[str, ...], moved: tuple[str, ...], max_episode_steps: i
             "gripper.y",
             "gripper.z",
             "gripper.opening",
-            *(f"{colour}.{part}" for colour in colours for part in _POSE),
+            *(f"{colour}.{part}" for colour in COLOURS for part in _POSE),
         ),
         has_expert=bool(moved),
     )
 
 
-def _make(
-    spec: WorldSpec, colours: tuple[str, ...], initial_state: str, *, goal: BlockGoal | None = None, pad: bool = False
-) -> World:
-    """Returns a world whose initial states are drawn by the named function of `initial_states`."""
+def _make_free(spec: WorldSpec, conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.blocks import initial_states, simulation
 
-    return simulation.BlocksWorld(spec, colours, getattr(initial_states, initial_state), goal=goal, pad=pad)
+    variation = Variation.of(conditions, blocks=len(COLOURS))
+    if variation.blocks < len(COLOURS):
+        spec = replace(spec, max_skills=variation.blocks)
+    if variation.speed < 1:
+        spec = replace(spec, max_episode_steps=round(spec.max_episode_steps / variation.speed))
+    draw = partial(initial_states.line, count=variation.blocks)
+    return simulation.BlocksWorld(spec, COLOURS, draw, variation)
+
+
+def _make_scatter(spec: WorldSpec, conditions: Collection[str] = ()) -> World:
+    check_mujoco_gl()
+    from freerein_sim.worlds.blocks import initial_states, simulation
+
+    variation = Variation.of(conditions, blocks=2)
+    return simulation.BlocksWorld(spec, COLOURS, partial(initial_states.scatter, count=variation.blocks), variation)
+
+
+def _make_goal(spec: WorldSpec, goal: BlockGoal, conditions: Collection[str] = ()) -> World:
+    """Returns a world of a goal. With two blocks none other is simulated, which is faster."""
+    check_mujoco_gl()
+    from freerein_sim.worlds.blocks import initial_states, simulation
+
+    variation = Variation.of(conditions, blocks=2)
+    colours = (goal.first, goal.second) if variation.blocks == 2 else COLOURS
+    interval_m = initial_states.UNSEEN_M if variation.is_start_unseen else initial_states.SEEN_M
+    draw = partial(initial_states.pair, goal=goal, count=variation.blocks, interval_m=interval_m)
+    return simulation.BlocksWorld(spec, colours, draw, variation, goal=goal)
 
 
 def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefinition:
     goal = BlockGoal(first, relation, second)
-    spec = _spec((first, second), (first,), _GOAL_STEPS)
-    make = partial(_make, spec, (first, second), "pair", goal=goal)
-    predicates = BlockPredicates(spec).landmarks_and_skills()
-    return TaskDefinition(f"blocks.{goal.name}", "blocks", goal.text, spec, make, predicates)
+    spec = _spec((first,), _GOAL_STEPS)
+    judged = BlockPredicates(spec)
+    predicates = judged.landmarks_and_skills() + judged.starts(goal)
+    make = partial(_make_goal, spec, goal)
+    return TaskDefinition(f"blocks.{goal.name}", "blocks", goal.text, spec, make, predicates, GOAL_CONDITIONS)
 
 
-def _free_task(name: str, spec: WorldSpec, make: Callable[[], World]) -> TaskDefinition:
-    predicates = BlockPredicates(spec)
-    return TaskDefinition(name, "blocks", "", spec, make, predicates.landmarks_and_skills() + predicates.relations())
+def _free_task(
+    name: str, spec: WorldSpec, make: Callable[..., World], conditions: tuple[Condition, ...]
+) -> TaskDefinition:
+    judged = BlockPredicates(spec)
+    predicates = judged.landmarks_and_skills() + judged.relations()
+    return TaskDefinition(name, "blocks", "", spec, partial(make, spec), predicates, conditions)
 
-
-_FREE_PLAY = _spec(COLOURS, COLOURS, _DEMONSTRATION_STEPS)
-_SCATTER = _spec(COLOURS, (), _SCATTER_STEPS)
 
 TASKS = (
-    _free_task("blocks", _FREE_PLAY, partial(_make, _FREE_PLAY, COLOURS, "line")),
-    _free_task("blocks.scatter", _SCATTER, partial(_make, _SCATTER, COLOURS, "scatter", pad=True)),
-    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in BlockRelation),
+    _free_task("blocks", _spec(COLOURS, _DEMONSTRATION_STEPS), _make_free, FREE_CONDITIONS),
+    _free_task("blocks.scatter", _spec((), _SCATTER_STEPS), _make_scatter, SCATTER_CONDITIONS),
+    *(_goal_task(first, second, relation) for first, second in permutations(COLOURS, 2) for relation in GOAL_RELATIONS),
 )

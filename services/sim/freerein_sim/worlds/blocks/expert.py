@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.blocks.goals import BLOCK_M, BlockGoal, BlockRelation, Position, is_on, is_on_table
+from freerein_sim.worlds.blocks.goals import BlockGoal
+from freerein_sim.worlds.blocks.relations import (
+    BLOCK_M,
+    PLACED_ASIDE_M,
+    BlockRelation,
+    Position,
+    is_on,
+    is_on_table,
+)
 from freerein_sim.worlds.world import LabelledAction
 
 if TYPE_CHECKING:
@@ -26,7 +34,6 @@ _FREE_M = 0.077
 
 _LINE_M = np.linspace(-0.21, 0.21, 421)
 _NEARBY_M = 0.05
-_BESIDE_M = 0.071
 _PLACED_M = 0.025
 _STACK_PROBABILITY = 0.35
 _FINE_M = 0.004
@@ -53,17 +60,25 @@ class _Waypoint:
 class BlocksExpert:
     """Moves one block after the other, using the true state.
 
-    Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more.
+    Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more. `speed`
+    is a factor of its speed of travel.
     """
 
     def __init__(
-        self, world: "BlocksWorld", skills: tuple[str, ...], goal: BlockGoal | None, rng: np.random.Generator
+        self,
+        world: "BlocksWorld",
+        skills: tuple[str, ...],
+        goal: BlockGoal | None,
+        rng: np.random.Generator,
+        *,
+        speed: float = 1.0,
     ) -> None:
         self._world = world
         self._waiting = deque(skills)
         self._goal = goal
         self._rng = rng
-        self._speed = rng.uniform(*_SPEED)
+        self._speed = speed * rng.uniform(*_SPEED)
+        self._max_reach_steps = round(_MAX_REACH_STEPS / min(speed, 1.0))
         self._waypoints: deque[_Waypoint] = deque()
         self._steps = 0
         self._colour = ""
@@ -92,7 +107,7 @@ class BlocksExpert:
         waypoint = self._waypoints[0]
         offset = np.abs(self._world.gripper - (waypoint.y, waypoint.z))
         return self._steps >= waypoint.steps and (
-            bool((offset < waypoint.within_m).all()) or self._steps > _MAX_REACH_STEPS
+            bool((offset < waypoint.within_m).all()) or self._steps > self._max_reach_steps
         )
 
     def _is_placed(self) -> bool:
@@ -135,7 +150,7 @@ class BlocksExpert:
         )
 
     def _others(self) -> list[str]:
-        return [colour for colour in self._world.colours if colour != self._colour]
+        return [colour for colour in self._world.visible_colours if colour != self._colour]
 
     def _choose_place(self) -> None:
         """Chooses the target place; fails where there is none."""
@@ -154,7 +169,7 @@ class BlocksExpert:
         if goal.relation is BlockRelation.ON_TOP_OF:
             return np.add(other, (0, 0, BLOCK_M))
         side = -1 if goal.relation is BlockRelation.LEFT_OF else 1
-        return np.add(other, (0, side * _BESIDE_M, 0))
+        return np.add(other, (0, side * PLACED_ASIDE_M, 0))
 
     def _tops(self) -> list[Position]:
         """Returns the places on top of uncovered blocks on the table that will not be moved any more."""

@@ -1,13 +1,14 @@
 """Initial states of blocks and gripper: one sampler for each kind of task, a pure function of a generator."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.blocks import COLOURS, scene
-from freerein_sim.worlds.blocks.goals import BLOCK_M, Position
+from freerein_sim.worlds.blocks.goals import BlockGoal
+from freerein_sim.worlds.blocks.relations import BLOCK_M, CLOSE_M, PLACED_ASIDE_M, BlockRelation, Position
 
 PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
 """Position of each hidden block on the pad, in the order of `COLOURS`: float64 (4, 3)."""
@@ -16,7 +17,15 @@ _PLACES, _PITCH_M = 6, 0.08
 """Number of places on the line and their spacing, which leaves room for a block and an open gripper."""
 
 _LINE_JITTER_M, _PLACE_JITTER_M = 0.01, 0.0015
-_PAIR_M, _PAIR_SPREAD_M = (-0.07, 0.07), BLOCK_M
+
+_PAIR_M = (-0.07, 0.07)
+SEEN_M, UNSEEN_M = BLOCK_M, 2 * BLOCK_M
+"""Interval, one and two blocks wide, in which each block of a pair begins (dissertation: seen and unseen starts)."""
+
+_BYSTANDERS_M = np.linspace(-0.21, 0.21, 421)
+_GRIPPER_ROOM_M, _BLOCK_ROOM_M = 0.077, 0.06
+"""Distances from a bystander: of a block where the gripper will open, and of any other."""
+
 _ABOVE_Y_M, _ABOVE_Z_M = (-0.2, 0.2), (0.13, 0.22)
 
 _LOW_M, _HIGH_M = np.array([-0.2, BLOCK_M / 2]), np.array([0.2, 0.19])
@@ -62,30 +71,96 @@ class InitialState:
     gripper: GripperState
 
 
-InitialStateSampler = Callable[[np.random.Generator], InitialState]
-"""Draws an initial state."""
+InitialStateSampler = Callable[[np.random.Generator, Sequence[str]], InitialState]
+"""Draws an initial state in which the blocks of some colours, at least, are on show."""
 
 
-def line(rng: np.random.Generator) -> InitialState:
-    """Returns four blocks on the table, far enough apart for the gripper above them."""
+def line(rng: np.random.Generator, wanted: Sequence[str] = (), *, count: int = len(COLOURS)) -> InitialState:
+    """Returns a number of blocks on the table, far enough apart for the gripper above them; the others are parked."""
     places = (np.arange(_PLACES) - (_PLACES - 1) / 2) * _PITCH_M + rng.uniform(-_LINE_JITTER_M, _LINE_JITTER_M)
     ys = rng.choice(places, size=len(COLOURS), replace=False)
-    return _on_table(rng, ys + rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape))
+    ys += rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape)
+    start = _on_table(rng, ys)
+    named = [COLOURS.index(colour) for colour in dict.fromkeys(wanted)]
+    others = [i for i in range(len(COLOURS)) if i not in named]
+    hidden = rng.permutation(others)[: len(COLOURS) - count]
+    start.blocks[hidden] = PARKED_M[hidden]
+    return start
 
 
-def pair(rng: np.random.Generator) -> InitialState:
-    """Returns two blocks on the table, too far apart for any goal to hold."""
-    return _on_table(rng, rng.permutation(_PAIR_M) + rng.uniform(-_PAIR_SPREAD_M / 2, _PAIR_SPREAD_M / 2, size=2))
+def pair(
+    rng: np.random.Generator,
+    wanted: Sequence[str] = (),
+    *,
+    goal: BlockGoal,
+    count: int = 2,
+    interval_m: float = SEEN_M,
+) -> InitialState:
+    """Returns a goal's two blocks on the table, apart, in either order, and bystanders of drawn colours.
+
+    Each of the two lies within an interval of that width. Bystanders stand where the expert needs no room. The blocks
+    of a goal are always on show, whatever is wanted.
+    """
+    goal_blocks = [COLOURS.index(goal.first), COLOURS.index(goal.second)]
+    while True:
+        ys = rng.permutation(_PAIR_M) + rng.uniform(-interval_m / 2, interval_m / 2, size=2)
+        if abs(ys[0] - ys[1]) < CLOSE_M:
+            continue
+        start = _on_table(rng, ys)
+        blocks = PARKED_M.copy()
+        blocks[goal_blocks] = start.blocks
+        if count > 2:
+            bystanders = _bystanders(rng, goal.relation, ys, count=count - 2)
+            if bystanders is None:
+                continue
+            others = [i for i in range(len(COLOURS)) if i not in goal_blocks]
+            shown = rng.permutation(others)[: count - 2]
+            blocks[shown] = np.stack([(0, y, BLOCK_M / 2) for y in bystanders])
+        return InitialState(blocks, start.gripper)
 
 
-def scatter(rng: np.random.Generator) -> InitialState:
-    """Returns two of the four blocks anywhere in the plane, one possibly in the gripper; the other two are parked."""
+def scatter(rng: np.random.Generator, wanted: Sequence[str] = (), *, count: int = 2) -> InitialState:
+    """Returns a number of blocks anywhere in the plane, one possibly in the gripper; the others are parked.
+
+    Two of them are arranged; there are no skills, so that none is wanted.
+    """
     arrange = (_anywhere, _near, _stacked, _beside)[rng.choice(len(_ODDS), p=_ODDS)]
     shown = arrange(rng, rng.uniform(_LOW_M, _HIGH_M))
+    while len(shown) < count:
+        another = rng.uniform(_LOW_M, _HIGH_M)
+        if (np.abs(shown - another).max(axis=1) > BLOCK_M).all():
+            shown = np.vstack([shown, another])
     blocks = PARKED_M.copy()
-    blocks[rng.choice(len(COLOURS), size=2, replace=False)] = np.insert(shown, 0, 0.0, axis=1)
+    blocks[rng.choice(len(COLOURS), size=count, replace=False)] = np.insert(shown, 0, 0.0, axis=1)
     holding = _grasp(rng, shown) if rng.random() < _GRASP_PROBABILITY else None
     return InitialState(blocks, holding or _free_gripper(rng, shown))
+
+
+def _bystanders(
+    rng: np.random.Generator, relation: BlockRelation, ys: npt.NDArray[np.float64], *, count: int
+) -> npt.NDArray[np.float64] | None:
+    """Draws where one or two more blocks stand, y; None where there is no room for them.
+
+    Args:
+        rng: The generator.
+        relation: The goal's.
+        ys: float64 (2,), y of its blocks.
+        count: Number of bystanders.
+    """
+    first, second = ys
+    if relation is BlockRelation.ON_TOP_OF:
+        grasps, others = np.array([first, second]), np.array([second])
+    else:
+        side = -1 if relation is BlockRelation.LEFT_OF else 1
+        grasps, others = np.array([first, second + side * PLACED_ASIDE_M]), np.array([second])
+    free = _BYSTANDERS_M[
+        (np.abs(_BYSTANDERS_M[:, None] - grasps) > _GRIPPER_ROOM_M).all(axis=1)
+        & (np.abs(_BYSTANDERS_M[:, None] - others) > _BLOCK_ROOM_M).all(axis=1)
+    ]
+    if count == 1:
+        return rng.choice(free, size=1) if len(free) else None
+    choices = np.argwhere(np.abs(free[:, None] - free) > _BLOCK_ROOM_M)
+    return free[choices[rng.integers(len(choices))]] if len(choices) else None
 
 
 def _on_table(rng: np.random.Generator, ys: npt.NDArray[np.float64]) -> InitialState:

@@ -4,10 +4,18 @@ from functools import partial
 from itertools import permutations
 
 import numpy as np
-import numpy.typing as npt
 
-from freerein_sim.worlds.blocks.goals import BLOCK_M
-from freerein_sim.worlds.predicates import AT_LANDMARK, OBJECT_MOVES, Flags, StatePredicate, States
+from freerein_sim.worlds.blocks.goals import BlockGoal
+from freerein_sim.worlds.blocks.relations import (
+    BLOCK_M,
+    BlockRelation,
+    Position,
+    is_on,
+    is_on_table,
+    is_related,
+    is_visible,
+)
+from freerein_sim.worlds.predicates import AT_LANDMARK, OBJECT_MOVES, START, Flags, StatePredicate, States
 from freerein_sim.worlds.world import WorldSpec
 
 TOLERANCE_M = BLOCK_M / 2
@@ -21,12 +29,6 @@ MOVED_M = 0.04
 
 UNDISTURBED_M = BLOCK_M / 2
 """Largest move of any other block: half a block."""
-
-_RELATIONS = ("to the left of", "to the right of", "on top of", "below", "apart from")
-_LEFT, _RIGHT, _ON_TOP, _BELOW, _APART = range(len(_RELATIONS))
-_RESTING_M = 0.008
-_CLOSE_M, _ABOVE_M = 0.095, 0.075
-_VISIBLE_X_M = -0.6  # hidden blocks lie farther back
 
 
 class BlockPredicates:
@@ -51,23 +53,30 @@ class BlockPredicates:
         )
 
     def relations(self) -> tuple[StatePredicate, ...]:
-        """Returns five relations of each ordered pair of blocks, by the criteria of the dissertation's table 4.1.
-
-        The criteria overlap. Tested in the order on top of, below, apart from, left, right, exactly one holds where
-        both blocks are visible; none holds elsewhere.
-        """
+        """Returns five relations of each ordered pair of blocks: one holds where both are visible, none elsewhere."""
         return tuple(
             StatePredicate(
-                f"relation/{first}-{words.removeprefix('to the ').replace(' ', '-')}-{second}",
+                f"relation/{first}-{relation.value}-{second}",
                 partial(self._is_related, self._colours.index(first), self._colours.index(second), relation),
-                text=f"a {first} block {words} a {second} block",
+                text=f"a {first} block {relation.text} a {second} block",
                 group=f"relation/{first}-{second}",
             )
             for first, second in permutations(self._colours, 2)
-            for relation, words in enumerate(_RELATIONS)
+            for relation in BlockRelation
         )
 
-    def _positions(self, states: States) -> npt.NDArray[np.float64]:
+    def starts(self, goal: BlockGoal) -> tuple[StatePredicate, ...]:
+        """Returns what tells the episodes of a goal apart by the order in which its blocks began."""
+        pair = self._colours.index(goal.first), self._colours.index(goal.second)
+        name = "from-left" if goal.relation is BlockRelation.ON_TOP_OF else "in-order"
+        return (StatePredicate(START + name, partial(self._begins, pair, goal.relation is BlockRelation.RIGHT_OF)),)
+
+    def _begins(self, pair: tuple[int, int], on_right: bool, states: States) -> Flags:
+        """The first block of the pair begins on the left of the second, or on its right."""
+        first, second = (states[..., :1, self._blocks[block, 1]] for block in pair)  # (N, 1)
+        return np.repeat(first > second if on_right else first < second, states.shape[1], axis=1)
+
+    def _positions(self, states: States) -> Position:
         """Returns the blocks' centres, float64 (N, T, blocks, 3)."""
         return states[..., self._blocks]
 
@@ -92,22 +101,14 @@ class BlockPredicates:
         others_undisturbed = np.delete(moved, block, axis=-1).max(axis=-1) <= UNDISTURBED_M
         return np.asarray(self._is_lifted(block, states) & put_down & others_undisturbed)
 
-    def _is_related(self, first: int, second: int, relation: int, states: States) -> Flags:
+    def _is_related(self, first: int, second: int, relation: BlockRelation, states: States) -> Flags:
         positions = self._positions(states)
-        visible = (positions[..., [first, second], 0] > _VISIBLE_X_M).all(axis=-1)
-        offset = positions[..., first, :] - positions[..., second, :]  # (N, T, 3)
-        right, up = offset[..., 1], offset[..., 2]
-        aligned = np.abs(right) < BLOCK_M
-        on_top = aligned & (up > BLOCK_M / 2) & (up < _ABOVE_M)
-        below = aligned & (up < -BLOCK_M / 2) & (up > -_ABOVE_M)
-        apart = np.hypot(right, up) >= _CLOSE_M
-        true = np.select([on_top, below, apart, right < 0], [_ON_TOP, _BELOW, _APART, _LEFT], _RIGHT)
-        return np.asarray(visible & (true == relation))
+        one, other = positions[..., first, :], positions[..., second, :]
+        return np.asarray(is_visible(one) & is_visible(other) & is_related(relation, one, other))
 
 
-def is_resting(positions: npt.NDArray[np.float64], block: int) -> Flags:
+def is_resting(positions: Position, block: int) -> Flags:
     """Returns whether a block lies on the table or on another; positions are float64 (N, T, blocks, 3)."""
-    offset = positions[..., [block], :] - np.delete(positions, block, axis=-2)  # (N, T, blocks - 1, 3)
-    on_another = (np.abs(offset[..., 2] - BLOCK_M) < _RESTING_M) & (np.abs(offset[..., :2]) < BLOCK_M / 2).all(axis=-1)
-    on_table = np.abs(positions[..., block, 2] - BLOCK_M / 2) < _RESTING_M
-    return np.asarray(on_table | on_another.any(axis=-1))
+    others = np.delete(positions, block, axis=-2)  # (N, T, blocks - 1, 3)
+    on_another = is_on(positions[..., [block], :], others).any(axis=-1)
+    return np.asarray(is_on_table(positions[..., block, :]) | on_another)

@@ -9,14 +9,14 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from freerein_sim.worlds.blocks.goals import BLOCK_M
+from freerein_sim.worlds.blocks.relations import BLOCK_M
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
 
 TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
 GRIPPER_Y_M = (-0.22, 0.22)
 GRIPPER_Z_M = (0.043, 0.26)
-FINGER_M = (0.0, 0.034)
-"""Range of each finger's distance from the midpoint."""
+FINGER_M = (0.0, 0.05)
+"""Range of each finger's distance from the midpoint, as Fetch's."""
 
 FINGER_BASE_M = 0.001
 """Distance of a closed finger's inner side from the midpoint."""
@@ -45,7 +45,7 @@ _LINK_KG, _FINGER_KG, _BLOCK_KG = 0.3, 0.1, 0.1
 _SERVO_KP, _SERVO_KV, _SERVO_N = 4000.0, 140.0, 120.0
 _FINGER_KP, _FINGER_KV, _FINGER_ARMATURE_KG = 500.0, 20.0, 0.1
 _PAD_HALF_M = (0.1, 0.3, 0.01)
-_CAMERAS = {
+CAMERAS = {
     "front": ((1.00, 0.0, 0.31), (0.0, 0.0, 0.12), 27.5),
     "left": ((0.0, -1.00, 0.31), (0.0, 0.0, 0.12), 27.5),
     "tilt": ((0.74, 0.0, 0.80), (0.0, 0.0, 0.06), 27.0),
@@ -54,8 +54,14 @@ _CAMERAS = {
 
 
 @lru_cache(maxsize=_CACHED_SCENES)
-def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
-    """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second."""
+def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0) -> Scene:
+    """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second.
+
+    Args:
+        colours: Colours of the blocks.
+        pad: Whether there is a pad for hidden blocks.
+        light: Factor of all lights.
+    """
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -69,7 +75,7 @@ def build(colours: tuple[str, ...], *, pad: bool = False) -> Scene:
         _add_block(spec.worldbody, colour)
     if pad:
         spec.worldbody.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=_PAD_HALF_M, pos=PAD_M)
-    return compile_scene(spec)
+    return compile_scene(spec, light=light)
 
 
 def _set_look(spec: mujoco.MjSpec) -> None:
@@ -102,7 +108,7 @@ def _add_room(world: mujoco.MjsBody) -> None:
 
 
 def _add_cameras(world: mujoco.MjsBody) -> None:
-    for name, (place, target, fovy) in _CAMERAS.items():
+    for name, (place, target, fovy) in CAMERAS.items():
         backward = np.subtract(place, target)
         right = np.cross((0, 0, 1), backward)
         axes = np.stack([right, np.cross(backward, right), backward], axis=1)

@@ -1,14 +1,19 @@
 """The blocks world in MuJoCo."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.blocks import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
+from freerein.errors import InvalidInput
+from freerein_sim.worlds.blocks import COLOURS, CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
 from freerein_sim.worlds.blocks.expert import BlocksExpert
-from freerein_sim.worlds.blocks.goals import BlockGoal, Position, holds
-from freerein_sim.worlds.blocks.initial_states import InitialStateSampler
+from freerein_sim.worlds.blocks.goals import BlockGoal
+from freerein_sim.worlds.blocks.initial_states import PARKED_M, InitialStateSampler
+from freerein_sim.worlds.blocks.relations import Position, holds, is_visible
+from freerein_sim.worlds.blocks.variation import Variation
+from freerein_sim.worlds.camera_moves import CameraMove
 from freerein_sim.worlds.mujoco_world import MujocoSimulation
 from freerein_sim.worlds.world import (
     Action,
@@ -22,37 +27,53 @@ from freerein_sim.worlds.world import (
 _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
 _FALLEN_M = -0.01
 _LEAD_M = 0.07
+_PARKED_POSES = {colour: np.array([*place, 1, 0, 0, 0]) for colour, place in zip(COLOURS, PARKED_M, strict=True)}
 
 
 class BlocksWorld:
-    """A gripper and blocks in the plane in which the gripper moves."""
+    """A gripper and blocks in the plane in which the gripper moves.
+
+    Args:
+        spec: The task's spec.
+        colours: Colours of the simulated blocks. The true state has the others as hidden ones.
+        draw_initial_state: Draws initial states.
+        variation: How the world differs from the nominal one.
+        goal: The goal; None for none.
+    """
 
     def __init__(
         self,
         spec: WorldSpec,
         colours: tuple[str, ...],
         draw_initial_state: InitialStateSampler,
+        variation: Variation,
         *,
         goal: BlockGoal | None = None,
-        pad: bool = False,
     ) -> None:
         self.spec = spec
         self.colours = colours
         self.goal = goal
         self._draw_initial_state = draw_initial_state
-        self._simulation = simulation = MujocoSimulation(spec, scene.build(colours, pad=pad))
+        self._variation = variation
+        built = scene.build(colours, pad=variation.blocks < len(colours), light=variation.light)
+        self._simulation = simulation = MujocoSimulation(spec, built, _camera_move(variation))
         self.fingerprint = simulation.fingerprint
         self._data = simulation.data
         self.snapshot, self.restore = simulation.snapshot, simulation.restore
         self.render, self.close = simulation.render, simulation.close
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
-        """Draws the initial state; the recipe has no effect."""
-        skill_indices(self.spec, recipe)
-        self._simulation.reset()
-        start = self._draw_initial_state(rng)
-        for colour, place in zip(self.colours, start.blocks, strict=True):
-            self._data.joint(colour).qpos = (*place, 1, 0, 0, 0)
+        """Draws the initial state. The blocks that a recipe names are on show; that is all its effect."""
+        wanted = self._named(recipe)
+        if len(set(wanted)) > self._variation.blocks:
+            raise InvalidInput(
+                f"A recipe must name at most {self._variation.blocks} blocks, those on show; got {len(set(wanted))}.",
+                field="skills",
+            )
+        self._simulation.reset(rng)
+        start = self._draw_initial_state(rng, wanted)
+        for colour in self.colours:
+            self._data.joint(colour).qpos = (*start.blocks[COLOURS.index(colour)], 1, 0, 0, 0)
         gripper = start.gripper
         here = (*gripper.at, gripper.finger_m, gripper.finger_m)
         targets = (*gripper.at, gripper.target_m, gripper.target_m)
@@ -81,17 +102,34 @@ class BlocksWorld:
 
     def truth(self) -> GroundTruth:
         """Returns the poses of gripper and blocks, and whether the goal holds."""
-        poses = [self._data.joint(colour).qpos for colour in self.colours]
+        poses = [
+            self._data.joint(colour).qpos if colour in self.colours else _PARKED_POSES[colour] for colour in COLOURS
+        ]
         opening = self._data.joint("finger.left").qpos + self._data.joint("finger.right").qpos
-        success = self.goal is not None and holds(
-            self.goal.relation, self.position(self.goal.first), self.position(self.goal.second)
+        success = self.goal is not None and bool(
+            holds(self.goal.relation, self.position(self.goal.first), self.position(self.goal.second))
         )
         return GroundTruth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
-        """Returns an expert that picks up each named block and places it elsewhere, or at the goal if there is one."""
-        skill_indices(self.spec, skills)
-        return BlocksExpert(self, tuple(skills) or self.spec.skills, self.goal, rng)
+        """Returns an expert that picks up each named block and places it elsewhere, or at the goal if there is one.
+
+        Without skills it moves every block on show that the task has a skill for. A hidden block is refused.
+        """
+        on_show = self.visible_colours
+        if hidden := set(self._named(skills)).difference(on_show):
+            raise InvalidInput(
+                f"A recipe must name blocks on show, {', '.join(on_show)}; {', '.join(sorted(hidden))} is hidden.",
+                field="skills",
+                hint="Leave the recipe out for all blocks on show.",
+            )
+        own = tuple(skill for skill in self.spec.skills if skill.removeprefix("move-") in on_show)
+        return BlocksExpert(self, tuple(skills) or own, self.goal, rng, speed=self._variation.speed)
+
+    @property
+    def visible_colours(self) -> tuple[str, ...]:
+        """Colours of the blocks on show."""
+        return tuple(colour for colour in self.colours if is_visible(self.position(colour)))
 
     @property
     def gripper(self) -> npt.NDArray[np.float64]:
@@ -104,5 +142,16 @@ class BlocksWorld:
         return np.array(self._data.ctrl[:3])
 
     def position(self, colour: str) -> Position:
-        """Returns the centre of a block."""
+        """Returns the centre of a block, float64 (3,)."""
         return np.array(self._data.joint(colour).qpos[:3])
+
+    def _named(self, skills: Sequence[str]) -> tuple[str, ...]:
+        """Returns the colours that skills name. Raises InvalidInput for an unknown skill."""
+        skill_indices(self.spec, skills)
+        return tuple(skill.removeprefix("move-") for skill in skills)
+
+
+def _camera_move(variation: Variation) -> CameraMove | None:
+    if not (variation.camera_shift_m or variation.camera_turn_deg):
+        return None
+    return CameraMove(len(scene.CAMERAS), variation.camera_shift_m, math.radians(variation.camera_turn_deg))

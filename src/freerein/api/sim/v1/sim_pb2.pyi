@@ -36,6 +36,7 @@ class Task(_message.Message):
     MAX_EPISODE_STEPS_FIELD_NUMBER: _builtins.int
     PREDICATES_FIELD_NUMBER: _builtins.int
     HAS_EXPERT_FIELD_NUMBER: _builtins.int
+    CONDITIONS_FIELD_NUMBER: _builtins.int
     name: _builtins.str
     """Task name."""
     world: _builtins.str
@@ -64,6 +65,10 @@ class Task(_message.Message):
     def predicates(self) -> _containers.RepeatedCompositeFieldContainer[Global___Predicate]:
         """What a privileged session can check."""
 
+    @_builtins.property
+    def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Conditions with which a session can be created: named variations of the task, for tests of robustness."""
+
     def __init__(
         self,
         *,
@@ -77,10 +82,11 @@ class Task(_message.Message):
         max_episode_steps: _builtins.int = ...,
         predicates: _abc.Iterable[Global___Predicate] | None = ...,
         has_expert: _builtins.bool = ...,
+        conditions: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -178,6 +184,7 @@ class CreateSessionRequest(_message.Message):
     WIDTH_FIELD_NUMBER: _builtins.int
     PRIVILEGED_FIELD_NUMBER: _builtins.int
     IDEMPOTENCY_KEY_FIELD_NUMBER: _builtins.int
+    CONDITIONS_FIELD_NUMBER: _builtins.int
     task: _builtins.str
     """Task name."""
     num_envs: _builtins.int
@@ -194,6 +201,10 @@ class CreateSessionRequest(_message.Message):
     """Whether replies include true state, oracle reward and success. For evaluation only, never for learning."""
     idempotency_key: _builtins.str
     """The same key and request returns the session already created; empty for none."""
+    @_builtins.property
+    def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Conditions of the task, at most one of each group; empty for the nominal task. Their order does not matter."""
+
     def __init__(
         self,
         *,
@@ -205,10 +216,11 @@ class CreateSessionRequest(_message.Message):
         width: _builtins.int = ...,
         privileged: _builtins.bool = ...,
         idempotency_key: _builtins.str = ...,
+        conditions: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "seed", b"seed"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "height", b"height", "idempotency_key", b"idempotency_key", "lease_s", b"lease_s", "num_envs", b"num_envs", "privileged", b"privileged", "seed", b"seed", "task", b"task", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "conditions", b"conditions", "height", b"height", "idempotency_key", b"idempotency_key", "lease_s", b"lease_s", "num_envs", b"num_envs", "privileged", b"privileged", "seed", b"seed", "task", b"task", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__seed: _TypeAlias = _typing.Literal["seed"]  # noqa: Y015
     _WhichOneofArgType__seed: _TypeAlias = _typing.Literal["_seed", b"_seed"]  # noqa: Y015
@@ -819,6 +831,7 @@ class DemonstrateRequest(_message.Message):
     HEIGHT_FIELD_NUMBER: _builtins.int
     WIDTH_FIELD_NUMBER: _builtins.int
     PRIVILEGED_FIELD_NUMBER: _builtins.int
+    CONDITIONS_FIELD_NUMBER: _builtins.int
     task: _builtins.str
     """Task name."""
     behaviour: Global___DemonstrateRequest.Behaviour.ValueType
@@ -847,6 +860,10 @@ class DemonstrateRequest(_message.Message):
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Cameras to record; empty for the task's first."""
 
+    @_builtins.property
+    def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Conditions, as in CreateSession."""
+
     def __init__(
         self,
         *,
@@ -862,10 +879,11 @@ class DemonstrateRequest(_message.Message):
         height: _builtins.int = ...,
         width: _builtins.int = ...,
         privileged: _builtins.bool = ...,
+        conditions: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["behaviour", b"behaviour", "cameras", b"cameras", "count", b"count", "first", b"first", "height", b"height", "max_skills", b"max_skills", "min_skills", b"min_skills", "privileged", b"privileged", "seed", b"seed", "skills", b"skills", "task", b"task", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["behaviour", b"behaviour", "cameras", b"cameras", "conditions", b"conditions", "count", b"count", "first", b"first", "height", b"height", "max_skills", b"max_skills", "min_skills", b"min_skills", "privileged", b"privileged", "seed", b"seed", "skills", b"skills", "task", b"task", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -1,0 +1,54 @@
+"""Cameras moved or turned a little, in directions drawn for each episode. MuJoCo's model, which worlds share, stays."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+
+_UNIT_TOLERANCE = 1e-6
+
+Directions = npt.NDArray[np.float64]
+"""float64 (C, 3): a unit vector for each camera, in its own axes: right, up, backward."""
+
+
+@dataclass
+class CameraMove:
+    """Moves each camera by `shift_m` across its view axis, or turns it by `turn_rad` about any axis.
+
+    Attributes:
+        directions: Of the current episode.
+    """
+
+    cameras: int
+    shift_m: float = 0.0
+    turn_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.directions: Directions = np.tile([1.0, 0.0, 0.0], (self.cameras, 1))
+
+    def draw(self, rng: np.random.Generator) -> None:
+        """Draws the directions of an episode: of a shift at right angles to the view axis, of a turn's axis any."""
+        drawn = rng.standard_normal((self.cameras, 3))
+        if self.shift_m:
+            drawn[:, 2] = 0
+        self.directions = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+    def restore(self, directions: npt.NDArray[np.float64]) -> None:
+        """Sets the directions of a snapshot, as a flat array. Raises InvalidInput where they are no unit vectors."""
+        restored = directions.reshape(self.cameras, 3)
+        if (np.abs(np.linalg.norm(restored, axis=1) - 1) > _UNIT_TOLERANCE).any():
+            raise InvalidInput("Expected a snapshot of this world; got something else.", field="snapshot")
+        self.directions = restored.copy()
+
+    def apply(self, data: mujoco.MjData) -> None:
+        """Moves the cameras of a state whose camera poses are those of the model."""
+        matrix, quaternion = np.empty(9), np.empty(4)
+        for camera, direction in enumerate(self.directions):
+            axes = data.cam_xmat[camera].reshape(3, 3)  # columns: right, up, backward
+            data.cam_xpos[camera] += self.shift_m * (axes @ direction)
+            mujoco.mju_axisAngle2Quat(quaternion, direction, self.turn_rad)
+            mujoco.mju_quat2Mat(matrix, quaternion)
+            data.cam_xmat[camera] = (axes @ matrix.reshape(3, 3)).ravel()
