@@ -9,10 +9,12 @@ import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
-from freerein_sim.worlds.blocks.goals import BlockGoal, BlockRelation, holds
+from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS, BlockGoal
+from freerein_sim.worlds.blocks.relations import BLOCK_M, BlockRelation, holds, is_related, is_visible
 from freerein_sim.worlds.blocks.simulation import BlocksWorld
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import World
 
 BY_NAME = {task.name: task for task in TASKS}
@@ -65,22 +67,23 @@ def test_listing_tasks_needs_no_simulator() -> None:
     [
         (BlockRelation.LEFT_OF, (0, -0.07, 0), True),
         (BlockRelation.LEFT_OF, (0, -0.05, 0), True),
-        (BlockRelation.LEFT_OF, (0, -0.0481, 0), True),
-        (BlockRelation.LEFT_OF, (0, -0.0479, 0), False),
+        (BlockRelation.LEFT_OF, (0, -0.0495, 0), True),
+        (BlockRelation.LEFT_OF, (0, -0.0945, 0), True),
+        (BlockRelation.LEFT_OF, (0, -0.0955, 0), False),
         (BlockRelation.LEFT_OF, (0, 0.05, 0), False),
         (BlockRelation.LEFT_OF, (0, 0.07, 0), False),
-        (BlockRelation.LEFT_OF, (0, -0.10, 0), False),
-        (BlockRelation.LEFT_OF, (0.03, -0.07, 0), False),
-        (BlockRelation.LEFT_OF, (0, -0.07, 0.03), False),
+        (BlockRelation.LEFT_OF, (0.07, -0.07, 0), False),
+        (BlockRelation.LEFT_OF, (0, -0.07, 0.01), False),
         (BlockRelation.RIGHT_OF, (0, 0.07, 0), True),
         (BlockRelation.RIGHT_OF, (0, 0.0495, 0), True),
-        (BlockRelation.RIGHT_OF, (0, 0.0479, 0), False),
         (BlockRelation.RIGHT_OF, (0, -0.07, 0), False),
         (BlockRelation.ON_TOP_OF, (0, 0.01, 0.05), True),
         (BlockRelation.ON_TOP_OF, (0, 0.01, 0.047), True),
         (BlockRelation.ON_TOP_OF, (0, 0.03, 0.05), False),
-        (BlockRelation.ON_TOP_OF, (0, 0.01, 0.07), False),
+        (BlockRelation.ON_TOP_OF, (0, 0.01, 0.06), False),
         (BlockRelation.ON_TOP_OF, (0, 0.01, -0.05), False),
+        (BlockRelation.BELOW, (0, 0.01, -0.05), True),
+        (BlockRelation.APART_FROM, (0, 0.1, 0), True),
     ],
 )
 def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
@@ -88,7 +91,19 @@ def test_a_relation_holds_only_where_the_block_lies_as_if_placed(
 ) -> None:
     other = np.array([0.0, 0.02, 0.025])
 
-    assert holds(relation, other + offset, other) is expected
+    assert bool(holds(relation, other + offset, other)) is expected
+
+
+def test_every_pair_of_blocks_is_in_exactly_one_relation_and_a_goal_holds_only_in_its_own() -> None:
+    first, second = np.random.default_rng(0).uniform(-0.15, 0.15, size=(2, 500, 4, 3)) * (0.2, 1, 1)
+    related = np.stack([is_related(each, first, second) for each in BlockRelation])
+    one_by_one = [bool(is_related(BlockRelation.LEFT_OF, *pair)) for pair in zip(first[0], second[0], strict=True)]
+
+    assert (related.sum(axis=0) == 1).all()
+    assert related.any(axis=(1, 2)).all()
+    assert one_by_one == is_related(BlockRelation.LEFT_OF, first, second)[0].tolist()
+    for each, true in zip(BlockRelation, related, strict=True):
+        assert not (holds(each, first, second) & ~true).any()
 
 
 def test_blocks_pressed_together_by_the_gripper_count_as_beside() -> None:
@@ -110,11 +125,77 @@ def test_blocks_pressed_together_by_the_gripper_count_as_beside() -> None:
         assert world.truth().success
 
 
-@pytest.mark.parametrize("relation", BlockRelation)
-def test_no_episode_begins_at_its_goal(relation: BlockRelation) -> None:
-    rng = np.random.default_rng(0)
+def test_a_goal_whose_block_is_in_the_hand_earns_nothing() -> None:
+    with closing(begin("blocks.red-left-of-green")) as world:
+        assert isinstance(world, BlocksWorld)
+        expert, near = world.expert((), np.random.default_rng(0)), 0
+        while (planned := expert.act()) is not None:
+            world.step(planned.action)
+            red, green = (world.position(colour) for colour in ("red", "green"))
+            if red[2] > 0.04 and is_related(BlockRelation.LEFT_OF, red, green):
+                near += 1
+                assert not world.truth().success
 
-    assert not any(holds(relation, *initial_states.pair(rng).blocks) for _ in range(2000))
+    assert near > 0
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("interval_m", [initial_states.SEEN_M, initial_states.UNSEEN_M], ids=["seen", "unseen"])
+@pytest.mark.parametrize("relation", GOAL_RELATIONS)
+def test_the_blocks_of_a_goal_begin_apart_within_their_intervals_in_either_order_and_others_leave_room(
+    relation: BlockRelation, interval_m: float, count: int
+) -> None:
+    rng, goal = np.random.default_rng(0), BlockGoal("green", relation, "blue")
+    blocks = np.stack(
+        [initial_states.pair(rng, goal=goal, count=count, interval_m=interval_m).blocks for _ in range(1000)]
+    )
+    first, second = blocks[:, 1], blocks[:, 3]
+    left, right = np.sort([first[:, 1], second[:, 1]], axis=0)
+    on_show = is_visible(blocks)
+    distances = np.abs(blocks[:, :, None, 1] - blocks[:, None, :, 1])
+    both = on_show[:, :, None] & on_show[:, None] & ~np.eye(4, dtype=bool)
+
+    assert is_related(BlockRelation.APART_FROM, first, second).all()
+    assert (np.abs(left + 0.07) <= interval_m / 2).all()
+    assert (np.abs(right - 0.07) <= interval_m / 2).all()
+    assert np.ptp(left) > 0.9 * interval_m
+    assert 0.45 < (first[:, 1] < second[:, 1]).mean() < 0.55
+    assert (on_show.sum(axis=1) == count).all()
+    assert distances[both].min() > BLOCK_M + 0.005
+    assert on_show[:, [0, 2]].mean() == pytest.approx((count - 2) / 2)
+    assert count != 3 or 0.45 < on_show[:, 0].mean() < 0.55
+    if relation is not BlockRelation.ON_TOP_OF:
+        place = second[:, None, 1] + (-0.071 if relation is BlockRelation.LEFT_OF else 0.071)
+        bystanders = blocks[:, [0, 2], 1][on_show[:, [0, 2]]]
+        assert (np.abs(bystanders - np.repeat(place, count - 2)) > 0.077).all()
+
+
+@pytest.mark.parametrize("relation", ["left-of", "right-of", "on-top-of"])
+def test_the_expert_reaches_goals_from_unseen_starts_among_four_blocks(relation: str) -> None:
+    with closing(build(BY_NAME[f"blocks.green-{relation}-yellow"], ("start-unseen", "blocks-4"))) as world:
+        for seed in range(10):
+            assert show(world, seed, ("move-green",)).success
+            assert world.truth().success
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_free_play_with_fewer_blocks_shows_those_that_its_recipe_names(count: int) -> None:
+    recipe = ("move-blue", "move-green", "move-red")[:count]
+    drawn = set()
+    with closing(build(BY_NAME["blocks"], (f"blocks-{count}",))) as world:
+        for seed in range(12):
+            assert show(world, seed, recipe).success
+            assert world.visible_colours == tuple(colour for colour in COLOURS if f"move-{colour}" in recipe)
+            world.reset(np.random.default_rng(seed), recipe=recipe[:1])
+            assert "blue" in world.visible_colours
+            drawn.add(world.visible_colours)
+        hidden = next(colour for colour in COLOURS if colour not in world.visible_colours)
+        with pytest.raises(InvalidInput, match=f"{hidden} is hidden"):
+            world.expert((f"move-{hidden}",), np.random.default_rng(0))
+        with pytest.raises(InvalidInput, match=f"at most {count} blocks"):
+            world.reset(np.random.default_rng(0), recipe=world.spec.skills)
+
+    assert len(drawn) == 3
 
 
 def test_the_expert_moves_every_named_block_and_no_other() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
-from freerein_sim.worlds.blocks.goals import BLOCK_M, BlockRelation, holds
+from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS
+from freerein_sim.worlds.blocks.relations import BLOCK_M, holds, is_visible
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.rendering import open_renderer
 from freerein_sim.worlds.world import Frame, World
@@ -19,14 +20,14 @@ SEEDS = 300
 CAMERAS = [camera.name for camera in TASK.spec.cameras]
 
 
-def draw(count: int) -> list[initial_states.InitialState]:
+def draw(states: int, *, count: int = 2) -> list[initial_states.InitialState]:
     rng = np.random.default_rng(0)
-    return [initial_states.scatter(rng) for _ in range(count)]
+    return [initial_states.scatter(rng, count=count) for _ in range(states)]
 
 
 def on_show(blocks: np.ndarray) -> tuple[int, ...]:
     """Returns which blocks are not parked, from their centres, (4, 3)."""
-    return tuple(np.flatnonzero(blocks[:, 0] > initial_states.PARKED_M[0, 0] / 2).tolist())
+    return tuple(np.flatnonzero(is_visible(blocks)).tolist())
 
 
 def shown(start: initial_states.InitialState) -> np.ndarray:
@@ -79,19 +80,21 @@ def test_the_relations_of_the_goal_tasks_and_blocks_in_hand_occur_often() -> Non
         relation
         for start in drawn
         for first, second in (shown(start), shown(start)[::-1])
-        for relation in BlockRelation
+        for relation in GOAL_RELATIONS
         if holds(relation, first, second)
     )
     in_hand = sum(start.gripper.target_m < start.gripper.finger_m for start in drawn)
 
-    assert all(seen[relation] > 0.05 * len(drawn) for relation in BlockRelation)
+    assert all(seen[relation] > 0.05 * len(drawn) for relation in GOAL_RELATIONS)
     assert 0.2 < in_hand / len(drawn) < 0.3
 
 
-def test_nothing_begins_inside_anything_else() -> None:
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_nothing_begins_inside_anything_else(count: int) -> None:
     model = scene.build(COLOURS, pad=True).model
     data = mujoco.MjData(model)
-    for start in draw(SEEDS):
+    for start in draw(SEEDS, count=count):
+        assert is_visible(start.blocks).sum() == count
         for colour, place in zip(COLOURS, start.blocks, strict=True):
             data.joint(colour).qpos = (*place, 1, 0, 0, 0)
         data.joint("gripper.y").qpos, data.joint("gripper.z").qpos = start.gripper.at

@@ -18,7 +18,8 @@ States = npt.NDArray[np.float64]
 
 
 def state(*centres: tuple[float, float, float], gripper: tuple[float, float] = (0.1, 0.2)) -> States:
-    """Returns the state with the gripper at (y, z) and blocks at (x, y, z)."""
+    """Returns the state with the gripper at (y, z) and blocks at (x, y, z); blocks that are left out are hidden."""
+    centres += (HIDDEN,) * (len(blocks.COLOURS) - len(centres))
     return np.array([*gripper, 0.03, *(number for centre in centres for number in (*centre, 1, 0, 0, 0))])
 
 
@@ -45,7 +46,8 @@ def judge(predicate: StatePredicate, states: States, *references: States) -> lis
 def test_a_task_names_its_predicates() -> None:
     goal = ["at-landmark", "object-moves", "lifted/move-red", "completed/move-red"]
     skills = [f"{what}/move-{colour}" for what in ("lifted", "completed") for colour in blocks.COLOURS]
-    assert list(PAIR) == goal
+    assert list(PAIR) == [*goal, "start/in-order"]
+    assert list(PREDICATES["blocks.red-on-top-of-green"])[-1] == "start/from-left"
     assert [name for name in BLOCKS if not name.startswith("relation/")] == [*goal[:2], *skills]
     assert list(GRID) == ["at-landmark", "object-moves", *(f"completed/{skill}" for skill in grid.SPEC.skills)]
     described = {each.name: each for each in TASKS["blocks"].describe().predicates}
@@ -117,6 +119,21 @@ def test_a_skill_is_judged_at_each_timestep_given_those_before_it() -> None:
     moving = episode({}, {"red": (0.0, HELD)}, {"red": (-0.05, ON_TABLE)}, {"red": (0.0, ON_TABLE)})
     assert judge(BLOCKS["lifted/move-red"], moving) == [False, True, True, True]
     assert judge(BLOCKS["completed/move-red"], moving) == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("task", "left"),
+    [
+        ("blocks.red-left-of-green", True),
+        ("blocks.red-right-of-green", False),
+        ("blocks.red-on-top-of-green", True),
+    ],
+)
+def test_a_start_is_told_by_the_side_on_which_the_first_block_began(task: str, left: bool) -> None:
+    (starts,) = (each for name, each in PREDICATES[task].items() if name.startswith("start/"))
+    one, other = beside(0, -0.1, 0.1), beside(0, 0.1, -0.1)
+    assert judge(starts, np.stack([one, other])) == [left, left]
+    assert judge(starts, np.stack([other, one])) == [not left, not left]
 
 
 def test_sequences_are_judged_apart() -> None:

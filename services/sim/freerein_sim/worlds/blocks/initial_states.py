@@ -81,10 +81,10 @@ def line(rng: np.random.Generator, wanted: Sequence[str] = (), *, count: int = l
     ys = rng.choice(places, size=len(COLOURS), replace=False)
     ys += rng.uniform(-_PLACE_JITTER_M, _PLACE_JITTER_M, size=ys.shape)
     start = _on_table(rng, ys)
-    named = [COLOURS.index(colour) for colour in dict.fromkeys(wanted)]
-    others = [i for i in range(len(COLOURS)) if i not in named]
-    hidden = rng.permutation(others)[: len(COLOURS) - count]
-    start.blocks[hidden] = PARKED_M[hidden]
+    if count < len(COLOURS):
+        others = [i for i, colour in enumerate(COLOURS) if colour not in wanted]
+        hidden = rng.permutation(others)[: len(COLOURS) - count]
+        start.blocks[hidden] = PARKED_M[hidden]
     return start
 
 
