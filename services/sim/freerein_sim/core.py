@@ -86,6 +86,7 @@ class SimCore:
     async def create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Creates a session, or returns the one created with the same idempotency key."""
         self._check_not_draining()
+        request = replace(request, conditions=tuple(sorted(request.conditions)))  # their order does not matter
         earlier, making = self._created.get(request.idempotency_key, (request, None))
         if earlier != request:
             raise AlreadyExists(

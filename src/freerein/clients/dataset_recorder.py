@@ -36,7 +36,10 @@ class DatasetRecorder:
         spec = dataset_spec(
             select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
         )
-        as_json = {key: value for key, value in wire.to_json(request).items() if key not in ("count", "first")}
+        free = ("count", "first", "conditions")
+        as_json = {key: value for key, value in wire.to_json(request).items() if key not in free}
+        if request.conditions:
+            as_json["conditions"] = sorted(request.conditions)
         self._request = request
         self._writer = open_or_resume(root, spec, as_json)
 

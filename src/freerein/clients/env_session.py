@@ -42,6 +42,7 @@ class SessionOptions(TypedDict, total=False):
         width: Frame width in pixels; 0 means the cameras' own.
         privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
             `success` of each step, and of resets that begin an episode.
+        conditions: Conditions of the task, named variations; empty for the nominal task.
         lease_s: Time without a call after which the service ends the session, in seconds; at most 3600, default 600.
         render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
         token: Bearer token; empty for none.
@@ -52,6 +53,7 @@ class SessionOptions(TypedDict, total=False):
     height: int
     width: int
     privileged: bool
+    conditions: Sequence[str]
     lease_s: float
     render_mode: str | None
     token: str
@@ -78,6 +80,7 @@ class EnvSession:
         height: int = 0,
         width: int = 0,
         privileged: bool = False,
+        conditions: Sequence[str] = (),
         lease_s: float = _LEASE_S,
         render_mode: str | None = None,
         token: str = "",
@@ -91,7 +94,13 @@ class EnvSession:
             )
         self._sim = SyncClient(SimClient(Channel(address, token=token, root_certificates=root_certificates)))
         request = CreateSessionRequest(
-            task, num_envs, lease_s=lease_s, height=height, width=width, privileged=privileged
+            task,
+            num_envs,
+            lease_s=lease_s,
+            height=height,
+            width=width,
+            privileged=privileged,
+            conditions=tuple(conditions),
         )
         with ExitStack() as on_error:
             on_error.callback(self._sim.close)

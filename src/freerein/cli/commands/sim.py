@@ -46,6 +46,9 @@ def demonstrate(
     height: Annotated[int, typer.Option(min=0, help="Frame height in pixels; 0 means the camera's.")] = 0,
     width: Annotated[int, typer.Option(min=0, help="Frame width in pixels; 0 means the camera's.")] = 0,
     behaviour: Annotated[Literal["expert", "random"], typer.Option(help="Who chooses the actions.")] = "expert",
+    condition: Annotated[
+        list[str] | None, typer.Option(help="Condition of the task; repeatable. None by default.")
+    ] = None,
     truth: Annotated[bool, typer.Option("--truth", help="Store true labels beside the data, for evaluation.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -62,6 +65,7 @@ def demonstrate(
         height=height,
         width=width,
         privileged=truth,
+        conditions=tuple(condition or ()),
     )
     with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
         held = call(SimClient, "sim", lambda client: record(client, request, dataset_root(out), on_count=on_count))

@@ -17,7 +17,7 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 
 CARD = "dataset.json"
-"""The artifact that describes the dataset: `dataset`, `trajectories`, `timesteps` and `fingerprint`."""
+"""The artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`."""
 
 
 def run(context: RunContext, config: CollectConfig) -> None:
@@ -35,6 +35,8 @@ def run(context: RunContext, config: CollectConfig) -> None:
     dataset = Dataset(root)
     card = {
         "dataset": config.dataset,
+        "task": config.task,
+        "conditions": sorted(config.conditions),
         "trajectories": len(dataset),
         "timesteps": int(dataset.lengths.sum()),
         "fingerprint": dataset.fingerprint,

@@ -26,6 +26,7 @@ class CollectConfig:
         width: Frame width in pixels; 0 means the camera's own.
         length: Curiosity's rollout length, and so its longest trajectory, in timesteps.
         num_envs: Curiosity's number of parallel environments.
+        conditions: Conditions of the task, named variations; empty for the nominal task.
 
     Raises:
         InvalidInput: The dataset's name is invalid, or a behaviour is given options of another.
@@ -44,6 +45,7 @@ class CollectConfig:
     width: int = bounded(0, least=0, most=1024)
     length: int = bounded(50, least=2, most=1000)
     num_envs: int = bounded(8, least=1, most=64)
+    conditions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.dataset, field="config.dataset")

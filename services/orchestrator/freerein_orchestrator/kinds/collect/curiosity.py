@@ -57,7 +57,12 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
 
     def open_envs(snapshots: Sequence[bytes]) -> RemoteVectorEnv:
         request = CreateSessionRequest(
-            config.task, num_envs=config.num_envs, seed=config.seed, height=config.height, width=config.width
+            config.task,
+            num_envs=config.num_envs,
+            seed=config.seed,
+            height=config.height,
+            width=config.width,
+            conditions=config.conditions,
         )
         return RemoteVectorEnv(
             sims, request, camera=camera, reward_fn=zero_reward, snapshots=snapshots, interrupt=retry.interrupt

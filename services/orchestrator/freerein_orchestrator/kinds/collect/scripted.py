@@ -73,6 +73,7 @@ def _request(config: CollectConfig, behaviour: Behaviour) -> DemonstrateRequest:
         cameras=config.cameras,
         height=config.height,
         width=config.width,
+        conditions=config.conditions,
     )
 
 

@@ -65,7 +65,7 @@ def run(context: RunContext, config: FormConfig) -> None:
         count = min(config.num_envs, config.episodes - done)
         record.add(evaluation.subject, retry.call(partial(evaluation.run_round, done, count)))
     result = retry.call(lambda: evaluation.result(record.trials()))
-    header = {name: getattr(config, name) for name in ("form", "task", "episodes", "num_envs", "seed")}
+    header = {name: getattr(config, name) for name in ("form", "task", "conditions", "episodes", "num_envs", "seed")}
     record.write_result(result, {**header, "privileged": True})
 
 

@@ -28,6 +28,7 @@ class FormConfig:
         episodes: Number of trials: of episodes, or of demonstrations.
         num_envs: Trials per round; a killed evaluation continues after the last whole round.
         seed: Seed of every random draw.
+        conditions: Conditions of the task, named variations; empty for the nominal task.
     """
 
     form: str = "returns"
@@ -35,6 +36,7 @@ class FormConfig:
     episodes: int = bounded(50, least=1, most=100_000)
     num_envs: int = bounded(10, least=1, most=64)
     seed: int = bounded(0, least=0, most=2**31 - 1)
+    conditions: tuple[str, ...] = ()
 
 
 C = TypeVar("C", bound=FormConfig)
@@ -117,7 +119,13 @@ class Setup(Generic[C]):
     def session(self, count: int, first: int, *, height: int = 0, width: int = 0) -> CreateSessionRequest:
         """Returns the privileged session of a round's trials; equal sessions begin in equal states."""
         return CreateSessionRequest(
-            self.task.name, num_envs=count, seed=self.seed(first), height=height, width=width, privileged=True
+            self.task.name,
+            num_envs=count,
+            seed=self.seed(first),
+            height=height,
+            width=width,
+            privileged=True,
+            conditions=self.config.conditions,
         )
 
 

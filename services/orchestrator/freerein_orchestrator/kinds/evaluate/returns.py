@@ -1,6 +1,10 @@
-"""Form `returns`: the return of a policy by the oracle's reward; against a baseline in the same episodes, the gain."""
+"""Form `returns`: the return of a policy by the oracle's reward; against a baseline in the same episodes, the gain.
 
-from collections.abc import Collection, Sequence
+Where the task has an expert and a goal, the expert's return in the same episodes stands beside it, as the ceiling. Where
+the task has predicates `start/...`, figures are also split by them: `return_mean.in-order`, `return_mean.not-in-order`.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -8,8 +12,9 @@ import numpy as np
 
 from freerein.types.common import Goal
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
-from freerein_orchestrator.envs.policies import PolicyHandle
-from freerein_orchestrator.kinds.evaluate.form import Form, Result, Setup, Trial, mean_figure
+from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy
+from freerein_orchestrator.envs.truth import truth_session
+from freerein_orchestrator.kinds.evaluate.form import Figure, Form, Result, Setup, Trial, mean_figure
 from freerein_orchestrator.kinds.evaluate.policies import (
     PolicyChoice,
     PolicyConfig,
@@ -21,6 +26,17 @@ from freerein_orchestrator.kinds.evaluate.policies import (
     parse_policy,
 )
 from freerein_orchestrator.kinds.policy_store import PolicyStore
+
+_START = "start/"
+"""Predicates of these names say how an episode began."""
+
+_SPLIT = {
+    "return_mean": "episode_return",
+    "success_rate": "success",
+    "baseline_return_mean": "baseline_return",
+    "expert_return_mean": "expert_return",
+}
+"""Figures that are split by the start, and the key of their numbers in a trial."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,21 +81,44 @@ class ReturnsEvaluation:
             pinned = replace(setup, subject=setup.subject.get("baseline", {}))
             self._baseline = _GivenPolicy(find_choice(pinned, choice), goal_of(choice), goal_text)
             self.subject["baseline"] = self._baseline.description
+        self._expert: _GivenPolicy | None = None
+        if setup.task.has_expert and goal_text and "expert" not in (config.policy, config.baseline):
+            self._expert = _GivenPolicy(expert_policy(setup.sim, setup.task), Goal(), goal_text)
+        self._starts = [each.name for each in setup.task.predicates if each.name.startswith(_START)]
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
         """Returns trials `first` to `first + count`."""
+        episodes = self._episodes(self._policy, first, count)
         values: list[dict[str, Any]] = [
             {
                 "episode_return": float(each.rewards.sum()),
                 "episode_length": len(each.rewards),
                 "success": each.success,
+                "starts": starts,
             }
-            for each in self._episodes(self._policy, first, count)
+            for each, starts in zip(episodes, self._starts_of(episodes), strict=True)
         ]
-        if self._baseline is not None:
-            for own, each in zip(values, self._episodes(self._baseline, first, count), strict=True):
-                own["baseline_return"] = float(each.rewards.sum())
-        return [Trial(each) for each in values]
+        for key, policy in (("baseline_return", self._baseline), ("expert_return", self._expert)):
+            if policy is not None:
+                for own, each in zip(values, self._episodes(policy, first, count), strict=True):
+                    own[key] = float(each.rewards.sum())
+        return [Trial(each | self._expert_return(each)) for each in values]
+
+    def _expert_return(self, values: Mapping[str, Any]) -> dict[str, float]:
+        """Returns the expert's return where the policy or the baseline is the expert, and the task has a goal."""
+        config = self._setup.config
+        if not self._setup.task.goal_text or "expert" not in (config.policy, config.baseline):
+            return {}
+        return {"expert_return": values["episode_return" if config.policy == "expert" else "baseline_return"]}
+
+    def _starts_of(self, episodes: Sequence[Episode]) -> list[dict[str, bool]]:
+        """Returns for each episode which predicates of the start hold."""
+        if not self._starts:
+            return [{} for _ in episodes]
+        first_states = [each.states[:1] for each in episodes]
+        with truth_session(self._setup.sim, self._setup.task.name) as truth:
+            held = {name: truth.holds(name, first_states) for name in self._starts}
+        return [{name: bool(flags[i][0]) for name, flags in held.items()} for i in range(len(episodes))]
 
     def _episodes(self, policy: "_GivenPolicy", first: int, count: int) -> Sequence[Episode]:
         setup, handle = self._setup, policy.handle
@@ -88,10 +127,16 @@ class ReturnsEvaluation:
 
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials."""
-        names = {"returns": "episode_return", "lengths": "episode_length", "successes": "success"}
-        if self._baseline is not None:
-            names["baseline_returns"] = "baseline_return"
-        lists = {name: [trial.values[key] for trial in trials] for name, key in names.items()}
+        names = {
+            "returns": "episode_return",
+            "lengths": "episode_length",
+            "successes": "success",
+            "baseline_returns": "baseline_return",
+            "expert_returns": "expert_return",
+        }
+        lists = {
+            name: [trial.values[key] for trial in trials] for name, key in names.items() if key in trials[0].values
+        }
         seed, chance = self._setup.config.seed, lists.get("baseline_returns")
         baseline = None if chance is None else float(np.mean(chance))
         figures = {
@@ -101,7 +146,23 @@ class ReturnsEvaluation:
         if chance is not None:
             figures["baseline_return_mean"] = mean_figure(chance, seed=seed)
             figures["gain"] = mean_figure(np.subtract(lists["returns"], chance).tolist(), seed=seed, baseline=0.0)
-        return Result(figures, {"episodes": len(trials)}, lists)
+        if "expert_returns" in lists:
+            figures["expert_return_mean"] = mean_figure(lists["expert_returns"], seed=seed)
+        starts = {name: [trial.values["starts"][name] for trial in trials] for name in self._starts}
+        figures |= self._split_figures(trials)
+        return Result(figures, {"episodes": len(trials)}, lists | ({"starts": starts} if starts else {}))
+
+    def _split_figures(self, trials: Sequence[Trial]) -> dict[str, Figure]:
+        """Returns the figures of the trials that began in each way."""
+        figures = {}
+        for start in self._starts:
+            for holds, prefix in ((True, ""), (False, "not-")):
+                part = [trial.values for trial in trials if trial.values["starts"][start] is holds]
+                for name, key in _SPLIT.items():
+                    if part and key in part[0]:
+                        split = f"{name}.{prefix}{start.removeprefix(_START)}"
+                        figures[split] = mean_figure([each[key] for each in part], seed=self._setup.config.seed)
+        return figures
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,6 +84,7 @@ class SegmentationEvaluation:
             height=model.height,
             width=model.width,
             privileged=True,
+            conditions=config.conditions,
         )
         with closing(self._setup.sim.demonstrate(request)) as demonstrations:
             for demonstration in demonstrations:

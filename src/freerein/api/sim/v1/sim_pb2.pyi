@@ -105,7 +105,8 @@ class Predicate(_message.Message):
     name: _builtins.str
     """Its name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not
     where the reference has it), `lifted/SKILL` (the skill's object has risen since the first state),
-    `completed/SKILL` (the skill was executed since the first state), or a name of the world's own.
+    `completed/SKILL` (the skill was executed since the first state), `start/WHAT` (how the sequence began), or a name of
+    the world's own.
     """
     text: _builtins.str
     """What it states, as a caption; empty where no image could show it."""
