@@ -20,8 +20,8 @@ class Predicate:
     Attributes:
         name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not
             where the reference has it), `lifted/SKILL` (the skill's object has risen since the first state),
-            `completed/SKILL` (the skill was executed since the first state), `start/WHAT` (how the sequence began), or a
-            name of the world's own.
+            `completed/SKILL` (the skill was executed since the first state), `start/WHAT` (how the sequence began), or
+            a name of the world's own.
         text: What it states, as a caption; empty where no image could show it.
         group: Predicates of one group exclude each other: at most one holds in a state. Empty for no group.
         needs_reference: Whether it compares each state with a reference, such as a landmark's state.

@@ -60,7 +60,7 @@ class RequestHandler:
             case sim.CreateSessionRequest():
                 response = self._create_session(request)
             case sim.DemonstrateRequest():
-                response = demonstrations.make_demonstration(self._demonstration_world(request), request)
+                response = self._demonstrate(request)
             case sim.CloseSessionRequest():
                 self._discard(request.session)
                 response = sim.CloseSessionResponse()
@@ -81,6 +81,14 @@ class RequestHandler:
             conditions=request.conditions,
         )
         return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
+
+    def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
+        """Returns one trajectory. The service has checked its size for episodes of the nominal length only."""
+        world = self._demonstration_world(request)
+        cameras, images = request.cameras or (world.spec.cameras[0].name,), world.spec.max_episode_steps
+        task = self._task(request.task).describe()
+        protocol.check_frames(task, cameras, height=request.height, width=request.width, images=images)
+        return demonstrations.make_demonstration(world, request)
 
     def _demonstration_world(self, request: sim.DemonstrateRequest) -> World:
         """Returns the world of the task's last demonstration, or a new one where that had other conditions."""

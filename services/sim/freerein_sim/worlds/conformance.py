@@ -10,14 +10,18 @@ A check raises `AssertionError` with a sentence; it makes and closes its own wor
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
+from freerein_sim.worlds.camera_effects import EFFECTS
+from freerein_sim.worlds.conditions import Condition
 from freerein_sim.worlds.episodes import record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import Action, Frame, TaskDefinition, World, expert_of
 
 _SEED = 7
@@ -204,6 +208,47 @@ def judges_its_states(task: TaskDefinition) -> None:
         _require(np.array_equal(shorter, holds[:, :-1]), "A predicate does not look ahead.")
 
 
+def declares_its_conditions(task: TaskDefinition) -> None:
+    """Conditions have names of their own, and every other list of them is refused."""
+    names = [condition.name for condition in task.conditions]
+    _require(len(set(names)) == len(names), "Conditions have names of their own.")
+    _require(task.describe().conditions == tuple(names), "A task describes its conditions.")
+    wrong = [["no-such-condition"], *([name, name] for name in names[:1])]
+    wrong += [[one.name, other.name] for one, other in combinations(task.conditions, 2) if one.group == other.group]
+    for chosen in wrong:
+        _refuses(partial(build, task, chosen), "An unknown condition, or two of a group, is refused.")
+
+
+def runs_under_each_condition(task: TaskDefinition) -> None:
+    """Under each condition a world is deterministic, and restores its own snapshots bit for bit."""
+    for condition in task.conditions:
+        with closing(_vary(task, condition)) as world, closing(_vary(task, condition, seed=_SEED + 1)) as other:
+            _require(world.fingerprint == other.fingerprint, "Worlds of one condition have one fingerprint.")
+            with closing(task.make()) as nominal:
+                _require(world.fingerprint != nominal.fingerprint, "A condition is part of the fingerprint.")
+            _continued(world)
+            snapshot = world.snapshot()
+            other.restore(snapshot)
+            _require(other.snapshot() == snapshot, "A restored world has the snapshot that it was given.")
+            _require(
+                _continued(world) == _continued(other), f"A world restored under {condition.name} goes on the same."
+            )
+
+
+def looks_different_under_conditions_of_the_camera(task: TaskDefinition) -> None:
+    """Effects, lights and camera moves change frames, and nothing of the true state."""
+    with closing(_begin(task)) as nominal:
+        truth, *frames = _observed(nominal)
+        for condition in task.conditions:
+            if condition.name in EFFECTS or condition.group in ("light", "camera"):
+                with closing(_vary(task, condition)) as world:
+                    seen, *views = _observed(world)
+                    _require(seen == truth, f"{condition.name} leaves the true state as it is.")
+                    _require(views[1:] != frames[1:], f"{condition.name} changes what cameras see.")
+                    shapes = [len(view) for view in views] == [len(frame) for frame in frames]
+                    _require(shapes, f"{condition.name} leaves the frame's size as it is.")
+
+
 CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     describes_itself,
     tells_the_truth_in_shape,
@@ -220,6 +265,9 @@ CHECKS: tuple[Callable[[TaskDefinition], None], ...] = (
     has_an_expert_that_survives_any_state,
     has_an_expert_of_its_own_recipe,
     judges_its_states,
+    declares_its_conditions,
+    runs_under_each_condition,
+    looks_different_under_conditions_of_the_camera,
 )
 """All checks, simplest first."""
 
@@ -239,6 +287,12 @@ def _refuses(call: Callable[[], object], sentence: str) -> None:
 
 def _begin(task: TaskDefinition, *, seed: int = _SEED) -> World:
     world = task.make()
+    world.reset(np.random.default_rng(seed))
+    return world
+
+
+def _vary(task: TaskDefinition, condition: Condition, *, seed: int = _SEED) -> World:
+    world = build(task, [condition.name])
     world.reset(np.random.default_rng(seed))
     return world
 

@@ -17,7 +17,7 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 
 CARD = "dataset.json"
-"""The artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`."""
+"""Artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`."""
 
 
 def run(context: RunContext, config: CollectConfig) -> None:

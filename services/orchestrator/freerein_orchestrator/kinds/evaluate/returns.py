@@ -1,7 +1,7 @@
 """Form `returns`: the return of a policy by the oracle's reward; against a baseline in the same episodes, the gain.
 
-Where the task has an expert and a goal, the expert's return in the same episodes stands beside it, as the ceiling. Where
-the task has predicates `start/...`, figures are also split by them: `return_mean.in-order`, `return_mean.not-in-order`.
+Where the task has an expert and a goal, the expert's return in the same episodes stands beside it, as the ceiling.
+Where the task has predicates `start/WHAT`, figures are also split by them: `return_mean.WHAT`, `return_mean.not-WHAT`.
 """
 
 from collections.abc import Collection, Mapping, Sequence
