@@ -70,6 +70,17 @@ def test_a_recording_gone_on_with_is_the_recording_made_at_once(recorder: Path) 
     assert Dataset(recorder / "begun").fingerprint == Dataset(recorder / "whole").fingerprint
 
 
+def test_a_recording_under_conditions_goes_on_under_the_same_in_any_order(recorder: Path) -> None:
+    varied = ("--condition", "warm", "--condition", "blur")
+    _demonstrate("--out", "varied", "--count", "1", *varied)
+    codes = [
+        _demonstrate("--out", "varied", "--count", "2", *each)[0] for each in (varied[2:] + varied[:2], varied[:2])
+    ]
+
+    assert codes == [0, 1]
+    assert json.loads((recorder / "varied" / "recording.json").read_text())["conditions"] == ["blur", "warm"]
+
+
 def test_a_recording_is_not_gone_on_with_by_another_request(recorder: Path) -> None:
     _demonstrate("--out", "demos", "--count", "1", "--seed", "1")
 

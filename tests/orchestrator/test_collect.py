@@ -18,6 +18,7 @@ pytestmark = pytest.mark.e2e
 COLLECT = KINDS["collect"]
 EXPERT = {"task": "grid", "dataset": "demos", "count": 40, "max_skills": 2, "seed": 3}
 RANDOM = {"task": "grid", "dataset": "demos", "behaviour": "random", "count": 6}
+VARIED = RANDOM | {"conditions": ["warm", "blur"]}
 
 CURIOSITY = {"task": "grid", "dataset": "demos", "behaviour": "curiosity", "count": 18, "num_envs": 2, "length": 8}
 
@@ -47,14 +48,14 @@ def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
     return Dataset(root).fingerprint
 
 
-@pytest.mark.parametrize("config", [EXPERT, RANDOM], ids=["expert", "random"])
+@pytest.mark.parametrize("config", [EXPERT, RANDOM, VARIED], ids=["expert", "random", "varied"])
 def test_a_run_records_what_the_same_request_does_and_describes_it(
     collect: Callable[..., Any], sim: Any, tmp_path: Path, config: dict[str, Any]
 ) -> None:
     run = collect(config)
     assert run.do()
 
-    request = {"behaviour": "expert", **config}
+    request = {"behaviour": "expert", **config, "conditions": tuple(config.get("conditions", ()))}
     del request["dataset"]
     fingerprint = recorded(tmp_path / "plain", sim, DemonstrateRequest(**request))
     dataset = Dataset(dataset_path(tmp_path, "demos"))
@@ -62,6 +63,8 @@ def test_a_run_records_what_the_same_request_does_and_describes_it(
     assert [bool(each.terminated[-1]) for each in dataset] == [config is EXPERT] * len(dataset)
     assert run.artifact("dataset.json") == {
         "dataset": "demos",
+        "task": "grid",
+        "conditions": sorted(config.get("conditions", [])),
         "trajectories": config["count"],
         "timesteps": dataset.lengths.sum(),
         "fingerprint": fingerprint,

@@ -134,6 +134,32 @@ def test_the_scripted_expert_earns_more_than_random_actions(evaluation: Callable
     assert expert == 1 > random
 
 
+@pytest.mark.parametrize("policy", ["random", "expert"])
+def test_the_expert_s_return_stands_beside_a_policy_s_and_both_are_split_by_how_episodes_began(
+    evaluation: Callable[..., Any], policy: str
+) -> None:
+    goal = {"task": "blocks.red-left-of-green", "episodes": 6, "num_envs": 6, "conditions": ["start-unseen"]}
+    run = evaluation(RANDOM | goal | {"policy": policy})
+    assert run.do()
+    result = run.artifact("result.json")
+    figures, in_order = result["figures"], np.array(result["starts"]["start/in-order"])
+    assert result["conditions"] == ["start-unseen"]
+    assert 0 < in_order.sum() < 6
+    assert figures["expert_return_mean"]["value"] == pytest.approx(np.mean(result["expert_returns"]))
+    assert figures["expert_return_mean"]["value"] > 60
+    assert (result["expert_returns"] == result["returns"]) == (policy == "expert")
+    for name, values in (("return_mean", result["returns"]), ("expert_return_mean", result["expert_returns"])):
+        assert figures[f"{name}.in-order"]["value"] == pytest.approx(np.mean(np.array(values)[in_order]))
+        assert figures[f"{name}.not-in-order"]["value"] == pytest.approx(np.mean(np.array(values)[~in_order]))
+    assert run.rows[-1]["expert_return_mean.in-order"] == figures["expert_return_mean.in-order"]["value"]
+
+
+def test_conditions_that_a_task_lacks_end_an_evaluation_with_those_that_it_has(evaluation: Callable[..., Any]) -> None:
+    with pytest.raises(InvalidInput) as error:
+        evaluation(RANDOM | {"conditions": ["fog"]}).do()
+    assert (error.value.field, "blur" in error.value.hint) == ("conditions", True)
+
+
 def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callable[..., Any]) -> None:
     config = RANDOM | {"policy": "expert", "episodes": 4}
     run, random = evaluation(config | {"baseline": "random"}), evaluation(config | {"policy": "random"})

@@ -9,8 +9,8 @@ from freerein.api.sim.v1 import sim_pb2
 
 pytestmark = [pytest.mark.fault("M1"), pytest.mark.fault("M2"), pytest.mark.fault("M3")]
 
-NAMES = {"task", "session", "idempotency_key", "cameras", "skills", "predicate", "datatype"}
-"""Texts of requests. All but keys are names that must be known: of tasks, sessions, cameras, skills, predicates."""
+NAMES = {"task", "session", "idempotency_key", "cameras", "skills", "predicate", "datatype", "conditions"}
+"""Texts of requests. All but keys are known names: of tasks, sessions, cameras, skills, predicates, conditions."""
 
 BYTES = {"raw", "snapshot"}
 """Numbers of a tensor; a snapshot, which holds a state and no model."""

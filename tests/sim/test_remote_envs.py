@@ -47,11 +47,20 @@ def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple
         gymnasium.registry.pop("freerein/Real-v0")
 
 
-@pytest.mark.parametrize(("task", "steps"), [("grid", 200), ("blocks.red-left-of-blue", 105)])
-def test_a_remote_vector_is_bit_for_bit_the_one_in_process(address: str, task: str, steps: int) -> None:
+@pytest.mark.parametrize(
+    ("task", "steps", "conditions"),
+    [
+        ("grid", 200, ("noise-10", "warm")),
+        ("blocks.red-left-of-blue", 105, ()),
+        ("blocks", 5, ("camera-5cm", "blocks-3")),
+    ],
+)
+def test_a_remote_vector_is_bit_for_bit_the_one_in_process(
+    address: str, task: str, steps: int, conditions: tuple[str, ...]
+) -> None:
     camera = TASKS[task].spec.cameras[0].name
-    local = VectorEnv(TASKS[task], num_envs=3, seed=0, privileged=True)
-    remote = SimVectorEnv(task, address, num_envs=3, privileged=True, token=TOKEN)
+    local = VectorEnv(TASKS[task], num_envs=3, seed=0, privileged=True, conditions=conditions)
+    remote = SimVectorEnv(task, address, num_envs=3, privileged=True, conditions=conditions, token=TOKEN)
     first, _ = remote.reset(seed=4)
     np.testing.assert_array_equal(first, local.reset(seed=4, cameras=(camera,)).frames[camera])
     remote.action_space.seed(4)

@@ -145,6 +145,7 @@ async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessi
         ({"lease_s": -1.0}, InvalidInput),
         ({"lease_s": float("nan")}, InvalidInput),
         ({"height": 257}, InvalidInput),
+        ({"conditions": ("fog",)}, InvalidInput),
         ({"task": "nothing"}, NotFound),
     ],
 )
@@ -436,6 +437,7 @@ async def test_no_session_waits_for_a_demonstration(start: StartSessions) -> Non
         ({"first": 3}, InvalidInput),
         ({"height": 300}, InvalidInput),
         ({"skills": ("fly",)}, InvalidInput),
+        ({"conditions": ("warm", "cool")}, InvalidInput),
         ({"task": "nothing"}, NotFound),
         ({"task": "blocks", "cameras": ("front", "left", "tilt"), "height": 256, "width": 256}, InvalidInput),
     ],

@@ -303,7 +303,7 @@ def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) 
     ]
 
     for snapshot in foreign:
-        with pytest.raises(FailedPrecondition, match="of this session's task and build"):
+        with pytest.raises(FailedPrecondition, match="of this session's task, build and conditions"):
             envs.restore(snapshot)
 
 

@@ -83,5 +83,5 @@ def test_listing_its_task_needs_no_simulator_and_gymnasium_is_never_imported() -
 def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(FailedPrecondition, match="wheel gymnasium,") as caught:
-        pendulum._scene.__wrapped__()
+        pendulum._scene.__wrapped__(1.0)
     assert caught.value.hint == "pip install --no-deps -r assets.txt"
