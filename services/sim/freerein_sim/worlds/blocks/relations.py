@@ -67,16 +67,19 @@ def is_related(relation: BlockRelation, first: Position, second: Position) -> Fl
     aligned = np.abs(right) < BLOCK_M
     on_top = aligned & (_ABOVE_M[0] < up) & (up < _ABOVE_M[1])
     below = aligned & (_ABOVE_M[0] < -up) & (-up < _ABOVE_M[1])
-    apart = np.linalg.norm(offset, axis=-1) >= CLOSE_M
-    tests = {
-        BlockRelation.ON_TOP_OF: on_top,
-        BlockRelation.BELOW: below,
-        BlockRelation.APART_FROM: apart,
-        BlockRelation.LEFT_OF: right < 0,
-        BlockRelation.RIGHT_OF: right >= 0,
-    }
-    true = np.select(list(tests.values()), range(len(tests)))
-    return np.asarray(true == list(tests).index(relation))
+    beside = ~(on_top | below) & ((offset * offset).sum(axis=-1) < CLOSE_M**2)
+    match relation:
+        case BlockRelation.ON_TOP_OF:
+            related = on_top
+        case BlockRelation.BELOW:
+            related = below
+        case BlockRelation.LEFT_OF:
+            related = beside & (right < 0)
+        case BlockRelation.RIGHT_OF:
+            related = beside & (right >= 0)
+        case BlockRelation.APART_FROM:
+            related = ~(on_top | below | beside)
+    return np.asarray(related)
 
 
 def holds(relation: BlockRelation, first: Position, second: Position) -> Flags:
