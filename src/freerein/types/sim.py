@@ -246,7 +246,7 @@ class SnapshotResponse:
 
 @dataclass(frozen=True)
 class RestoreRequest:
-    """Restores a snapshot into a session of the same task and number of environments."""
+    """Restores a snapshot into a session of the same task, conditions and number of environments."""
 
     session: str
     snapshot: bytes

@@ -752,7 +752,7 @@ class RestoreRequest(_message.Message):
     SESSION_FIELD_NUMBER: _builtins.int
     SNAPSHOT_FIELD_NUMBER: _builtins.int
     session: _builtins.str
-    """The session; of the snapshot's task and number of environments."""
+    """The session; of the snapshot's task, conditions and number of environments."""
     snapshot: _builtins.bytes
     """As returned by Snapshot."""
     def __init__(
