@@ -266,9 +266,10 @@ async def test_a_step_whose_caller_goes_away_is_made_and_its_reply_kept(start: S
 
 @pytest.mark.fault("M7")
 async def test_a_key_makes_one_session_however_often_it_is_used(sessions: SimCore) -> None:
-    request = replace(ONE, idempotency_key="mine", seed=None)
+    request = replace(ONE, idempotency_key="mine", seed=None, conditions=("blur", "warm"))
+    reordered = replace(request, conditions=("warm", "blur"))
 
-    first, twin = await asyncio.gather(sessions.create_session(request), sessions.create_session(request))
+    first, twin = await asyncio.gather(sessions.create_session(request), sessions.create_session(reordered))
 
     assert first == twin == await sessions.create_session(request)
     with pytest.raises(AlreadyExists, match="`idempotency_key`"):

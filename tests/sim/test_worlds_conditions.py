@@ -2,6 +2,7 @@
 
 import io
 from contextlib import closing
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -10,12 +11,13 @@ import pytest
 from PIL import Image
 
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.sim import DemonstrateRequest
+from freerein.types.sim import DemonstrateRequest, Recipe
 from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.workers.handler import RequestHandler
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, camera_effects, grid, pendulum
 from freerein_sim.worlds.blocks import scene
+from freerein_sim.worlds.blocks.relations import is_visible
 from freerein_sim.worlds.camera_effects import EFFECTS
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import TaskDefinition, World
@@ -140,7 +142,7 @@ def test_the_expert_travels_at_its_speed(speed: str, steps: tuple[float, float])
     for conditions in ((), (speed,)):
         with closing(build(TASKS["blocks"], conditions)) as world:
             request = DemonstrateRequest("blocks", "expert", min_skills=3, count=6, seed=1)
-            made = [make_demonstration(world, replace_first(request, i)) for i in range(6)]
+            made = [make_demonstration(world, replace(request, first=i)) for i in range(6)]
             actions = np.concatenate([each.trajectory.actions for each in made])
             lengths.append(len(actions))
 
@@ -149,8 +151,22 @@ def test_the_expert_travels_at_its_speed(speed: str, steps: tuple[float, float])
     assert steps[0] < lengths[1] / lengths[0] < steps[1]
 
 
-def replace_first(request: DemonstrateRequest, first: int) -> DemonstrateRequest:
-    return DemonstrateRequest(**{**vars(request), "first": first})
+def test_a_recipe_that_names_a_hidden_block_is_refused_and_makes_no_expert() -> None:
+    envs = VectorEnv(TASKS["blocks"], num_envs=2, seed=0, privileged=True, conditions=("blocks-2",))
+    states = envs.reset().truth.state[:, 3:].reshape(2, len(blocks.COLOURS), 7)
+    shown = [
+        [f"move-{colour}" for colour, pose in zip(blocks.COLOURS, state, strict=True) if is_visible(pose[:3])]
+        for state in states
+    ]
+    hidden = next(skill for skill in TASKS["blocks"].spec.skills if skill not in shown[1])
+    before = envs.snapshot()
+
+    with pytest.raises(InvalidInput, match="is hidden"):
+        envs.expert_actions((Recipe(tuple(shown[0][1:])), Recipe((hidden,))))
+    first = envs.expert_actions().actions
+    envs.restore(before)
+
+    np.testing.assert_array_equal(first, envs.expert_actions().actions)
 
 
 def test_demonstrations_with_fewer_blocks_choose_among_those_on_show_and_may_name_no_more() -> None:

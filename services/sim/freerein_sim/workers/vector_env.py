@@ -136,9 +136,11 @@ class VectorEnv:
                 that the world displays, or all of the task's skills in order if it displays none.
         """
         self._check_reset("ExpertActions")
-        for i, recipe in enumerate(self._recipes(recipes)):
-            if i not in self._experts:
-                self._experts[i] = expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
+        self._experts |= {
+            i: expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
+            for i, recipe in enumerate(self._recipes(recipes))
+            if i not in self._experts
+        }
         chosen = [self._experts[i].act() for i in range(self.num_envs)]
         nothing = np.zeros(self.task.spec.action.size, self.task.spec.action.dtype)
         return ExpertActionsResponse(
