@@ -142,7 +142,7 @@ def test_a_fit_is_refused_whole_and_begun_later_by_the_same_key(
         assert refusal(faulty.http.post("/v1/start-fit", json=asked), 507)["code"] == "out_of_storage"
         with (
             SyncClient(FitClient(Channel(faulty.service.address))) as fits,
-            pytest.raises(OutOfStorage, match="must be writable") as refused,
+            pytest.raises(OutOfStorage, match="must work") as refused,
         ):
             fits.start_fit(StartFitRequest("demos", "", FIT, state))
         assert "same idempotency key" in refused.value.hint
@@ -189,7 +189,7 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     with disk.full():
         until(lambda: not living(faulty))
     failed = wait_for(faulty, fit_id, lambda fit: fit["state"] == "failed")
-    assert "must be writable" in failed["error"]
+    assert "must work; got: " in failed["error"]
     assert "resume the fit" in failed["error"]
     assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 200
     assert wait_for(faulty, fit_id, lambda fit: "model" in fit)["model"]["version"] == undisturbed
@@ -261,7 +261,7 @@ def test_a_run_that_records_data_goes_on_once_there_is_room(
         until(lambda: not living(orchestrator))
     until(lambda: run()["state"] in ("succeeded", "failed"))
     if run()["state"] == "failed":  # its end could be recorded before the disk was full to the last byte
-        assert "must be writable" in run()["error"]
+        assert "must work; got: " in run()["error"]
         assert orchestrator.http.post("/v1/resume-run", json={"id": run_id}).status_code == 200
         until(lambda: run()["state"] == "succeeded")
     assert run()["step"] == 150
