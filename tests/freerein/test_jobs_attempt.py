@@ -67,7 +67,8 @@ def test_a_job_is_attempted_until_it_ends_or_three_crash_or_ten_are_killed_witho
 
 @pytest.mark.fault("F8")
 def test_after_each_kill_in_a_row_the_next_attempt_waits_twice_as_long_up_to_a_minute():
-    ends = ["killed"] * 9 + ["progressed", "killed", "crashed", "crashed", "killed", "progressed", "killed", "succeeded"]
+    ends = ["killed"] * 9
+    ends += ["progressed", "killed", "crashed", "crashed", "killed", "progressed", "killed", "succeeded"]
     pauses: list[float] = []
 
     def attempt(pause: Pause) -> AttemptResult:

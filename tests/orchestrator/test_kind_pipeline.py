@@ -211,7 +211,7 @@ def test_a_step_that_cannot_be_finished_on_a_full_disk_says_which_one_it_is_and_
     done = run.folder / "parts" / "chance" / "done.json"
     done.parent.mkdir(parents=True)
     done.with_name("done.json.tmp").symlink_to("/dev/full")
-    with pytest.raises(OutOfStorage, match="In step chance: .* No space left"):
+    with pytest.raises(OutOfStorage, match=r"In step chance: .* No space left"):
         run.do()
     assert not done.exists()
     assert run.do()
