@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 
 import pytest
 from pydantic import SecretStr
+from pydantic_core import PydanticUndefined
 
 ROOT = Path(__file__).parents[2]
 TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)\n*")
@@ -110,7 +111,7 @@ def settings_rows(kind: Any) -> Iterator[Row]:
     for name in inspect.get_annotations(kind):
         field = kind.model_fields[name]
         limits = [getattr(each, bound) for bound in _BOUNDS for each in field.metadata if hasattr(each, bound)]
-        default = "" if field.is_required() or field.default is None else f"`{field.default}`"
+        default = "" if field.default in (None, PydanticUndefined) else f"`{field.default}`"
         yield Row(f"`FREEREIN_{name.upper()}`", default, may_be(field.annotation, *limits), meanings[name])
 
 
