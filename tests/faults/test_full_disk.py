@@ -73,7 +73,7 @@ class Disk:
 @pytest.fixture(scope="module")
 def new_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Disk]]:
     if os.geteuid() != 0:
-        pytest.skip("only root may mount a file system")
+        pytest.skip("needs root: only it may mount a file system")
     disks: list[Disk] = []
 
     def new() -> Disk:

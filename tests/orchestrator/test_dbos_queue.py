@@ -136,7 +136,7 @@ class Postgres:
 @pytest.fixture(scope="module")
 def postgres() -> Iterator[Postgres]:
     if shutil.which("initdb") is None or shutil.which("postgres") is None:
-        pytest.skip("no Postgres here")
+        pytest.skip("needs a local Postgres")
     folder = Path(tempfile.mkdtemp(prefix="pg"))  # not `tmp_path`: the path of a socket is at most 107 bytes
     server = Postgres(folder)
     server.start()

@@ -27,6 +27,8 @@ _LEAD_M = 0.07
 class BlocksWorld:
     """A gripper and blocks in the plane in which the gripper moves."""
 
+    steps = None
+
     def __init__(
         self,
         spec: WorldSpec,
