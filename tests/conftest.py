@@ -105,6 +105,14 @@ def wait_until() -> Callable[[Callable[[], bool], float], float]:
     return poll
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _logs_of_stable_baselines3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Its logger makes a folder for every training, by default in the system's temporary folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("stable_baselines3")))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _keep_small_numbers() -> Iterator[None]:
     """Trainings flush denormal numbers to zero for their whole process; the next test wants them back."""
