@@ -28,7 +28,8 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from benchmarks.bare_transport import SEQ_BYTES, STREAM, grpc_stream, websocket
+from benchmarks.bare_policy import SEQ_BYTES
+from benchmarks.bare_transport import STREAM, grpc_stream, websocket
 from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Observe, Scene, control_stream, publish_scene
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_server, run_service
@@ -94,10 +95,10 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
 async def _open_bare(opened: AsyncExitStack, scene: Scene, address: str, *, reply_bytes: int) -> dict[str, Call]:
     """Returns the calls of bare clients, to the service and to bare servers, open as long as the stack is."""
     frame, goal, size, model = scene.frame.tobytes(), scene.goal.tobytes(), str(reply_bytes), str(scene.folder)
-    arguments = {"stream": size, "websocket": size, "policy": model, "threaded": model}
-    servers = (run_server("benchmarks.bare_transport", kind, argument) for kind, argument in arguments.items())
-    ports = await asyncio.gather(*map(opened.enter_async_context, servers))
-    at = {kind: f"127.0.0.1:{port}" for kind, port in zip(arguments, ports, strict=True)}
+    servers = {kind: run_server("benchmarks.bare_transport", kind, size) for kind in ("stream", "websocket")}
+    servers |= {kind: run_server("benchmarks.bare_policy", kind, model) for kind in ("policy", "threaded")}
+    ports = await asyncio.gather(*map(opened.enter_async_context, servers.values()))
+    at = {kind: f"127.0.0.1:{port}" for kind, port in zip(servers, ports, strict=True)}
     observations, hello = scene.observed_bytes(), scene.hello_bytes()
     calls = {
         "control-bytes": grpc_stream(address, CONTROL, observations, first=hello, first_is_answered=True),

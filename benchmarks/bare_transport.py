@@ -2,42 +2,30 @@
 
     websocket BYTES   answers a msgpack map with an image by a map with that many bytes, as policy servers often do
     stream BYTES      answers each message of a gRPC stream by that many bytes
-    policy FOLDER     answers each frame of a gRPC stream by the policy's action, one model call per frame
-    threaded FOLDER   the same with the model calls on a thread, so that the event loop can serve others meanwhile
 
 Servers check, count and log nothing, and run on the same event loop as services. Clients send prepared messages and do
 not decode replies.
 """
 
 import argparse
-import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import grpc
 import msgpack  # type: ignore[import-untyped]
-import numpy as np
-import torch
 import uvloop
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
 
 from benchmarks.servers import serve_until_stdin_closes
 from benchmarks.timing import Call
-from freerein_imitation.methods import METHODS
-from freerein_imitation.model.policy import Policy, PolicyOutput
 
 STREAM = "/bare.Bare/Stream"
-SEQ_BYTES = 8
-"""Bytes of the sequence number, little-endian, that begins a message to `policy` and its reply."""
 
 _LOOPBACK = "127.0.0.1"
 _GRACE_S = 1.0
-_Context = grpc.aio.ServicerContext[Any, Any]
+Context = grpc.aio.ServicerContext[Any, Any]
 
 
 def main() -> None:
@@ -46,7 +34,6 @@ def main() -> None:
     parser.add_argument("kind", choices=_SERVERS)
     parser.add_argument("argument")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
     uvloop.run(_SERVERS[arguments.kind](arguments.argument))
 
 
@@ -101,33 +88,15 @@ async def _serve_websocket(reply_bytes: str) -> None:
 async def _serve_stream(reply_bytes: str) -> None:
     reply = bytes(int(reply_bytes))
 
-    async def echo(messages: AsyncIterator[bytes], context: _Context) -> None:
+    async def echo(messages: AsyncIterator[bytes], context: Context) -> None:
         async for _ in messages:
             await context.write(reply)
 
-    await _serve_grpc(echo)
+    await serve_grpc(echo)
 
 
-async def _serve_policy(folder: str) -> None:
-    policy = METHODS.load(Path(folder), "cpu")
-
-    async def step(*arguments: Any) -> PolicyOutput:
-        return policy.step(*arguments)
-
-    await _serve_grpc(partial(_act, policy, step))
-
-
-async def _serve_policy_on_thread(folder: str) -> None:
-    policy = METHODS.load(Path(folder), "cpu")
-    with ThreadPoolExecutor(1) as thread:
-
-        async def step(*arguments: Any) -> PolicyOutput:
-            return await asyncio.get_running_loop().run_in_executor(thread, policy.step, *arguments)
-
-        await _serve_grpc(partial(_act, policy, step))
-
-
-async def _serve_grpc(answer: Callable[[AsyncIterator[bytes], _Context], Awaitable[None]]) -> None:
+async def serve_grpc(answer: Callable[[AsyncIterator[bytes], Context], Awaitable[None]]) -> None:
+    """Answers each stream of messages until stdin closes."""
     service, method = STREAM.strip("/").split("/")
     handler = grpc.method_handlers_generic_handler(service, {method: grpc.stream_stream_rpc_method_handler(answer)})
     server = grpc.aio.server()
@@ -138,29 +107,9 @@ async def _serve_grpc(answer: Callable[[AsyncIterator[bytes], _Context], Awaitab
     await server.stop(_GRACE_S)
 
 
-async def _act(
-    policy: Policy,
-    step: Callable[..., Awaitable[PolicyOutput]],
-    messages: AsyncIterator[bytes],
-    context: _Context,
-) -> None:
-    """Answers each message by its number, an action and the memory; the first message is the goal."""
-    (camera,) = policy.spec.cameras
-    shape = (1, camera.height, camera.width, camera.channels)
-    goal = policy.encode_goals({camera.name: np.frombuffer(await anext(messages), np.uint8).reshape(shape)})
-    previous, recurrent = policy.spec.action.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
-    async for message in messages:
-        frames = {camera.name: np.frombuffer(message, np.uint8, offset=SEQ_BYTES).reshape(shape)}
-        answer = await step(frames, goal, previous, recurrent)
-        recurrent = answer.recurrent
-        await context.write(message[:SEQ_BYTES] + answer.actions.tobytes() + recurrent.tobytes())
-
-
 _SERVERS = {
     "websocket": _serve_websocket,
     "stream": _serve_stream,
-    "policy": _serve_policy,
-    "threaded": _serve_policy_on_thread,
 }
 
 

@@ -14,8 +14,8 @@ import torch
 from torch import nn
 
 from benchmarks.report import Ratio, Results
-from benchmarks.servers import initialise
 from benchmarks.timing import Effort, Workload, measure_rates, repeat_function, repeat_together
+from benchmarks.untrained import initialise
 from freerein.errors import ServiceError
 from freerein.serving.batcher import Batcher
 from freerein.serving.limits import Limits

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from benchmarks.servers import exchange, initialise, publish
+from benchmarks.servers import exchange
+from benchmarks.untrained import initialise, publish
 from freerein import images, wire
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.clients import ImitationClient

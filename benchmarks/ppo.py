@@ -42,6 +42,7 @@ from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
+_MINIBATCH_ENVS = 8
 _ROUNDS = 3
 _CPU = torch.device("cpu")
 _CACHE_BYTES = 2**20
@@ -66,7 +67,9 @@ async def measure(effort: Effort) -> Results:
 
 
 async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Results:
-    config = PPOConfig(iterations=effort.iterations)
+    config = PPOConfig(
+        iterations=effort.iterations, num_steps=effort.num_steps, batch_size=_MINIBATCH_ENVS * effort.num_steps
+    )
     one, two = [await asyncio.to_thread(_Served.init, config, sims[:count], reward) for count in (1, 2)]
     local = _Local(config, one.start)
     try:

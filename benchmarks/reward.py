@@ -18,8 +18,9 @@ import numpy.typing as npt
 import orjson
 
 from benchmarks.report import Ratio, Results
-from benchmarks.servers import initialise, publish, rest_call, rest_client, run_service
+from benchmarks.servers import rest_call, rest_client, run_service
 from benchmarks.timing import Call, Effort, Workload, measure_latencies, measure_rates, repeat, repeat_function
+from benchmarks.untrained import initialise, publish
 from freerein import wire
 from freerein.clients import Channel, RewardClient
 from freerein.types.common import ModelRef

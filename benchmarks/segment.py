@@ -19,8 +19,9 @@ import numpy.typing as npt
 import torch
 
 from benchmarks.report import Ratio, Results
-from benchmarks.servers import initialise, publish, rest_call, rest_client, run_service
+from benchmarks.servers import rest_call, rest_client, run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat
+from benchmarks.untrained import initialise, publish
 from freerein import images, wire
 from freerein.clients import Channel, SegmentationClient
 from freerein.types.common import ModelRef

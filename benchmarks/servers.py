@@ -1,23 +1,17 @@
-"""What benchmarks talk to: services as users run them, servers of our own, untrained models, REST calls."""
+"""What benchmarks talk to: services as users run them, servers of our own, REST calls."""
 
 import asyncio
 import os
 import sys
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx
 import orjson
-import torch
-from torch import nn
 
 from freerein.cli.services import Stack, choose, free_ports
-from freerein.learning import weights
-from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
-from freerein.types.common import ModelRef
 
 _START_TIMEOUT_S = 60.0
 _STOP_TIMEOUT_S = 10.0
@@ -61,22 +55,6 @@ async def serve_until_stdin_closes(port: int) -> None:
     sys.stdout.write(f"{port}\n")
     sys.stdout.flush()
     await asyncio.to_thread(sys.stdin.buffer.read)
-
-
-def initialise(network: nn.Module) -> None:
-    """Draws the weights of a network. Benchmarks use untrained networks: training does not change the time."""
-    weights.initialise(network, generator=torch.Generator().manual_seed(0))
-
-
-def publish(network: nn.Module, data_dir: Path, service: str, *, name: str, card: Mapping[str, Any]) -> ModelRef:
-    """Saves a network as the active model of a service."""
-    folder = data_dir / "unpublished"
-    folder.mkdir(parents=True)
-    save_model(network, folder, card=dict(card))
-    store = ModelStore(data_dir / "models" / service)
-    ref = store.publish(name, folder)
-    store.activate(ref)
-    return ref
 
 
 @asynccontextmanager

@@ -29,6 +29,7 @@ class Effort:
         loads: Turns of each server under constant load.
         load_s: Length of each, in seconds.
         iterations: Iterations of each training.
+        num_steps: Timesteps of each environment and iteration.
     """
 
     rounds: int
@@ -36,10 +37,11 @@ class Effort:
     loads: int
     load_s: float
     iterations: int
+    num_steps: int
 
 
-QUICK = Effort(rounds=1, turn_s=0.0, loads=1, load_s=0.5, iterations=1)
-THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0, iterations=3)
+QUICK = Effort(rounds=1, turn_s=0.0, loads=1, load_s=0.5, iterations=1, num_steps=4)
+THOROUGH = Effort(rounds=31, turn_s=0.07, loads=5, load_s=10.0, iterations=3, num_steps=32)
 
 
 @dataclass(frozen=True)

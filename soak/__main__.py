@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import math
 import sys
 import time
 from collections import defaultdict
@@ -43,20 +44,23 @@ class Findings:
     failures: list[str] = field(default_factory=list)
 
     def growth(self, service: str) -> float:
-        """Returns the memory that a service gains, in MiB per 10 000 calls."""
-        return growth_mib_per_10k_calls(self.samples[service])
+        """Returns the memory that a service gains, in MiB per 10 000 calls; NaN for too few samples."""
+        try:
+            return growth_mib_per_10k_calls(self.samples[service])
+        except ValueError:
+            return math.nan
 
     def all_failures(self) -> list[str]:
         """Returns what is wrong, leaks included."""
         leaks = [
             f"{name}: memory grows by {self.growth(name):.2f} MiB per 10 000 calls"
             for name in self.samples
-            if self.growth(name) > MOST_MIB_PER_10K_CALLS
+            if not self.growth(name) <= MOST_MIB_PER_10K_CALLS  # NaN is a failure, too
         ]
         kept = [
-            f"{name}: {before} before the load, {self.after[name]} after it"
+            f"{name}: {before} before the load, {self.after.get(name)} after it"
             for name, before in self.before.items()
-            if has_more(self.after[name], before)
+            if name not in self.after or has_more(self.after[name], before)
         ]
         return [*self.failures, *leaks, *kept]
 
@@ -81,13 +85,13 @@ async def soak(minutes: float, *, leaky: bool) -> Findings:
             pids = [status.pid for status in stack.statuses]
             await load.run(_WARM_UP * seconds)
             await asyncio.sleep(_QUIET_S)
-            findings.before = await watch.held(stack, running.rest)
+            findings.before = await watch.held(stack, running.rest, findings.failures)
             async with asyncio.TaskGroup() as group:
                 loading = group.create_task(load.run((1 - _WARM_UP) * seconds))
                 group.create_task(measure(findings, load, loading, stack, running, every_s=seconds / _SAMPLES))
             await asyncio.sleep(_QUIET_S)
-            findings.after = await watch.held(stack, running.rest)
-            findings.failures = load.tally.failures + await sessions_left(running)
+            findings.after = await watch.held(stack, running.rest, findings.failures)
+            findings.failures += load.tally.failures + await sessions_left(running)
             if pids != [status.pid for status in stack.statuses]:
                 findings.failures.append("A service was restarted.")
         findings.failures += watch.complaints(Path(folder) / "logs")
@@ -101,7 +105,7 @@ async def measure(
     begun = time.monotonic()
     while not loading.done():
         await asyncio.wait([loading], timeout=every_s)
-        for name, sample in (await watch.sample(stack, running.rest)).items():
+        for name, sample in (await watch.sample(stack, running.rest, findings.failures)).items():
             findings.samples[name].append(sample)
         memory = "  ".join(f"{name} {some[-1].rss_mib:.0f}" for name, some in findings.samples.items())
         came, failed = load.tally.clients.total(), len(load.tally.failures)
@@ -126,7 +130,7 @@ def report(findings: Findings) -> int:
     """Prints what was found; returns the exit code."""
     table = Table("service", "calls", "MiB at first", "at the end", "MiB / 10 000 calls", "threads", "descriptors")
     for name, some in findings.samples.items():
-        before, after = findings.before[name], findings.after[name]
+        before, after = findings.before[name], findings.after.get(name, findings.before[name])
         table.add_row(
             name,
             f"{some[-1].calls:.0f}",

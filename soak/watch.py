@@ -1,5 +1,6 @@
 """Measurements of running services: memory, threads, file descriptors, calls, and what their logs complain of."""
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,17 +32,24 @@ def processes(stack: Stack) -> dict[str, list[psutil.Process]]:
     return {name: [root, *root.children(recursive=True)] for name, root in roots.items()}
 
 
-async def sample(stack: Stack, client: httpx.AsyncClient) -> dict[str, Sample]:
-    """Returns the memory of each service, and how many calls it has completed."""
+async def sample(stack: Stack, client: httpx.AsyncClient, failures: list[str]) -> dict[str, Sample]:
+    """Returns the memory of each service, and how many calls it has completed.
+
+    A service whose metrics cannot be read is left out, and added to `failures`.
+    """
     rss = {name: sum(one.memory_info().rss for one in found) / _MIB for name, found in processes(stack).items()}
-    return {name: Sample(sum(await _numbers(client, stack.urls[name], _CALLS)), rss[name]) for name in rss}
+    calls = {name: await total(name, client, stack.urls[name], _CALLS, failures) for name in rss}
+    return {name: Sample(number, rss[name]) for name, number in calls.items() if not math.isnan(number)}
 
 
-async def held(stack: Stack, client: httpx.AsyncClient) -> dict[str, Held]:
-    """Returns what each service holds."""
+async def held(stack: Stack, client: httpx.AsyncClient, failures: list[str]) -> dict[str, Held]:
+    """Returns what each service holds.
+
+    `busy` is NaN for a service whose metrics cannot be read; it is added to `failures`.
+    """
     found = {}
     for name, some in processes(stack).items():
-        busy = sum(await _numbers(client, stack.urls[name], _BUSY))
+        busy = await total(name, client, stack.urls[name], _BUSY, failures)
         found[name] = Held(sum(one.num_threads() for one in some), sum(one.num_fds() for one in some), busy)
     return found
 
@@ -52,5 +60,11 @@ def complaints(logs: Path) -> list[str]:
     return [line[:2_000] for line in lines if any(complaint in line for complaint in _COMPLAINTS)]
 
 
-async def _numbers(client: httpx.AsyncClient, url: str, pattern: re.Pattern[str]) -> list[float]:
-    return [float(number) for number in pattern.findall((await client.get(f"{url}/metrics")).text)]
+async def total(name: str, client: httpx.AsyncClient, url: str, pattern: re.Pattern[str], failures: list[str]) -> float:
+    """Returns the sum of a service's metrics; NaN where they cannot be read, which is added to `failures`."""
+    try:
+        reply = (await client.get(f"{url}/metrics")).raise_for_status()
+    except httpx.HTTPError as error:
+        failures.append(f"{name}: /metrics must be answered with 200; got {error!r}.")
+        return math.nan
+    return sum(float(number) for number in pattern.findall(reply.text))

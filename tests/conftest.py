@@ -6,10 +6,12 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
 import pytest
 
 _START_S = 60.0
@@ -41,6 +43,9 @@ class RunningService:
     @property
     def grpc_port(self) -> int:
         return int(self.address.rpartition(":")[2])
+
+    def is_ready(self) -> bool:
+        return httpx.get(f"{self.url}/readyz", trust_env=False).status_code == 200
 
     def stop(self) -> int:
         """Sends SIGTERM; returns the exit code."""
@@ -84,6 +89,28 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     names = ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
     subprocess.run([*command.split(), *names, "-keyout", key, "-out", chain], check=True, capture_output=True)
     return key, chain
+
+
+@pytest.fixture(scope="session")
+def wait_until() -> Callable[[Callable[[], bool], float], float]:
+    """A function that waits until a condition holds, `within_s` seconds at most; it returns how long that took."""
+
+    def poll(condition: Callable[[], bool], within_s: float) -> float:
+        begun = time.monotonic()
+        while not condition():
+            assert time.monotonic() - begun < within_s, "it never came true"
+            time.sleep(0.005)
+        return time.monotonic() - begun
+
+    return poll
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _logs_of_stable_baselines3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Its logger makes a folder for every training, by default in the system's temporary folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("stable_baselines3")))
+        yield
 
 
 @pytest.fixture(autouse=True)

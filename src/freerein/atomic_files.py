@@ -1,4 +1,4 @@
-"""Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent."""
+"""Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent; and what callers are told."""
 
 import errno
 import os
@@ -6,29 +6,43 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from freerein.errors import OutOfStorage
+from freerein.errors import OutOfStorage, Unavailable
 
 TEMP_SUFFIX = ".tmp"
 _REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
+OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
+"""Errors of a process, or a machine, that may open no more files."""
 
 
 @contextmanager
 def storage_errors() -> Iterator[None]:
-    """Turns the errors of a full, broken or read-only disk into `OutOfStorage`; other errors stay as they are."""
+    """Turns the errors of a full, broken or read-only disk into `OutOfStorage`, too many open files into `Unavailable`.
+
+    Other errors stay as they are.
+    """
     try:
         yield
     except OSError as error:
+        if error.errno in OUT_OF_FILES:
+            raise out_of_files() from error
         if error.errno not in _REFUSALS:
             raise
         raise out_of_storage(os.strerror(error.errno)) from error
 
 
 def out_of_storage(reason: str) -> OutOfStorage:
-    """Returns the error of a disk that refuses to be written, for a reason such as `No space left on device`."""
+    """Returns the error of a disk that cannot be read or written, for a reason such as `No space left on device`."""
     return OutOfStorage(
-        f"The data directory must be writable; it is not: {reason}.",
+        f"The disk of the data directory must work; got: {reason}.",
         hint="Free space or mend the disk; then repeat the call with the same idempotency key, or resume the fit or "
         "run that failed.",
+    )
+
+
+def out_of_files() -> Unavailable:
+    """Returns the error of a process, or a machine, that may open no more files."""
+    return Unavailable(
+        "The process must have free file descriptors; all are in use.", hint="Raise its limit of open files."
     )
 
 

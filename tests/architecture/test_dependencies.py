@@ -1,8 +1,10 @@
 """What freerein depends on: each package has a floor, and one exact version that is above it."""
 
+import ast
 import re
+import sys
 import tomllib
-from importlib.metadata import version
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,13 @@ LINES = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if
 PINNED = {canonicalize_name(name): Version(pin) for name, _, pin in (line.partition("==") for line in LINES)}
 MENDED = {"starlette": "1.3.1", "python-multipart": "0.0.34", "uvicorn": "0.51", "torch": "2.10", "pillow": "11.3"}
 """Versions in which advisories that concern a server were mended, such as those of ranges, hosts and multipart."""
+
+
+def listed(manifest: Path) -> list[str]:
+    """Returns all requirements of a distribution, those of its extras and of its development included."""
+    file = tomllib.loads(manifest.read_text())
+    groups = [*file["project"].get("optional-dependencies", {}).values(), *file.get("dependency-groups", {}).values()]
+    return [*file["project"]["dependencies"], *(line for group in groups for line in group)]
 
 
 def requirements() -> list[Requirement]:
@@ -43,3 +52,27 @@ def test_setup_and_images_install_every_package_at_one_version() -> None:
     assert len(PINNED) == len(LINES)
     assert "constraints.txt" in (ROOT / "Dockerfile").read_text()
     assert "constraints.txt" in (ROOT / "tools" / "setup").read_text()
+
+
+DISTRIBUTIONS = packages_distributions()
+LISTED = {canonicalize_name(Requirement(line).name) for path in MANIFESTS for line in listed(path)}
+PROGRAMS = ("tests", "experiments", "benchmarks", "soak", "mutants", "tools")
+
+
+def imported(folder: str) -> set[str]:
+    """Returns the packages that the files of a folder import by name, but for ours and Python's own."""
+    found = set()
+    for path in (ROOT / folder).rglob("*.py"):
+        if path.parent != ROOT / "tests/compat":  # runs beside LeRobot, in an environment of its own
+            for node in ast.walk(ast.parse(path.read_text())):
+                names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                found.update(name.partition(".")[0] for name in names)
+    return {name for name in found if name in DISTRIBUTIONS and name not in sys.stdlib_module_names}
+
+
+@pytest.mark.fault("D1")
+@pytest.mark.parametrize("folder", PROGRAMS)
+def test_what_a_program_imports_is_listed(folder: str) -> None:
+    provided = {name: {canonicalize_name(each) for each in DISTRIBUTIONS[name]} for name in imported(folder)}
+    assert {name for name, some in provided.items() if not some & LISTED} == set()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 PROTO = Path(__file__).parents[2] / "proto"
+LIST_SKILLS = "  rpc ListSkills(ListSkillsRequest) returns (ListSkillsResponse);"
 BUF = Path(sys.executable).with_name("buf")
 
 
@@ -29,9 +30,11 @@ def test_the_contract_breaks_no_released_client() -> None:
         (("double smoothing = 6", "double smoothing = 60"), "Previously present field"),
         (("double smoothing = 6", "string smoothing = 6"), "changed type"),
         (("double smoothing = 6", "double smoothness = 6"), "changed name"),
+        ((LIST_SKILLS, ""), "Previously present RPC"),
+        (("service SegmentationService", "service Segmenter"), "Previously present service"),
         (("double smoothing = 6", "// New.\n  bool added = 99;\n  double smoothing = 6"), ""),
     ],
-    ids=["renumbered", "another type", "renamed", "added"],
+    ids=["renumbered", "another type", "renamed", "without an RPC", "without a service", "added"],
 )
 def test_a_change_that_would_is_found(tmp_path: Path, change: tuple[str, str], found: str) -> None:
     changed = shutil.copytree(PROTO, tmp_path / "proto")

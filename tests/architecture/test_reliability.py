@@ -16,6 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reliability.md"
 ROWS: dict[str, dict[str, str]] = tomllib.loads((ROOT / "tests/faults/rows.toml").read_text())
+Function = ast.FunctionDef | ast.AsyncFunctionDef
 TABLE = re.compile(r"(<!-- rows: (?P<letter>[A-Z]) -->\n)\n*(?P<table>(\|.*\n)*)\n*")
 
 
@@ -30,6 +31,11 @@ def test_every_row_has_either_a_test_or_a_reason_for_none() -> None:
     assert {row for row, texts in ROWS.items() if (row in marked) == ("why_not" in texts)} == set()
 
 
+def test_the_page_says_what_a_test_needs() -> None:
+    assert all(each.endswith("`, needs root") for each in marked_tests()["F9"])
+    assert all(each.endswith("`, needs libfaketime") for each in marked_tests()["C23"] if "clock_jumps" in each)
+
+
 def test_every_mark_names_a_row_and_every_row_is_on_the_page() -> None:
     assert set(marked_tests()) - set(ROWS) == set()
     shown = re.findall(TABLE, PAGE.read_text())
@@ -38,13 +44,18 @@ def test_every_mark_names_a_row_and_every_row_is_on_the_page() -> None:
 
 @cache
 def marked_tests() -> dict[str, list[str]]:
-    """Returns the marked tests of each row, as `folder/file.py::test`, or the file where all its tests are marked."""
+    """Returns the marked tests of each row, as `folder/file.py::test`, or the file where all its tests are marked.
+
+    After each comes what it needs of the machine.
+    """
     found: dict[str, list[str]] = defaultdict(list)
     for path in sorted(ROOT.glob("tests/**/test_*.py")):
-        for statement in ast.parse(path.read_text()).body:
-            test = f"::{statement.name}" if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) else ""
+        module = ast.parse(path.read_text())
+        for statement in module.body:
+            test = f"::{statement.name}" if isinstance(statement, Function) else ""
             for row in marks(statement):
-                found[row].append(f"{path.relative_to(ROOT / 'tests')}{test}")
+                needed = "".join(f", needs {each}" for each in sorted(needs(statement, module)))
+                found[row].append(f"`{path.relative_to(ROOT / 'tests')}{test}`{needed}")
     return dict(found)
 
 
@@ -54,6 +65,18 @@ def marks(statement: ast.stmt) -> Iterator[str]:
         match node:
             case ast.Call(ast.Attribute(attr="fault"), [ast.Constant(row)]):
                 yield row
+
+
+def needs(test: ast.stmt, module: ast.Module) -> set[str]:
+    """Returns what a test needs: X where it, or a fixture of its module that it uses, is skipped with "needs X"."""
+    functions = {each.name: each for each in module.body if isinstance(each, Function)}
+    autouse = [f for f in functions.values() if any("autouse" in ast.dump(each) for each in f.decorator_list)]
+    used = [test, *autouse, *(each for each in module.body if isinstance(each, ast.Assign))]
+    for each in used:  # grows
+        names = [each.arg for each in each.args.args] if isinstance(each, Function) else []
+        used += [functions[name] for name in names if name in functions and functions[name] not in used]
+    texts = [node.value for each in used for node in ast.walk(each) if isinstance(node, ast.Constant)]
+    return {match[1] for text in texts if (match := re.match(r"needs ([^:]+)", str(text)))}
 
 
 def rewritten(page: str) -> str:
@@ -67,7 +90,7 @@ def table(letter: str) -> str:
     lines = ["| row | promise | figure | tests |", "|---|---|---|---|"]
     for row, texts in ROWS.items():
         if row.startswith(letter):
-            tests = texts.get("why_not") or "<br>".join(f"`{test}`" for test in marked.get(row, ()))
+            tests = texts.get("why_not") or "<br>".join(marked.get(row, ()))
             lines.append(f"| {row} | {texts['promise']} | {texts.get('figure', '')} | {tests} |")
     return "\n".join(lines) + "\n"
 

@@ -1,4 +1,4 @@
-"""Tiny arms from demonstrations to a table, through the commands; one of them is killed in the middle."""
+"""Tiny arms from demonstrations to a table, through the commands; one of them is stopped, and then killed."""
 
 import fcntl
 import json
@@ -22,6 +22,7 @@ from experiments.workbench.runner import Ending, Places, arm_folder, run_arms
 
 ROOT = Path(__file__).parents[2]
 ARM = "grid-lse-causal-seed0"
+ARMS = (ARM, "grid-supervised-causal-seed0", "grid-random_cls-seed0")
 FIELDS = (
     "claim value low high seeds trials scale baseline ceiling gap_closed dissertation target met world_hash command "
     "minutes"
@@ -39,33 +40,18 @@ def options(places: Places) -> list[str]:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    """Places in which the arm ran without interruption."""
+    """Places in which the arms ran without interruption."""
     root = tmp_path_factory.mktemp("uninterrupted")
     places = Places(root / "results", root / "work")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
-        assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
+        assert main(["run", "smoke", "--jobs", "2", "--only", *ARMS, *options(places)]) == 0
     return places
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_an_arm_that_was_killed_in_the_middle_goes_on_to_the_same_result(tmp_path: Path, uninterrupted: Places) -> None:
-    places = Places(tmp_path / "results", tmp_path / "work")
-    folder = smoke_folder(places)
-    script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(places.work), ARM]
-    ended = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
-    assert ended.returncode == -signal.SIGKILL
-    assert_unfinished(folder)
-
-    assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
-
-    assert_same_result(places, uninterrupted)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_an_arm_that_was_stopped_at_its_first_checkpoint_goes_on_to_the_same_result(
+def test_an_arm_that_was_stopped_and_then_killed_goes_on_to_the_same_result(
     tmp_path: Path, uninterrupted: Places
 ) -> None:
     places = Places(tmp_path / "results", tmp_path / "work")
@@ -78,8 +64,13 @@ def test_an_arm_that_was_stopped_at_its_first_checkpoint_goes_on_to_the_same_res
 
     assert run_smoke(places, should_stop=has_checkpoint) == ["stopped"]
     assert len(children_with_lock) == 1
-    assert_unfinished(folder)
+    stopped = assert_unfinished(folder)
     assert json.loads((folder / "elapsed.json").read_bytes())["cpu_s"] > 0
+
+    script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(places.work), ARM]
+    ended = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert assert_unfinished(folder) > stopped
 
     assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
 
@@ -99,12 +90,12 @@ def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_arms_become_results_and_these_a_table_with_claims(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    places = Places(tmp_path / "results", tmp_path / "work")
-    arms = [ARM, "grid-supervised-causal-seed0", "grid-random_cls-seed0"]
+def test_arms_become_results_and_these_a_table_with_claims(
+    uninterrupted: Places, capfd: pytest.CaptureFixture[str]
+) -> None:
+    places = uninterrupted
 
-    assert main(["run", "smoke", "--jobs", "2", "--only", *arms, *options(places)]) == 0
-    assert main(["run", "smoke", "--only", *arms, *options(places)]) == 0
+    assert main(["run", "smoke", "--only", *ARMS, *options(places)]) == 0
     assert capfd.readouterr().out.count("present") == 3
     assert main(["table", "smoke", "--results", str(places.results)]) == 0
 
@@ -234,10 +225,12 @@ def children_with(path: Path) -> set[str]:
     return {child for child, files in opened.items() if any(os.path.realpath(each) == str(path) for each in files)}
 
 
-def assert_unfinished(folder: Path) -> None:
+def assert_unfinished(folder: Path) -> str:
+    """Returns the name of the newest checkpoint, which is not the last."""
     reached = [path.name for path in (folder / "checkpoints").iterdir()]
     assert reached
     assert not any("24" in name for name in reached)
+    return max(reached)
 
 
 def assert_same_result(places: Places, expected: Places) -> None:

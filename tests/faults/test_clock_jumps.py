@@ -2,9 +2,9 @@
 
 import json
 import re
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -57,11 +57,10 @@ def _right_clock(wall_clock: WallClock) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any], wall_clock: WallClock) -> Any:
+def sim(start_module_service: Callable[..., Any], wall_clock: WallClock, wait_until: Any) -> Any:
     limits = {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "2"}
     service = start_module_service("freerein_sim", **wall_clock.environ, **limits)
-    while httpx.get(f"{service.url}/readyz", trust_env=False).status_code != 200:
-        pass
+    wait_until(service.is_ready, 60)
     return service
 
 
@@ -72,7 +71,9 @@ def logged_ahead_s(service: Any) -> float:
 
 
 @pytest.mark.parametrize("seconds", JUMPS)
-def test_a_lease_ends_after_its_own_time_whatever_the_clock_says(sim: Any, wall_clock: WallClock, seconds: int) -> None:
+def test_a_lease_ends_after_its_own_time_whatever_the_clock_says(
+    sim: Any, wall_clock: WallClock, seconds: int, wait_until: Any
+) -> None:
     with SyncClient(SimClient(Channel(sim.address))) as client:
         kept = client.create_session(CreateSessionRequest("grid", seed=1)).session
         client.reset(ResetRequest(kept))
@@ -82,26 +83,24 @@ def test_a_lease_ends_after_its_own_time_whatever_the_clock_says(sim: Any, wall_
 
         wall_clock.jump(seconds)
 
-        other = session_within(client, seconds=10)
+        others: list[str] = []
+        wait_until(lambda: has_room(client, others), 10)
         assert client.step(StepRequest(kept, 1, np.array([[3]]))).step_id == 1
         assert abs(logged_ahead_s(sim) - seconds) < 60
-        for session in (kept, other):
+        for session in (kept, *others):
             client.close_session(CloseSessionRequest(session))
 
 
-def session_within(client: Any, *, seconds: float) -> str:
-    """Creates a session as soon as there is room for one."""
-    begun = time.monotonic()
-    while True:
-        try:
-            return str(client.create_session(CreateSessionRequest("grid")).session)
-        except Overloaded:
-            assert time.monotonic() - begun < seconds
+def has_room(client: Any, sessions: list[str]) -> bool:
+    """Adds a session where there is room for one; returns whether there was."""
+    with suppress(Overloaded):
+        sessions.append(client.create_session(CreateSessionRequest("grid")).session)
+    return bool(sessions)
 
 
 @pytest.mark.parametrize("seconds", JUMPS)
 def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
-    sim: Any, wall_clock: WallClock, seconds: int
+    sim: Any, wall_clock: WallClock, seconds: int, wait_until: Any
 ) -> None:
     (worker,) = psutil.Process(sim.process.pid).children()
     with SyncClient(SimClient(Channel(sim.address))) as client, ThreadPoolExecutor(3) as threads:
@@ -109,8 +108,8 @@ def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
         worker.suspend()
         over_rest = threads.submit(httpx.post, f"{sim.url}/v1/reset", json={"session": session}, trust_env=False)
         over_grpc = [threads.submit(client.reset, ResetRequest(session), timeout_s=20) for _ in range(2)]
-        while in_flight(sim, "rest") < 2 or in_flight(sim, "grpc") < 2:  # one is the reading of the metrics
-            assert not over_rest.done()
+        wait_until(lambda: in_flight(sim, "rest") == in_flight(sim, "grpc") == 2, 10)  # one reads the metrics
+        assert not over_rest.done()
         wall_clock.jump(seconds)
         httpx.get(f"{sim.url}/readyz", trust_env=False)
         worker.resume()

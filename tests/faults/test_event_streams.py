@@ -1,4 +1,4 @@
-"""More watchers of a fit over REST than may be open at once."""
+"""Watchers of a fit: more than may be open at once, and of events that cannot be read."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -9,8 +9,11 @@ import httpx
 import numpy as np
 import pytest
 
+from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import DatasetSpec, create
+from freerein.errors import OutOfStorage
 from freerein.types.common import ActionSpec, Trajectory
+from freerein.types.learning import WatchFitRequest
 
 pytestmark = pytest.mark.e2e
 STREAMS = 64
@@ -48,3 +51,19 @@ def test_a_watcher_above_the_limit_is_refused_at_once_and_the_others_go_on(
         for watcher in watchers:
             assert '"cancelled"' in watcher.read().decode()
         assert client.get(watch[1], params={"id": fit_id}).status_code == 200
+
+
+@pytest.mark.fault("C21")
+def test_events_that_a_broken_disk_does_not_return_are_out_of_storage(
+    start_faulty: Callable[..., Any], tmp_path: Path, refusal: Callable[..., Any]
+) -> None:
+    faulty = start_faulty(tmp_path)
+    fit_id = start_long_fit(faulty, tmp_path)
+    faulty.http.post("/v1/cancel-fit", json={"id": fit_id})
+    events = tmp_path / "fits" / "segmentation" / fit_id / "events.jsonl"
+    events.unlink()
+    events.symlink_to("/proc/self/mem")  # a regular file whose first page cannot be read: EIO
+    problem = refusal(faulty.http.get("/v1/watch-fit", params={"id": fit_id}), 507)
+    assert (problem["code"], "Input/output error" in problem["detail"]) == ("out_of_storage", True)
+    with SyncClient(FitClient(Channel(faulty.service.address))) as fits, pytest.raises(OutOfStorage, match="must work"):
+        list(fits.watch_fit(WatchFitRequest(fit_id)))

@@ -8,6 +8,11 @@ from typing import Any
 import psutil
 import pytest
 
+from freerein.clients import Channel, ModelClient, OrchestratorClient, SyncClient
+from freerein.errors import Unavailable
+from freerein.types.learning import ListModelsRequest
+from freerein.types.orchestrator import ListRunsRequest
+
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("C22")]
 ASK = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n"
 PICTURE = b"\x89PNG\r\n\x1a\n" + bytes(2 * 2**20)  # so large that it is received into a file
@@ -41,6 +46,32 @@ def test_what_needs_a_file_is_refused_for_now(faulty: Any, refusal: Any) -> None
             assert "file descriptors" in refusal(reply, 503)["detail"]
         assert faulty.http.get("/healthz").status_code == 200
     assert faulty.segment(2, 3).json()["labels"] == [0, 1]
+
+
+def test_over_grpc_what_needs_a_file_is_refused_for_now(faulty: Any) -> None:
+    with SyncClient(ModelClient(Channel(faulty.service.address))) as models:
+        known = models.list_models(ListModelsRequest())
+        with free_descriptors(faulty, 0), pytest.raises(Unavailable, match="file descriptors") as refused:
+            models.list_models(ListModelsRequest())
+        assert "limit of open files" in refused.value.hint
+        assert models.list_models(ListModelsRequest()) == known
+
+
+def test_an_orchestrator_whose_files_or_database_cannot_be_opened_refuses_for_now(
+    start_faulty: Callable[..., Any], refusal: Any
+) -> None:
+    orchestrator = start_faulty(script="freerein_orchestrator")
+    while orchestrator.http.get("/readyz").status_code != 200:
+        assert orchestrator.process.is_running()
+    asked = {"kind": "collect", "config": {"task": "grid", "dataset": "few", "count": 1}}
+    with SyncClient(OrchestratorClient(Channel(orchestrator.service.address))) as runs:
+        runs.list_runs(ListRunsRequest())
+        with free_descriptors(orchestrator, 0):
+            for reply in (orchestrator.http.get("/v1/list-runs"), orchestrator.http.post("/v1/start-run", json=asked)):
+                assert "limit of open files" in refusal(reply, 503)["hint"]
+            with pytest.raises(Unavailable, match="file descriptors"):
+                runs.list_runs(ListRunsRequest())
+        assert runs.list_runs(ListRunsRequest()).runs == ()
 
 
 def test_connections_beyond_the_limit_are_closed_without_spinning(faulty: Any) -> None:

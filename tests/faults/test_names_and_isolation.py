@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 def _namespaces() -> None:
     """Skips where a user cannot have namespaces."""
     if subprocess.run([*ISOLATED, "ip", "link"], check=False, capture_output=True).returncode:
-        pytest.skip("no namespaces here, or no `ip`")
+        pytest.skip("needs user namespaces and `ip`")
 
 
 @pytest.mark.fault("N2")

@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("C1"), pytest.mark.fault("G8"), pytest.mark.timeout(3_600)]
 CHECKS = "not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance"
-CASES, SECONDS = 20_000, 6  # in `make fuzz`, and in `make test`
+CASES, SECONDS = 20_000, 4  # in `make fuzz`, and in `make test`
 SERVICES = {
     "segmentation": (str(Path(__file__).with_name("faulty_service.py")), {}),
     "imitation": (str(Path(__file__).with_name("faulty_policy.py")), {"FREEREIN_SHIPPED_DIR": "none"}),

@@ -35,13 +35,13 @@ from freerein_sim.worlds.tasks import tasks
 pytestmark = pytest.mark.e2e
 
 RIGHT = np.array([[3]], np.int64)
+WAITING = 20
 
 
 @pytest.fixture(scope="module")
-def service(start_module_service: Callable[..., Any]) -> Any:
+def service(start_module_service: Callable[..., Any], wait_until: Any) -> Any:
     service = start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
-    while httpx.get(f"{service.url}/readyz", trust_env=False).status_code != 200:
-        pass
+    wait_until(service.is_ready, 60)
     return service
 
 
@@ -116,7 +116,7 @@ def test_a_guessed_id_is_answered_like_that_of_a_session_that_was(sim: Any, serv
 
 
 @pytest.mark.fault("M9")
-async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: Any) -> None:
+async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: Any, wait_until: Any) -> None:
     async with SimClient(Channel(service.address)) as client:
         session = (await client.create_session(CreateSessionRequest("blocks", num_envs=64, seed=1))).session
         await client.reset(ResetRequest(session))
@@ -129,13 +129,11 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
             one_s = time.perf_counter() - begun
             for worker in workers:
                 worker.suspend()
-            calls = [asyncio.create_task(client.render(render)) for _ in range(20)]
-            while await asyncio.to_thread(_in_flight, service) < len(calls):
-                pass
+            calls = [asyncio.create_task(client.render(render)) for _ in range(WAITING)]
+            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == WAITING, 20)
             for call in calls:
                 call.cancel()
-            while await asyncio.to_thread(_in_flight, service):
-                pass
+            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == 0, 20)
             begun = time.perf_counter()
             for worker in workers:
                 worker.resume()

@@ -1,42 +1,48 @@
 """Workers of the sim service that are killed while it starts."""
 
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-import httpx
 import psutil
 import pytest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("F8")]
 
 
-def kill_new_workers(service: Any, *, until: Callable[[set[int]], bool]) -> set[int]:
-    """Kills each child of the service as soon as it is there; returns the process ids when `until` holds of them."""
-    killed: set[int] = set()
-    begun = time.monotonic()
-    while not until(killed):
-        assert time.monotonic() - begun < 30
-        try:
-            for child in psutil.Process(service.process.pid).children():
-                child.kill()
-                killed.add(child.pid)
-        except psutil.NoSuchProcess:
-            continue
-    return killed
+@pytest.fixture
+def kill_new_workers(wait_until: Any) -> Callable[..., set[int]]:
+    """A function that kills each worker as soon as it is there, and returns their ids when `until` holds of them."""
+
+    def kill(service: Any, *, until: Callable[[set[int]], bool]) -> set[int]:
+        killed: set[int] = set()
+
+        def is_enough() -> bool:
+            with suppress(psutil.NoSuchProcess):
+                for child in psutil.Process(service.process.pid).children():
+                    child.kill()
+                    killed.add(child.pid)
+            return until(killed)
+
+        wait_until(is_enough, 30)
+        return killed
+
+    return kill
 
 
-def test_a_worker_killed_while_the_service_starts_is_started_again(start_service: Callable[..., Any]) -> None:
+def test_a_worker_killed_while_the_service_starts_is_started_again(
+    start_service: Callable[..., Any], kill_new_workers: Callable[..., set[int]], wait_until: Any
+) -> None:
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="2")
     kill_new_workers(service, until=lambda killed: len(killed) >= 2)
 
-    while httpx.get(f"{service.url}/readyz", trust_env=False).status_code != 200:
-        assert service.process.poll() is None, service.log.read_text()
-
+    wait_until(service.is_ready, 60)
     assert service.stop() == 0
 
 
-def test_a_service_whose_workers_keep_dying_ends_as_one_to_be_restarted(start_service: Callable[..., Any]) -> None:
+def test_a_service_whose_workers_keep_dying_ends_as_one_to_be_restarted(
+    start_service: Callable[..., Any], kill_new_workers: Callable[..., set[int]]
+) -> None:
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
 
     killed = kill_new_workers(service, until=lambda _: service.process.poll() is not None)

@@ -4,6 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator, Sequence
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -193,6 +194,30 @@ async def test_an_idle_batcher_takes_no_time_of_the_processor(batcher: Batcher[i
     begun = time.process_time()
     await asyncio.sleep(0.2)  # what is measured is this span
     assert time.process_time() - begun < 0.1
+
+
+async def test_a_call_that_takes_long_is_stuck_then_hangs_until_it_ends(model: Model, wait_until: Any) -> None:
+    metrics = Metrics()
+    batcher: Batcher[int, int] = Batcher(model, queue=4, batch=3, metrics=metrics, call_s=0.05)
+
+    def stuck() -> float | None:
+        return metrics.registry.get_sample_value("freerein_stuck_threads")
+
+    assert (batcher.not_ready(), batcher.hangs(), stuck()) == ("", False, 0)
+
+    begun = time.monotonic()
+    call = await busy(batcher, model)
+    await asyncio.to_thread(wait_until, lambda: batcher.not_ready() != "", 3)
+    assert time.monotonic() - begun > 0.05
+    assert batcher.not_ready() == "The model has been busy with one call for more than 0.05 s."
+    assert stuck() == 1
+    await asyncio.to_thread(wait_until, batcher.hangs, 3)
+    assert time.monotonic() - begun > 4 * 0.05
+
+    model.gate.set()
+    await call
+    assert (batcher.not_ready(), batcher.hangs(), stuck()) == ("", False, 0)
+    batcher.close()
 
 
 async def test_closed_it_refuses_what_waits_and_what_comes(batcher: Batcher[int, int], model: Model) -> None:

@@ -40,7 +40,7 @@ class Orchestrator:
 
 @pytest.fixture(scope="module")
 def services(start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Orchestrator:
-    sim = start_module_service("freerein_sim")
+    sim = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
     return Orchestrator(start_module_service, tmp_path_factory.mktemp("runs"), sim.address)
 
 

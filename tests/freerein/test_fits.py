@@ -44,7 +44,7 @@ CHILD = textwrap.dedent(
     runs = work / "runs.txt"
     runs.write_text((runs.read_text() if runs.exists() else "") + f"{os.getpid()}\\n")
     behaviour = config["behaviour"]
-    if behaviour == "killed" and len(runs.read_text().split()) <= 4:
+    if behaviour == "killed" and len(runs.read_text().split()) <= 4 or behaviour == "always killed":
         os.kill(os.getpid(), signal.SIGKILL)
     with (work / "metrics.jsonl").open("a") as metrics:
         step = 2 if behaviour == "crash" else 2 * len(runs.read_text().split())
@@ -176,6 +176,21 @@ async def test_kills_from_outside_before_the_first_progress_are_no_failures_of_t
     async with bench.running() as fits:
         fit = await end(fits, await begin(fits, "killed"))
     assert (fit.state, fit.error, len(bench.runs(fit))) == ("succeeded", "", 5)
+
+
+@pytest.mark.fault("F8")
+async def test_a_fit_that_is_always_killed_makes_way_for_the_next_and_says_why(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retry, "_FIRST_PAUSE_S", 0.001)
+    async with bench.running() as fits:
+        killed, other = await begin(fits, "always killed"), await begin(fits)
+        assert (await end(fits, other)).state == "succeeded"
+        killed = await end(fits, killed)
+    assert (killed.state, len(bench.runs(killed))) == ("failed", 10)
+    assert killed.error == (
+        "10 attempts in a row ended without progress. The child process was killed by SIGKILL, or memory ran out."
+    )
 
 
 @pytest.mark.fault("F8")

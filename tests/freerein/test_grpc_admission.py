@@ -1,4 +1,4 @@
-"""Which gRPC calls are answered: how many at once, and how long their first message may take."""
+"""Which gRPC calls are answered: with the token, how many at once, and how long their first message may take."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
@@ -11,7 +11,7 @@ import pytest
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.errors import DeadlineExceeded, Overloaded
-from freerein.serving.grpc_admission import Receipts
+from freerein.serving.grpc_admission import Admission, Receipts
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -125,6 +125,111 @@ async def test_a_drain_cuts_calls_that_do_not_end() -> None:
         assert (await hanging).startswith(("UNAVAILABLE", "CANCELLED"))
 
 
+# --- calls of each kind
+
+
+async def echo(message: bytes, _context: Any) -> bytes:
+    return message
+
+
+async def repeat(message: bytes, _context: Any) -> AsyncIterator[bytes]:
+    for _ in range(2):
+        yield message
+
+
+async def write(message: bytes, context: Any) -> None:
+    for _ in range(2):
+        await context.write(message)
+
+
+async def join(messages: AsyncIterator[bytes], _context: Any) -> bytes:
+    return b"".join([message async for message in messages])
+
+
+async def chat(messages: AsyncIterator[bytes], _context: Any) -> AsyncIterator[bytes]:
+    async for message in messages:
+        yield message
+
+
+HANDLERS = {
+    "Echo": grpc.unary_unary_rpc_method_handler(echo),
+    "Repeat": grpc.unary_stream_rpc_method_handler(repeat),
+    "Write": grpc.unary_stream_rpc_method_handler(write),
+    "Join": grpc.stream_unary_rpc_method_handler(join),
+    "Chat": grpc.stream_stream_rpc_method_handler(chat),
+}
+
+
+@asynccontextmanager
+async def admitted_by(admission: Admission) -> AsyncIterator[grpc.aio.Channel]:
+    """A channel to a server of `HANDLERS`."""
+    server = grpc.aio.server(interceptors=[admission])
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("test", HANDLERS),))
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
+        yield channel
+    await server.stop(None)
+
+
+def admission_with(health: Health, *, token: str = "", **limits: int) -> Admission:
+    return Admission(health, replace(LIMITS, **limits), token=token, request_id=lambda _: "request")
+
+
+async def test_calls_of_each_kind_are_answered_with_all_their_messages() -> None:
+    async with admitted_by(admission_with(Health())) as channel:
+        assert await channel.unary_unary("/test/Echo")(b"a") == b"a"
+        assert [each async for each in channel.unary_stream("/test/Repeat")(b"a")] == [b"a", b"a"]
+        assert [each async for each in channel.unary_stream("/test/Write")(b"a")] == [b"a", b"a"]
+        assert await channel.stream_unary("/test/Join")([b"a", b"b", b"c"]) == b"abc"
+        assert [each async for each in channel.stream_stream("/test/Chat")([b"a", b"b"])] == [b"a", b"b"]
+
+
+async def test_a_call_without_a_message_or_of_an_unknown_method_is_told_so() -> None:
+    async with admitted_by(admission_with(Health())) as channel:
+        for _ in range(3):  # more than there are places
+            assert "INVALID_ARGUMENT: A call must send a message" in await outcome(
+                channel.stream_unary("/test/Echo")([])
+            )
+            assert "UNIMPLEMENTED" in await outcome(channel.unary_unary("/test/Nothing")(b""))
+
+
+async def test_calls_need_the_token() -> None:
+    async with admitted_by(admission_with(Health(), token="secret")) as channel:
+        right, wrong = [("authorization", "Bearer secret")], [("authorization", "Bearer secrets")]
+        assert await outcome(channel.unary_unary("/test/Echo")(b"", metadata=right)) == "OK"
+        for metadata in (wrong, [], None):
+            assert "UNAUTHENTICATED" in await outcome(channel.unary_unary("/test/Echo")(b"", metadata=metadata))
+
+
+async def test_streams_have_a_limit_of_their_own_and_give_their_places_back() -> None:
+    admission = admission_with(Health(), streams=1)
+    async with admitted_by(admission) as channel:
+        for _ in range(2):
+            stream = channel.stream_stream("/test/Chat")()
+            await stream.write(b"a")
+            assert await stream.read() == b"a"
+            assert admission.in_progress == 1
+            with pytest.raises(grpc.aio.AioRpcError, match="At most 1 streams may be open"):
+                await channel.unary_stream("/test/Repeat")(b"").read()
+            assert await outcome(channel.unary_unary("/test/Echo")(b"")) == "OK"
+            await stream.done_writing()
+            assert await stream.read() is grpc.aio.EOF
+    assert admission.in_progress == 0
+
+
+async def test_calls_that_a_drain_refuses_are_counted() -> None:
+    health = Health()
+    admission = admission_with(health)
+    async with admitted_by(admission) as channel:
+        await channel.unary_unary("/test/Echo")(b"")
+        assert admission.refused == 0
+        health.drain()
+        for count in (1, 2):
+            assert "UNAVAILABLE" in await outcome(channel.unary_unary("/test/Echo")(b""))
+            assert admission.refused == count
+
+
 # --- how long a message may take
 
 
@@ -167,3 +272,20 @@ async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
         message = loop.create_future()
         loop.call_later(2 * LIMITS.slow_receipt_s, message.set_result, b"x")
         assert await receipts.receive(message) == b"x"
+
+
+async def test_messages_that_come_at_once_neither_take_a_place_nor_give_one_back() -> None:
+    receipts = Receipts(replace(LIMITS, receipt_s=10.0))
+    loop = asyncio.get_running_loop()
+
+    async def receive(after_s: float) -> str:
+        message = loop.create_future()
+        loop.call_later(after_s, message.set_result, "received")
+        try:
+            return str(await receipts.receive(message))
+        except Overloaded:
+            return "overloaded"
+
+    assert [await receive(0) for _ in range(3)] == ["received"] * 3
+    slow = [receive(3 * LIMITS.slow_receipt_s) for _ in range(3)]
+    assert sorted(await asyncio.gather(*slow)) == ["overloaded", "received", "received"]

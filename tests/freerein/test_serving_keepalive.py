@@ -13,7 +13,7 @@ _EAGER = [("grpc.keepalive_time_ms", 1_000), ("grpc.http2.max_pings_without_data
 
 
 def test_a_quiet_stream_outlasts_its_clients_pings(start_service: Callable[..., Any]) -> None:
-    service = start_service("freerein_sim")
+    service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
     with grpc.insecure_channel(service.address, _EAGER) as channel:
         changes = health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest(), timeout=6)
         with pytest.raises(grpc.RpcError) as ended:

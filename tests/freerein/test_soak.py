@@ -1,8 +1,15 @@
 """The soak's leak detector finds a leak and nothing else."""
 
+import math
+import re
+import socket
+
+import httpx
 import numpy as np
 import pytest
+from soak.__main__ import Findings
 from soak.leak import MOST_MIB_PER_10K_CALLS, Sample, growth_mib_per_10k_calls
+from soak.watch import Held, total
 
 
 def samples(*, leak_mib_per_10k: float = 0.0, seed: int = 0) -> list[Sample]:
@@ -32,3 +39,21 @@ def test_warm_up_noise_and_peaks_are_no_leak() -> None:
 def test_too_little_is_no_measurement(some: list[Sample]) -> None:
     with pytest.raises(ValueError, match="Expected 10 samples"):
         growth_mib_per_10k_calls(some)
+
+
+@pytest.mark.fault("G9")
+async def test_metrics_that_cannot_be_read_are_a_failure() -> None:
+    failures: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    async with httpx.AsyncClient(trust_env=False) as client:
+        assert math.isnan(await total("sim", client, f"http://127.0.0.1:{port}", re.compile("(x)"), failures))
+    (failure,) = failures
+    assert failure.startswith("sim: /metrics must be answered with 200; got ConnectError")
+
+
+@pytest.mark.fault("G9")
+def test_a_service_that_was_not_measured_or_is_gone_is_a_failure() -> None:
+    findings = Findings(before={"sim": Held(1, 1, 0)}, failures=["sim: /metrics"])
+    findings.samples["sim"] = samples()[:5]
+    assert len(findings.all_failures()) == 3

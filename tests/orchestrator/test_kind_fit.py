@@ -1,18 +1,25 @@
-"""Runs of kind `fit`, with the real imitation service."""
+"""Runs of kind `fit`, with the real imitation service, and with one that speaks gRPC and nothing of ours."""
+# ruff: noqa: N802 -- gRPC names the methods
 
 import shutil
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import grpc
 import numpy as np
 import pytest
 
+from freerein import wire
+from freerein.api.learning.v1 import learning_pb2_grpc
 from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.types.common import ActionSpec, Trajectory
-from freerein.types.learning import ListFitsRequest
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein.types.learning import Fit, ListFitsRequest, ResumeFitResponse, StartFitResponse, WatchFitResponse
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
@@ -112,8 +119,16 @@ def test_a_run_fails_for_the_reason_of_its_fit_and_resumes_it_once_that_is_mende
     for path in (broken / "data").rglob("*.parquet"):
         path.write_bytes(path.read_bytes()[:4] + bytes(path.stat().st_size - 4))
     run = new_run(data_dir, "fit", FIT | {"dataset": "broken"}, FREEREIN_IMITATION_ADDRESS=imitation.address)
+    full = run.folder / "fit.json.tmp"
+
+    def fill_the_disk() -> bool:
+        if (run.folder / "fit.json").is_file() and not full.is_symlink():
+            full.symlink_to("/dev/full")
+        return False
+
     with pytest.raises(FailedPrecondition, match="Trajectory"):
-        run.do()
+        run.do(stop=fill_the_disk)
+    full.unlink()
     for path in (broken / "data").rglob("*.parquet"):
         shutil.copyfile(dataset_path(data_dir, "play") / path.relative_to(broken), path)
     assert run.do()
@@ -140,6 +155,39 @@ def test_the_steps_of_a_fit_are_those_asked_for() -> None:
     assert KINDS["fit"].steps(KINDS["fit"].parse(FIT)) == STEPS
     assert KINDS["fit"].steps(KINDS["fit"].parse(FIT | {"config": {"steps": 3.0}})) == 3
     assert KINDS["fit"].steps(KINDS["fit"].parse(FIT | {"config": {}})) == 0
+
+
+def test_the_old_end_of_a_fit_that_was_resumed_is_not_its_end(new_run: Callable[..., Any], tmp_path: Path) -> None:
+    server = grpc.server(ThreadPoolExecutor(4))
+    learning_pb2_grpc.add_FitServiceServicer_to_server(ResumedFits(), server)
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    server.start()
+    run = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=address)
+    assert run.do()
+    assert (run.model, [row["step"] for row in run.rows]) == (ModelRef("default", "new"), [1, 2])
+    server.stop(None).wait()
+
+
+class ResumedFits(learning_pb2_grpc.FitServiceServicer):
+    """One fit, which has failed; the events after its old end come later than any watcher waits at a time."""
+
+    FIT = Fit("0" * 32, "failed", {}, step=1, metrics={"loss": 2.0}, error="Old.", dataset="play", model_name="default")
+
+    def StartFit(self, _request, _context):
+        return wire.pack(StartFitResponse(self.FIT))
+
+    def ResumeFit(self, _request, _context):
+        return wire.pack(ResumeFitResponse(replace(self.FIT, state="queued", error="")))
+
+    def WatchFit(self, request, context):
+        ended = replace(self.FIT, state="succeeded", step=2, error="", model=ModelRef("default", "new"))
+        if request.from_sequence == 0:
+            gone = threading.Event()
+            context.add_callback(gone.set)
+            yield wire.pack(WatchFitResponse(0, self.FIT))
+            gone.wait()
+        else:
+            yield wire.pack(WatchFitResponse(1, ended))
 
 
 class Nth:

@@ -11,7 +11,7 @@ import pytest
 
 from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import Dataset, dataset_path
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, OutOfStorage
 from freerein.types.learning import ListFitsRequest
 from freerein_orchestrator.kinds import KINDS
 
@@ -201,3 +201,17 @@ def test_a_step_that_fails_says_which_one_it_is(new_run: Callable[..., Any], sim
     with pytest.raises(NotFound, match="In step lost: "):
         run.do()
     assert (run.folder / "parts" / "chance" / "done.json").exists()
+
+
+@pytest.mark.fault("O5")
+def test_a_step_that_cannot_be_finished_on_a_full_disk_says_which_one_it_is_and_is_finished_later(
+    new_run: Callable[..., Any], sim: str, tmp_path: Path
+) -> None:
+    run = new_run(tmp_path, "pipeline", {"steps": [CHANCE]}, FREEREIN_SIM_ADDRESS=sim)
+    done = run.folder / "parts" / "chance" / "done.json"
+    done.parent.mkdir(parents=True)
+    done.with_name("done.json.tmp").symlink_to("/dev/full")
+    with pytest.raises(OutOfStorage, match=r"In step chance: .* No space left"):
+        run.do()
+    assert not done.exists()
+    assert run.do()

@@ -1,5 +1,6 @@
-"""The sim service compiles the scenes of its own tasks only: no request holds a MuJoCo model, or a file's name."""
+"""What requests of the sim service can say: no MuJoCo model, no file's name, no parameter of a physics."""
 
+from collections import defaultdict
 from collections.abc import Iterator
 
 import pytest
@@ -9,11 +10,19 @@ from freerein.api.sim.v1 import sim_pb2
 
 pytestmark = [pytest.mark.fault("M1"), pytest.mark.fault("M2"), pytest.mark.fault("M3")]
 
-NAMES = {"task", "session", "idempotency_key", "cameras", "skills", "predicate", "datatype", "conditions"}
-"""Texts of requests. All but keys are known names: of tasks, sessions, cameras, skills, predicates, conditions."""
+TEXTS = {"task", "session", "idempotency_key", "cameras", "skills", "predicate", "datatype", "conditions"}
+"""All but keys are names that must be known: of tasks, sessions, cameras, skills, predicates, conditions."""
 
 BYTES = {"raw", "snapshot"}
 """Numbers of a tensor; a snapshot, which holds a state and no model."""
+
+NUMBERS = {
+    *("num_envs", "envs", "height", "width"),  # the size of a scene is its task's
+    *("seed", "step_id", "lease_s", "privileged"),
+    *("behaviour", "min_skills", "max_skills", "count", "first"),
+    "shape",
+}
+"""Numbers, flags and choices."""
 
 
 def fields_of(message: Descriptor, seen: set[str]) -> Iterator[FieldDescriptor]:
@@ -26,10 +35,15 @@ def fields_of(message: Descriptor, seen: set[str]) -> Iterator[FieldDescriptor]:
                 yield from fields_of(field.message_type, seen)
 
 
-def test_every_text_of_a_request_is_a_known_name_and_all_bytes_are_numbers() -> None:
+def test_no_field_of_a_request_describes_a_world() -> None:
     seen: set[str] = set()
     methods = sim_pb2.DESCRIPTOR.services_by_name["SimService"].methods
-    fields = [field for method in methods for field in fields_of(method.input_type, seen)]
+    found: dict[int, set[str]] = defaultdict(set)
+    for method in methods:
+        for field in fields_of(method.input_type, seen):
+            found[field.type].add(field.name)
+    found.pop(FieldDescriptor.TYPE_MESSAGE)
 
-    assert {field.name for field in fields if field.type == FieldDescriptor.TYPE_STRING} == NAMES
-    assert {field.name for field in fields if field.type == FieldDescriptor.TYPE_BYTES} == BYTES
+    assert found.pop(FieldDescriptor.TYPE_STRING) == TEXTS
+    assert found.pop(FieldDescriptor.TYPE_BYTES) == BYTES
+    assert set().union(*found.values()) == NUMBERS

@@ -137,6 +137,7 @@ async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessi
     assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
 
 
+@pytest.mark.fault("M2")
 @pytest.mark.parametrize(
     ("change", "error"),
     [
@@ -157,6 +158,7 @@ async def test_a_session_out_of_bounds_is_refused(
     assert refusal.value.field == next(iter(change))
 
 
+@pytest.mark.fault("M2")
 @pytest.mark.fault("M8")
 async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(sessions: SimCore) -> None:
     huge = CreateSessionRequest("blocks", num_envs=64, seed=0, height=256, width=256)
@@ -430,6 +432,7 @@ async def test_no_session_waits_for_a_demonstration(start: StartSessions) -> Non
     await stream.aclose()
 
 
+@pytest.mark.fault("M2")
 @pytest.mark.parametrize(
     ("change", "error"),
     [

@@ -194,7 +194,8 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("failed", progressed, f"{refused.detail} {refused.hint}")
     name = "SIGTERM" if code == STOPPED else _SIGNALS.get(-code, f"signal {-code}")
     if code in _KILLS:
-        return AttemptResult("killed", progressed, f"The child process was killed by {name}, or memory ran out.")
+        cause = f"{name}, or memory ran out" if code == -signal.SIGKILL else name
+        return AttemptResult("killed", progressed, f"The child process was killed by {cause}.")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
     return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")
 

@@ -1,10 +1,10 @@
-"""When a job is attempted again: three crashes in a row end it; a kill from outside only delays the next attempt."""
+"""When a job is attempted again: three crashes without progress end it, or ten kills, which delay the next attempt."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-_MAX_CRASHES = 3
+_MAX_CRASHES, _MAX_KILLS = 3, 10
 _FIRST_PAUSE_S, _MAX_PAUSE_S = 0.5, 60.0
 
 
@@ -36,19 +36,22 @@ NO_PAUSE = Pause()
 
 
 def retry(attempt: Callable[[Pause], AttemptResult]) -> AttemptResult:
-    """Makes attempts at a job until one ends it, or three in a row crash without progress.
+    """Makes attempts at a job until one ends it, or three crash or ten are killed since the last progress.
 
-    Kills do not count: an operator, or a machine without memory, says nothing about the job. After each kill in a row
-    without progress the pause before the next attempt doubles, up to a minute.
+    More kills than crashes are allowed: an operator, or a machine without memory, says little about the job. After each
+    kill in a row without progress the pause before the next attempt doubles, up to a minute. The job holds its place
+    meanwhile, so that kills must end it, too: after three minutes of pauses.
     """
-    crashes, pause = 0, NO_PAUSE
+    crashes, kills, pause = 0, 0, NO_PAUSE
     while True:
         result = attempt(pause)
         if result.outcome in ("succeeded", "failed"):
             return result
         crashes = 0 if result.progressed else crashes + (result.outcome == "crashed")
-        if crashes >= _MAX_CRASHES:
-            return AttemptResult("failed", error=f"{crashes} attempts in a row ended without progress. {result.error}")
+        kills = 0 if result.progressed else kills + (result.outcome == "killed")
+        if crashes >= _MAX_CRASHES or kills >= _MAX_KILLS:
+            ended = f"{crashes + kills} attempts in a row ended without progress"
+            return AttemptResult("failed", error=f"{ended}. {result.error}")
         pause = NO_PAUSE if result.progressed or result.outcome == "crashed" else _longer(pause, result.error)
 
 

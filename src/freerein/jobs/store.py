@@ -1,5 +1,6 @@
 """Jobs on disk. Any number of processes may read and append at the same time.
 
+<root>/.lock               held while a job is made
 <root>/<id>/request.json   the request, as received
             config.json    resolved configuration and planned steps; written last: without it there is no job
             events.jsonl   the job after each change; the line number is the sequence number
@@ -7,6 +8,8 @@
             model.json     the resulting model
             artifacts/     files for the user
             log.txt        output of the child processes
+            lock           held by an attempt and its child process
+            state.lock     held while it is decided whether the job has ended
 """
 
 import asyncio

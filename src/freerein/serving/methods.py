@@ -9,7 +9,8 @@ streams are gRPC only.
 import functools
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -104,16 +105,23 @@ def _find(name: str, cores: Sequence[object]) -> Any:
 
 
 def _guarded(call: Any) -> Any:
-    """Returns a core's method whose errors of a full or broken disk are `OutOfStorage`; streams only read."""
-    if not inspect.iscoroutinefunction(call):
-        return call
+    """Returns a core's method whose errors of a disk, and of too many open files, are `ServiceError`s."""
 
     @functools.wraps(call)
-    async def guarded(request: Any) -> Any:
+    async def reply(request: Any) -> Any:
         with storage_errors():
             return await call(request)
 
-    return guarded
+    @functools.wraps(call)
+    async def stream(request: Any) -> AsyncIterator[Any]:
+        with storage_errors():
+            async with aclosing(call(request)) as responses:
+                async for response in responses:
+                    yield response
+
+    if inspect.iscoroutinefunction(call):
+        return reply
+    return stream if inspect.isasyncgenfunction(call) else call
 
 
 def _split_words(name: str, separator: str) -> str:

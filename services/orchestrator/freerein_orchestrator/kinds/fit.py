@@ -1,6 +1,6 @@
 """Kind `fit`: starts a fit of a learned service once, and follows it to its end.
 
-<folder>/fit.json   id of the fit; empty once it has failed or was cancelled: the run, when resumed, resumes it
+<folder>/fit.json   id of the fit; gone once it has failed or was cancelled: the run, when resumed, resumes it
 """
 
 import json
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, cast
 
-from freerein.atomic_files import write_atomic
+from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
@@ -81,15 +81,14 @@ def run(context: RunContext, config: FitRunConfig) -> None:
     watch = None
     try:
         watch = _FitWatch(fits, retry.call(lambda: _start(fits, context, config)), context.metrics_logger(0))
-        retry.call(watch.poll)  # one that has ended has metrics to copy, too
-        while not watch.fit.ended:
+        while not watch.ended:
             retry.call(watch.poll)
     except Stopped:
         if watch is not None and context.cancelled():
             _cancel(fits, watch.fit.id, context)
         raise
     if watch.fit.model is None:
-        _save_id(context, "")
+        _forget_id(context)
         raise FailedPrecondition(
             f"The fit must succeed; it has {watch.fit.state}. {watch.fit.error}"
             if watch.fit.error
@@ -125,10 +124,12 @@ class _FitWatch:
 
     Attributes:
         fit: Its latest state.
+        ended: Whether it has ended: there are no events after the latest. One that was resumed has ended before, too.
     """
 
     def __init__(self, fits: SyncClient, fit: Fit, metrics: MetricsLogger) -> None:
         self.fit = fit
+        self.ended = False
         self._fits = fits
         self._metrics = metrics
         self._sequence = 0
@@ -150,6 +151,7 @@ class _FitWatch:
                     self._metrics.append(self.fit.step, self.fit.metrics)
             if not self.fit.ended:
                 raise Unavailable("A fit's events must continue to its end; they broke off.", hint="Watch it again.")
+            self.ended = True
 
 
 def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
@@ -166,7 +168,7 @@ def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
     with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
         fit: Fit = fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S).fit
         if fit.state != "succeeded":
-            _save_id(context, "")
+            _forget_id(context)
 
 
 def _saved_id(context: RunContext) -> str:
@@ -176,3 +178,10 @@ def _saved_id(context: RunContext) -> str:
 
 def _save_id(context: RunContext, fit_id: str) -> None:
     write_atomic(context.folder / "fit.json", json.dumps({"id": fit_id}).encode())
+
+
+def _forget_id(context: RunContext) -> None:
+    path = context.folder / "fit.json"
+    with suppress(OSError):  # why the run ends is what matters
+        path.unlink(missing_ok=True)
+        fsync_folder(path.parent)

@@ -119,13 +119,14 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
         try:
             for step in pipeline.steps:
                 _begin(kinds, context, _to_do(context, pipeline))
-                child = context.child(step.name, first_step=done)
-                child.folder.mkdir(parents=True, exist_ok=True)
-                if not _is_done(context, step.name):
-                    with _step_errors(step.name), storage_errors(), _timed(child), child.closing:
-                        kinds[step.kind].run(child, step.config)
-                    _finish(context, child, step)
-                done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
+                with _step_errors(step.name), storage_errors():
+                    child = context.child(step.name, first_step=done)
+                    child.folder.mkdir(parents=True, exist_ok=True)
+                    if not _is_done(context, step.name):
+                        with _timed(child), child.closing:
+                            kinds[step.kind].run(child, step.config)
+                        _finish(context, child, step)
+                    done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
         except Stopped:
             if context.cancelled():
                 _cancel(kinds, context, _to_do(context, pipeline))
@@ -143,7 +144,7 @@ def _begin(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[
         remote = kinds[step.kind].remote
         if remote is not None and step.after and all(_is_done(context, name) for name in step.after):
             child = context.child(step.name, first_step=0)
-            with _step_errors(step.name), child.closing:
+            with _step_errors(step.name), storage_errors(), child.closing:
                 remote.begin(child, step.config)
 
 

@@ -8,7 +8,7 @@ from freerein.atomic_files import out_of_storage
 from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 _ENCODING = "UTF8"
-_SQLITE_STORAGE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
+_SQLITE_STORAGE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY}
 
 
 def database_error(error: Exception) -> ServiceError:
@@ -19,9 +19,10 @@ def database_error(error: Exception) -> ServiceError:
     cause = getattr(error, "orig", error)
     if isinstance(cause, DiskFull):
         return out_of_storage("the disk of Postgres is full")
-    if getattr(cause, "sqlite_errorcode", 0) & 0xFF in _SQLITE_STORAGE:  # the last byte; the rest says more
+    code = getattr(cause, "sqlite_errorcode", 0) & 0xFF  # the last byte; the rest says more
+    if code in _SQLITE_STORAGE:
         return out_of_storage(str(cause))
-    return unreachable()
+    return _cannot_open() if code == sqlite3.SQLITE_CANTOPEN else unreachable()
 
 
 def unreachable() -> Unavailable:
@@ -30,6 +31,14 @@ def unreachable() -> Unavailable:
         "The database of the runs must be reachable; it is not, or refuses the login.",
         hint="Start it, create the database, or set FREEREIN_DATABASE_URL.",
         retry_after_s=1.0,
+    )
+
+
+def _cannot_open() -> Unavailable:
+    return Unavailable(
+        "The process must be able to open the database of the runs; all file descriptors are in use, or its folder is "
+        "missing or refuses.",
+        hint="Raise its limit of open files, or give the service access to the data directory.",
     )
 
 

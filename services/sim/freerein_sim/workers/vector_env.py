@@ -11,7 +11,6 @@ from freerein.types.common import Camera
 from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResponse, ResetResponse, StepResponse, Truth
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
-from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import (
     ScriptedPolicy,
@@ -215,7 +214,7 @@ class VectorEnv:
         try:
             for world, state in zip(self._worlds, states, strict=True):
                 world.restore(state.world)
-                if isinstance(world, ReplayedWorld) and world.steps != state.steps:
+                if world.steps not in (None, state.steps):
                     raise InvalidInput(
                         f"`snapshot` must count the actions that it records; got {state.steps} for {world.steps}.",
                         field="snapshot",

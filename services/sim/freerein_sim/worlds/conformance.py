@@ -93,6 +93,7 @@ def restores_bit_for_bit(task: TaskDefinition) -> None:
         snapshot = world.snapshot()
         other.restore(snapshot)
         _require(other.snapshot() == snapshot, "A restored world has the snapshot that it was given.")
+        _require(other.steps == world.steps, "A restored world has made as many steps.")
         _require(_observed(world) == _observed(other), "A restored world looks the same.")
         _require(_continued(world) == _continued(other), "A restored world goes on the same.")
 

@@ -68,6 +68,7 @@ class GridWorld:
     """
 
     spec = SPEC
+    steps = None
 
     def __init__(self, *, indicator: bool) -> None:
         self._indicator = indicator

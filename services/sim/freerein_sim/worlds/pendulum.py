@@ -52,7 +52,7 @@ class PendulumWorld:
     """The pendulum; it has no scripted expert."""
 
     spec = SPEC
-    expert = None
+    expert = steps = None
 
     def __init__(self, simulation: "MujocoSimulation") -> None:
         self.fingerprint = simulation.fingerprint

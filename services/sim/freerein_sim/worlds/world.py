@@ -161,6 +161,10 @@ class UnsavedWorld(Protocol):
 class World(UnsavedWorld, Protocol):
     """One environment that saves and restores its state."""
 
+    @property
+    def steps(self) -> int | None:
+        """Steps since the reset; None in a world whose snapshots do not tell them."""
+
     def snapshot(self) -> bytes:
         """Returns the complete state; after `restore` the same actions give the same bits."""
 

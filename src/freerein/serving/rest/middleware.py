@@ -1,6 +1,5 @@
 """ASGI middleware of the REST API: request id, token, size limits, one log line and metrics per request."""
 
-import errno
 import logging
 import re
 import time
@@ -11,6 +10,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from freerein.atomic_files import OUT_OF_FILES, out_of_files
 from freerein.errors import (
     Cancelled,
     Internal,
@@ -18,7 +18,6 @@ from freerein.errors import (
     Overloaded,
     ServiceError,
     TooLarge,
-    Unavailable,
     UnsupportedMedia,
 )
 from freerein.serving import auth
@@ -31,7 +30,6 @@ MAX_HEADER_BYTES = 16 * 1024
 _log = logging.getLogger(__name__)
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
-_OUT_OF_FILES = (errno.EMFILE, errno.ENFILE)
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
@@ -124,11 +122,9 @@ class RequestMiddleware:
         try:
             await self._app(scope, bounded_receive, send)
         except OSError as error:
-            if error.errno not in _OUT_OF_FILES:
+            if error.errno not in OUT_OF_FILES:
                 raise
-            raise Unavailable(
-                "The process must have free file descriptors; all are in use.", hint="Raise its limit of open files."
-            ) from None
+            raise out_of_files() from None
         finally:
             self._buffered_bytes -= COPIES * received
 

@@ -41,6 +41,8 @@ class BlocksWorld:
         goal: The goal; None for none.
     """
 
+    steps = None
+
     def __init__(
         self,
         spec: WorldSpec,
