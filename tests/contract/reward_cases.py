@@ -47,6 +47,8 @@ class Bright(_MeanPixel):
 class Corner(_MeanPixel):
     """A grounding model: the n-th phrase is n eighths from the upper left corner; a phrase `no` is not there."""
 
+    grammar = Grammar((), ("red", "block", "b", "no", "raise", "nan"))
+
     def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Any:
         if "raise" in phrases:
             raise ZeroDivisionError

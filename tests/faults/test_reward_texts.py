@@ -138,9 +138,9 @@ def test_no_text_takes_long_to_tokenise_or_to_read(name: str, least_of_three: An
     tokenizer, grammar = Tokenizer(("red", "block", "on")), Grammar(("a red block", "a blue block"), ("on",))
 
     def seconds() -> float:
-        begun = time.perf_counter()
+        begun = time.process_time()
         tokenizer([HOSTILE[name]])
         grammar.read(HOSTILE[name])
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     assert least_of_three(seconds, below=LONGEST_TOKENISING_S) < LONGEST_TOKENISING_S

@@ -179,5 +179,17 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
     for ours, theirs in zip(recorded["rewarded"], rewarded, strict=True):
         np.testing.assert_array_equal(ours.actions, theirs.actions)
 
+    teach(
+        data_dir,
+        "a" * 32,
+        spec=spec,
+        **card | {"goal_text": "a crimson block apart from a green block"},
+        model={"name": "", "version": ""},
+    )
+    unknown = distillation(dataset="unknown", reward=address, teachers=["a" * 32], keep="rewarded")
+    with pytest.raises(InvalidInput, match="does not know crimson"):
+        unknown.do()
+    assert not (unknown.folder / "rollouts").exists()
+
     with pytest.raises(InvalidInput, match="got None"):
         distillation(teachers=["b" * 32], keep="rewarded").check()

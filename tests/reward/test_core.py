@@ -268,6 +268,8 @@ async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
 
 async def test_a_model_of_the_other_kind_is_refused(start: Start) -> None:
     class Grounding:
+        grammar = Grammar((), ())
+
         def preprocess(self, _image: object) -> None: ...
 
         def ground(self, _images: object, _phrases: object) -> None: ...

@@ -100,7 +100,7 @@ class GoalText:
     text: str
     rivals: tuple[str, ...]
     statement: Statement | None
-    unknown: tuple[str, ...]
+    unknown: Words
 
 
 class Grammar:
@@ -127,6 +127,10 @@ class Grammar:
             return GoalText(statement.caption, statement.rivals, statement, ())
         unknown = _outside(said, self._known) or _outside(said, self._embedded)
         return GoalText(text, _rivals(said), None, unknown)
+
+    def unknown_words(self, phrases: Iterable[str]) -> Words:
+        """Returns the words of noun phrases that neither the grammar nor the model knows, as `GoalText.unknown`."""
+        return _outside((word for phrase in phrases for word in words(phrase)), self._known)
 
     def _statement(self, said: Words) -> Statement | None:
         said = said[1:] if said[:1] == (POLITE,) else said
@@ -167,9 +171,8 @@ def bare_words(phrase: Words) -> Words:
 
 
 def _rivals(said: Words) -> tuple[str, ...]:
-    for start in range(len(said)):
-        longest = _LONGEST_RELATION if said[start] in _RELATION_STARTS else 0
-        for end in range(min(len(said), start + longest), start, -1):
+    for start in (place for place, word in enumerate(said) if word in _RELATION_STARTS):
+        for end in range(min(len(said), start + _LONGEST_RELATION), start, -1):
             if (relation := _WORDINGS.get(said[start:end])) is not None:
                 before, after = " ".join(said[:start]), " ".join(said[end:])
                 others = (each for each in SpatialRelation if each is not relation)
@@ -205,7 +208,7 @@ def _generic(phrase: Words) -> Iterator[Words]:
         yield from ((*phrase[:-1], noun) for noun in GENERIC_NOUNS)
 
 
-def _outside(said: Iterable[str], known: frozenset[str]) -> tuple[str, ...]:
+def _outside(said: Iterable[str], known: frozenset[str]) -> Words:
     cut = (word[:MAX_UNKNOWN_CHARACTERS] for word in said if word not in known)
     return tuple(dict.fromkeys(cut))[:MAX_UNKNOWN]
 

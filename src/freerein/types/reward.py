@@ -88,11 +88,16 @@ class Grounding:
 
 @dataclass(frozen=True, eq=False)
 class GroundResponse:
-    """Groundings in the order of the request's phrases."""
+    """Groundings in the order of the request's phrases.
+
+    Attributes:
+        unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+    """
 
     groundings: tuple[Grounding, ...]
     model: ModelRef
     timing: Timing
+    unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +123,16 @@ class Description:
 
 @dataclass(frozen=True)
 class DescribeResponse:
-    """Descriptions in the order of the request's images."""
+    """Descriptions in the order of the request's images.
+
+    Attributes:
+        unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+    """
 
     descriptions: tuple[Description, ...]
     model: ModelRef
     timing: Timing
+    unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,13 @@ class RewardModel(Protocol):
 
 @runtime_checkable
 class GroundingModel(Protocol):
-    """A trained grounding model: locates noun phrases in images."""
+    """A trained grounding model: locates noun phrases in images.
+
+    Attributes:
+        grammar: Knows the words that the model was trained on.
+    """
+
+    grammar: Grammar
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""

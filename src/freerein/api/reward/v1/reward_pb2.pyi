@@ -279,6 +279,7 @@ class GroundResponse(_message.Message):
     GROUNDINGS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def groundings(self) -> _containers.RepeatedCompositeFieldContainer[Global___Grounding]:
         """One per phrase."""
@@ -291,16 +292,21 @@ class GroundResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+
     def __init__(
         self,
         *,
         groundings: _abc.Iterable[Global___Grounding] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -381,6 +387,7 @@ class DescribeResponse(_message.Message):
     DESCRIPTIONS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def descriptions(self) -> _containers.RepeatedCompositeFieldContainer[Global___Description]:
         """One per image."""
@@ -393,16 +400,21 @@ class DescribeResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+
     def __init__(
         self,
         *,
         descriptions: _abc.Iterable[Global___Description] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
