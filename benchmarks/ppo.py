@@ -36,8 +36,8 @@ from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
+from freerein_reward.goal_text import rival_captions
 from freerein_reward.methods import load
-from freerein_reward.relations import rival_captions
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 

@@ -17,6 +17,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import DescribeRequest, EmbedGoalRequest, GroundRequest, RewardRequest
+from freerein_reward.goal_text import Grammar
 
 LESS, MORE = "less", "more"  # texts that fit a frame less and more, the brighter it is
 
@@ -30,6 +31,7 @@ class Bright(_MeanPixel):
     """A reward model of one camera: a text that begins with `more` fits bright frames. It fails where told to."""
 
     cameras = ("top",)
+    grammar = Grammar((LESS, MORE), ("raise", "nan"))
 
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
         angles = views["top"].mean(axis=(1, 2, 3)) * (math.pi / 510)
@@ -41,12 +43,11 @@ class Bright(_MeanPixel):
         vectors = np.array([(0, 1) if text.startswith(MORE) else (1, 0) for text in texts], np.float32)
         return vectors * np.float32("nan" if "nan" in texts else 1), np.array([len(text) > 100 for text in texts])
 
-    def unknown_words(self, text: str) -> int:
-        return sum(word not in (LESS, MORE) for word in text.split())
-
 
 class Corner(_MeanPixel):
     """A grounding model: the n-th phrase is n eighths from the upper left corner; a phrase `no` is not there."""
+
+    grammar = Grammar((), ("red", "block", "b", "no", "raise", "nan"))
 
     def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Any:
         if "raise" in phrases:
@@ -109,7 +110,11 @@ def cases(version: str) -> Cases:
         reward(frames={}, images=(png(1, 1), png(900, 2))),
         reward(frames={}, images=(png(1, 1, "top"), png(3, 3, "left"))),
         reward("invalid_input", goal_text=""),
+        reward(goal_text="More is on: less!", rivals=()),
+        reward(goal_text="more zeppelins", rivals=("less zeppelins",)),
         reward("invalid_input", goal_text=" \n"),
+        reward("invalid_input", goal_text="!?"),
+        reward("invalid_input", goal_text="more on less", rivals=("MORE on top of less.",)),
         reward("invalid_input", goal_text="a" * 2_001),
         reward("invalid_input", rivals=()),
         reward("invalid_input", rivals=(MORE,)),
@@ -146,6 +151,7 @@ def cases(version: str) -> Cases:
         describe("invalid_input", model=ModelRef("default")),
         embed_goal(MORE),
         embed_goal("words " * 20),
+        embed_goal("more above less."),
         embed_goal("", "invalid_input"),
         embed_goal(MORE, "invalid_input", ModelRef("grounding")),
         embed_goal("nan", "output_not_finite"),

@@ -80,6 +80,12 @@ def test_a_table_says_which_text_fits_best(folder: Path) -> None:
     assert [line.split()[-1] for line in lines[1:4]] == ["less", "less", "more"]
 
 
+def test_a_table_names_the_words_that_the_model_does_not_know(folder: Path) -> None:
+    shown = _run("reward", str(folder / "frames"), "--goal", "more crimson, more amber", "--rival", "less")
+
+    assert shown.stdout.splitlines()[-1] == "The model does not know crimson, amber: the goal is never rewarded."
+
+
 def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:
     image, out = str(folder / "frames" / "0.png"), folder / "out.png"
     _, drawn = _json("reward", image, *GOAL, "--heatmap", str(out), "--phrase", "a red block", "--phrase", "b")

@@ -164,7 +164,8 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
     address, goal_text = start_service("freerein_reward").address, "a red block apart from a green block"
     spec = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, feature_size=8, hidden_size=8)
     card = {"task": "blocks.red-left-of-green", "camera": "front", "goal_text": goal_text, "reward": "learned"}
-    teach(data_dir, "a" * 32, spec=spec, **card, model={"name": "", "version": ""})
+    model = {"name": "", "version": ""}
+    teach(data_dir, "a" * 32, spec=spec, **card, model=model)
     recorded = {}
     for keep in ("all", "rewarded"):
         lesson = {"teachers": ["a" * 32], "rollouts": 6, "num_envs": 6, "stochastic": True, "keep": keep}
@@ -178,6 +179,13 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
     assert 0 < len(rewarded) < 6
     for ours, theirs in zip(recorded["rewarded"], rewarded, strict=True):
         np.testing.assert_array_equal(ours.actions, theirs.actions)
+
+    card["goal_text"] = "a crimson block apart from a green block"
+    teach(data_dir, "a" * 32, spec=spec, **card, model=model)
+    unknown = distillation(dataset="unknown", reward=address, teachers=["a" * 32], keep="rewarded")
+    with pytest.raises(InvalidInput, match="does not know crimson"):
+        unknown.do()
+    assert not (unknown.folder / "rollouts").exists()
 
     with pytest.raises(InvalidInput, match="got None"):
         distillation(teachers=["b" * 32], keep="rewarded").check()

@@ -144,6 +144,7 @@ def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], serv
         ({"task": "blocks.fly"}, NotFound),
         ({"camera": "below"}, InvalidInput),
         ({"goal_text": "a red block"}, InvalidInput),
+        ({"goal_text": "a crimson block on top of a yellow block"}, InvalidInput),
         ({"init_from": "nothing"}, InvalidInput),
         ({"reward_model": "nothing"}, FailedPrecondition),
     ],

@@ -199,6 +199,8 @@ def test_the_reward_model_is_pinned_and_what_it_cannot_reward_refused_at_once(re
     assert one.shape == (1,)
     with pytest.raises(InvalidInput, match="rivals"):
         LearnedReward(reward, "a red block", CAMERA).resolve_model(64, 64, 3)
+    with pytest.raises(InvalidInput, match="does not know crimson, amber"):
+        LearnedReward(reward, "the crimson block is on the amber one", CAMERA).resolve_model(64, 64, 3)
     with pytest.raises(FailedPrecondition, match="active model"):
         LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve_model(64, 64, 3)
 

@@ -19,6 +19,7 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, RewardCore
+from freerein_reward.goal_text import Grammar
 
 COLOURS = ("red", "green", "blue")
 CACHE_BYTES = 2**20
@@ -29,6 +30,7 @@ class Colours:
 
     def __init__(self, *cameras: str) -> None:
         self.cameras = cameras
+        self.grammar = Grammar(("a red block", "a blue block"), (*COLOURS, "a", "nan", "short"))
         self.frames_per_call: list[int] = []
         self.read: list[str] = []
 
@@ -46,9 +48,6 @@ class Colours:
         vectors = np.float32(counts / np.linalg.norm(counts, axis=1, keepdims=True))
         vectors[["nan" in text.split() for text in texts]] = np.nan
         return vectors[: -1 if "short" in texts else None], np.array([len(text) > 20 for text in texts])
-
-    def unknown_words(self, text: str) -> int:
-        return sum(word not in COLOURS for word in text.split())
 
 
 Start = Callable[[Any], Awaitable[RewardCore]]
@@ -81,6 +80,9 @@ def frames(*colours: str, side: int = 3) -> npt.NDArray[np.uint8]:
     return np.broadcast_to(pure[:, None, None], (len(colours), side, side, 3)).copy()
 
 
+TOP_RED = {"top": frames("red")}
+
+
 async def test_a_frame_is_rewarded_where_the_goal_text_beats_every_rival(start: Start) -> None:
     rewarder = await start(Colours("top"))
     request = RewardRequest("red", {"top": frames("red", "green", "blue")}, rivals=("green", "blue"))
@@ -106,8 +108,41 @@ async def test_rivals_are_the_other_relations_where_none_are_sent(start: Start) 
 
     answer = await rewarder.reward(RewardRequest("red on top of blue", {"top": frames("red")}))
 
-    assert answer.texts[0] == "red on top of blue"
-    assert "red below blue" in answer.texts[1:]
+    assert answer.texts[0] == "a red block on top of a blue block"
+    assert "a red block below a blue block" in answer.texts[1:]
+
+
+async def test_every_way_to_say_a_goal_is_rewarded_and_embedded_as_its_caption(start: Start) -> None:
+    model = Colours("top")
+    rewarder = await start(model)
+    request = RewardRequest("Put the red cube on the blue one.", {"top": frames("red")}, rivals=("red is below blue",))
+
+    answer = await rewarder.reward(request)
+    await rewarder.embed_goal(EmbedGoalRequest("a red block above a blue block"))
+
+    captions = ("a red block on top of a blue block", "a red block below a blue block")
+    assert answer.texts == tuple(model.read) == captions
+    assert answer.unknown == ()
+
+
+async def test_a_rival_that_says_the_same_in_other_words_is_refused(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    with pytest.raises(InvalidInput, match="rival 1 says the same"):
+        await rewarder.reward(RewardRequest("red on blue", TOP_RED, rivals=("red below blue", "Red above blue.")))
+
+
+async def test_a_goal_text_with_unknown_words_wins_nothing_and_its_similarity_stays(start: Start) -> None:
+    rewarder = await start(Colours("top"))
+    answers = [
+        await rewarder.reward(RewardRequest("a red zeppelin", TOP_RED, rivals=("blue",), mode=mode))
+        for mode in ("binary", "raw")
+    ]
+
+    assert [answer.unknown for answer in answers] == [("zeppelin",)] * 2
+    assert [answer.winners.tolist() for answer in answers] == [[1], [1]]
+    assert answers[0].rewards.tolist() == [0]
+    assert answers[1].rewards.tolist() == answers[1].similarities.tolist() == answers[0].similarities.tolist()
+    assert answers[1].rewards[0] > 0.9
 
 
 async def test_a_goal_text_without_relation_needs_rivals_or_the_raw_similarity(start: Start) -> None:
@@ -218,7 +253,7 @@ async def test_a_goal_is_embedded_once_for_both_calls(start: Start) -> None:
     assert model.read == ["a long text about red"]
     assert [answer.timing.infer_ns > 0 for answer in answers] == [True, False, False]
     assert all(np.linalg.norm(answer.embedding) == pytest.approx(1.0) for answer in answers)
-    assert all((answer.truncated, answer.unknown_words) == (True, 4) for answer in answers)
+    assert all((answer.truncated, answer.unknown) == (True, ("long", "text", "about")) for answer in answers)
 
 
 async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
@@ -233,6 +268,8 @@ async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
 
 async def test_a_model_of_the_other_kind_is_refused(start: Start) -> None:
     class Grounding:
+        grammar = Grammar((), ())
+
         def preprocess(self, _image: object) -> None: ...
 
         def ground(self, _images: object, _phrases: object) -> None: ...

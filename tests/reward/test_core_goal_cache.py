@@ -8,6 +8,7 @@ import pytest
 
 from freerein.types.common import ModelRef
 from freerein_reward.core import GoalCache
+from freerein_reward.goal_text import Grammar
 
 REF = ModelRef("default", "0" * 12)
 FEATURES = 64
@@ -17,6 +18,7 @@ class Lengths:
     """Embeds texts as their lengths, and counts how many it was asked for."""
 
     cameras = ("top",)
+    grammar = Grammar((), ())
 
     def __init__(self) -> None:
         self.embedded = 0
@@ -32,9 +34,6 @@ class Lengths:
         lengths = np.array([[len(text)] * FEATURES for text in texts], np.float32)
         lengths[[text == "nan" for text in texts]] = np.nan
         return lengths, np.zeros(len(texts), np.bool_)
-
-    def unknown_words(self, _text: str) -> int:
-        return 0
 
 
 @pytest.mark.fault("R4")

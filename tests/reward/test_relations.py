@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from freerein_reward.relations import SpatialRelation, caption, classify_relation, rival_captions
+from freerein_reward.relations import SpatialRelation, classify_relation
 
 EPSILON = 0.1
 
@@ -35,21 +35,3 @@ def test_the_relation_of_swapped_objects_is_the_inverse() -> None:
     )
     there, back = classify_relation(first, second, epsilon=EPSILON), classify_relation(second, first, epsilon=EPSILON)
     assert np.array_equal(inverse[there], back)
-
-
-def test_rivals_are_the_same_sentence_with_each_other_relation() -> None:
-    assert rival_captions("a red block on top of a yellow block") == (
-        "a red block to the left of a yellow block",
-        "a red block to the right of a yellow block",
-        "a red block below a yellow block",
-        "a red block apart from a yellow block",
-    )
-
-
-def test_each_caption_is_a_rival_of_the_others() -> None:
-    said = [caption("a red block", relation, "a blue block") for relation in SpatialRelation]
-    assert all({text, *rival_captions(text)} == set(said) for text in said)
-
-
-def test_a_text_without_a_relation_has_no_rivals() -> None:
-    assert rival_captions("an inverted pendulum") == ()

@@ -56,6 +56,7 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     assert isinstance(model, DualEncoderModel)
     assert not isinstance(model, GradCamModel)
     assert model.cameras == ("front",)
+    assert model.grammar.read("The red cube is on the blue one.").text == "a red block on top of a blue block"
     card = json.loads((folder / "model" / "card.json").read_bytes())
     assert (card["method"], card["grounding"]) == ("relation_captions", version)
     assert """--set 'phrases=["a red block", "a blue block"]' --set hidden_size=16""" in card["command"]
@@ -87,6 +88,12 @@ def test_a_fit_without_phrases_is_told_what_to_give(data_dir: Path) -> None:
     assert "--set 'phrases=" in refused.value.hint
 
 
+def test_the_shipped_model_whose_card_has_its_phrases_in_the_configuration_reads_goal_texts() -> None:
+    store = ModelStore(SHIPPED)
+    model = load(store.folder(ModelRef("default", store.active_version("default"))), "cpu")
+    assert model.grammar.read("put the yellow one under the green one").text == "a yellow block below a green block"
+
+
 def test_captions_are_not_made_by_a_reward_model() -> None:
     store = ModelStore(SHIPPED)
     folder = store.folder(ModelRef("default", store.active_version("default")))
@@ -97,7 +104,14 @@ def test_captions_are_not_made_by_a_reward_model() -> None:
 
 @pytest.mark.parametrize(
     "phrases",
-    [["a red block"], ["a red block", "a red block"], ["a red block", " "], ["a red block", "a hat on a stick"]],
+    [
+        ["a red block"],
+        ["a red block", "a red block"],
+        ["a red block", "the RED block"],
+        ["a red block", " "],
+        ["a red block", "!?"],
+        ["a red block", "a hat on a stick"],
+    ],
 )
 def test_phrases_must_be_different_and_name_things_only(data_dir: Path, phrases: list[str]) -> None:
     with pytest.raises(InvalidInput, match="phrases"):

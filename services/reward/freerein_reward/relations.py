@@ -1,11 +1,12 @@
-"""Spatial relations: their wordings, and their classification from two positions (section 4.2, table 4.1).
+"""Spatial relations: their canonical wordings, and their classification from two positions (section 4.2, table 4.1).
 
 The table's criteria overlap; here they are tested in order, so that exactly one holds: on top of, below, apart from
 (the negation of the table's `close to`), left of, right of.
 """
 
-import re
+from collections.abc import Mapping
 from enum import IntEnum
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -27,37 +28,21 @@ class SpatialRelation(IntEnum):
     APART_FROM = 4
 
 
-WORDINGS: dict[SpatialRelation, tuple[str, ...]] = {
-    SpatialRelation.LEFT_OF: ("to the left of", "left of", "on the left of"),
-    SpatialRelation.RIGHT_OF: ("to the right of", "right of", "on the right of"),
-    SpatialRelation.ON_TOP_OF: ("on top of", "above", "on"),
-    SpatialRelation.BELOW: ("below", "under", "beneath"),
-    SpatialRelation.APART_FROM: ("apart from", "far from", "away from"),
-}
-"""The first of each is canonical: captions use it."""
-
-_RELATION_OF = {wording: relation for relation, wordings in WORDINGS.items() for wording in wordings}
-_RELATION = re.compile(
-    r"\b(?:"
-    + "|".join(wording.replace(" ", r"\s+") for wording in sorted(_RELATION_OF, key=len, reverse=True))
-    + r")\b",
-    re.IGNORECASE,
+CANONICAL_WORDINGS: Mapping[SpatialRelation, str] = MappingProxyType(
+    {
+        SpatialRelation.LEFT_OF: "to the left of",
+        SpatialRelation.RIGHT_OF: "to the right of",
+        SpatialRelation.ON_TOP_OF: "on top of",
+        SpatialRelation.BELOW: "below",
+        SpatialRelation.APART_FROM: "apart from",
+    }
 )
+"""The wordings of captions; `freerein_reward.goal_text` reads others."""
 
 
-def caption(first: str, relation: SpatialRelation, second: str, *, wording: str = "") -> str:
-    """Returns a caption, such as `a red block on top of a yellow block`, with the canonical wording by default."""
-    return f"{first} {wording or WORDINGS[relation][0]} {second}"
-
-
-def rival_captions(goal_text: str) -> tuple[str, ...]:
-    """Returns the text with its first relation replaced by each other one; empty without a relation."""
-    found = _RELATION.search(goal_text)
-    if found is None:
-        return ()
-    relation = _RELATION_OF[" ".join(found[0].lower().split())]
-    before, after = goal_text[: found.start()], goal_text[found.end() :]
-    return tuple(f"{before}{WORDINGS[other][0]}{after}" for other in SpatialRelation if other is not relation)
+def caption(first: str, relation: SpatialRelation, second: str) -> str:
+    """Returns a caption, such as `a red block on top of a yellow block`."""
+    return f"{first} {CANONICAL_WORDINGS[relation]} {second}"
 
 
 def classify_relation(

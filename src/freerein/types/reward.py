@@ -19,7 +19,9 @@ class RewardRequest:
         frames: uint8 (N, H, W, C) by camera, C = 1 or 3, of any size; other cameras than the model's are ignored.
             Exactly one of `frames` and `images` is given.
         images: Encoded images; those of one camera in temporal order, the same number for every camera.
-        rivals: Texts that the goal text must beat; empty for the goal text with every other relation.
+        goal_text: Description of the goal. Sentences of two of the model's noun phrases and a relation are read by a
+            grammar; other texts are compared as they are.
+        rivals: Texts that the goal text must beat, read as it is; empty for the goal text with every other relation.
         mode: `binary`, 1 where the goal text beats all rivals, else 0; or `raw`, the similarity.
     """
 
@@ -36,12 +38,15 @@ class RewardResponse:
     """One reward per frame.
 
     Attributes:
-        rewards: float32 (N,), in the requested mode.
+        rewards: float32 (N,), in the requested mode; in the mode `binary` 0 where `unknown` is not empty.
         similarities: float32 (N,), cosine similarity of frame and goal text.
-        winners: int64 (N,), index in `texts` of the most similar text; 0 is the goal text, which loses ties.
-        texts: The goal text, then its rivals.
+        winners: int64 (N,), index in `texts` of the most similar text; 0 is the goal text, which loses ties, and loses
+            to every rival where `unknown` is not empty.
+        texts: The goal text, then its rivals, as they were compared: what the grammar can read is in the words of the
+            model's training.
         truncated: Whether any text was too long for the model and was truncated.
-        unknown_words: Number of words of the goal text outside the model's vocabulary.
+        unknown: Words of the goal text that the model does not know, distinct and in order; at most 16 of at most 32
+            characters each, longer ones cut.
     """
 
     rewards: npt.NDArray[np.float32]
@@ -49,7 +54,7 @@ class RewardResponse:
     winners: npt.NDArray[np.int64]
     texts: tuple[str, ...]
     truncated: bool
-    unknown_words: int
+    unknown: tuple[str, ...]
     model: ModelRef
     timing: Timing
 
@@ -83,11 +88,16 @@ class Grounding:
 
 @dataclass(frozen=True, eq=False)
 class GroundResponse:
-    """Groundings in the order of the request's phrases."""
+    """Groundings in the order of the request's phrases.
+
+    Attributes:
+        unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+    """
 
     groundings: tuple[Grounding, ...]
     model: ModelRef
     timing: Timing
+    unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +123,16 @@ class Description:
 
 @dataclass(frozen=True)
 class DescribeResponse:
-    """Descriptions in the order of the request's images."""
+    """Descriptions in the order of the request's images.
+
+    Attributes:
+        unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+    """
 
     descriptions: tuple[Description, ...]
     model: ModelRef
     timing: Timing
+    unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -135,11 +150,11 @@ class EmbedGoalResponse:
     Attributes:
         embedding: float32 (D,), of unit length.
         truncated: Whether the text was too long for the model and was truncated.
-        unknown_words: Number of words outside the model's vocabulary.
+        unknown: Words that the model does not know, as in `RewardResponse`.
     """
 
     embedding: npt.NDArray[np.float32]
     truncated: bool
-    unknown_words: int
+    unknown: tuple[str, ...]
     model: ModelRef
     timing: Timing

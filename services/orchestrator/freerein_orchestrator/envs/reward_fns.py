@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.clients import SyncClient
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
 from freerein_orchestrator.rl.errors import IterationRejected
@@ -62,11 +62,19 @@ class LearnedReward:
         """Returns name and version of the model, after it has rewarded two blank frames of a size.
 
         Raises:
-            InvalidInput: The model takes no such goal text, or no frames of this camera.
+            InvalidInput: The model does not know a word of the goal text, takes no such text, or no frames of this
+                camera.
             NotFound: There is no such model.
             FailedPrecondition: None is active.
         """
-        return self._request(np.zeros((2, height, width, channels), np.uint8)).model
+        answer = self._request(np.zeros((2, height, width, channels), np.uint8))
+        if answer.unknown:
+            raise InvalidInput(
+                f"The model must know every word of the goal text; it does not know {', '.join(answer.unknown)}.",
+                field="goal_text",
+                hint="Relate two noun phrases of the model, such as: the red block is on the blue one.",
+            )
+        return answer.model
 
     def _request(self, frames: Frames) -> RewardResponse:
         request = RewardRequest(self.goal_text, {self.camera: frames}, mode=self.mode, model=self.model)

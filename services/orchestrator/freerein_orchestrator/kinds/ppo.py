@@ -49,7 +49,7 @@ class PPORunConfig(PPOConfig):
 
     Attributes:
         task: The task's name.
-        goal_text: The goal in words; empty for the task's own.
+        goal_text: The goal in words that the reward model knows; empty for the task's own.
         camera: The camera that policy and reward see; empty for the task's first.
         reward: `learned`, 1 where a reward model prefers the goal text to its rival captions; `base`, the similarity of
             goal text and frame by the grounding model; `oracle`, the true reward, to compare with.

@@ -61,7 +61,8 @@ class GroundingCore:
         image, size = await timer.decode(asyncio.to_thread(decode))
         found = await self._locate(model, image, request.phrases, timer)
         groundings = await asyncio.to_thread(_groundings, found, request.phrases, size)
-        return GroundResponse(groundings, ref, timer.timing())
+        unknown = await asyncio.to_thread(model.grammar.unknown_words, request.phrases)
+        return GroundResponse(groundings, ref, timer.timing(), unknown)
 
     async def describe(self, request: DescribeRequest) -> DescribeResponse:
         """Returns captions of the spatial relations that images show (table 4.1).
@@ -80,7 +81,8 @@ class GroundingCore:
             decode = partial(inputs.model_inputs, frames, model.preprocess, start=start, stop=stop)
             found = await self._locate(model, await timer.decode(asyncio.to_thread(decode)), request.phrases, timer)
             descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon))
-        return DescribeResponse(tuple(descriptions), ref, timer.timing())
+        unknown = await asyncio.to_thread(model.grammar.unknown_words, request.phrases)
+        return DescribeResponse(tuple(descriptions), ref, timer.timing(), unknown)
 
     async def _resolve(self, ref: ModelRef) -> tuple[ModelRef, GroundingModel]:
         ref, model = await self.models.resolve(ModelRef(ref.name or GROUNDING, ref.version))

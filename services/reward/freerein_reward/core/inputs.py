@@ -10,6 +10,7 @@ from freerein.errors import InvalidInput, TooLarge
 from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
 from freerein.types.reward import RewardRequest
+from freerein_reward.goal_text import words
 
 MAX_FRAMES = 20_000
 MAX_HEATMAP_PIXELS = 12_000_000  # 64 MiB, the largest message, as FP32 in base64
@@ -21,24 +22,29 @@ FrameSequence = TrajectoryArrays[np.uint8]
 
 
 def check_goal_text(text: str) -> None:
-    """Raises InvalidInput when a goal text is empty or blank."""
+    """Raises InvalidInput when a goal text has no words."""
     _check_text(text, "goal_text", "Describe the goal, such as: a red block on top of a yellow block.")
 
 
-def check_rivals(rivals: Sequence[str], goal_text: str) -> None:
-    """Raises InvalidInput when a rival is empty, blank or the goal text."""
+def check_rivals(rivals: Sequence[str]) -> None:
+    """Raises InvalidInput when a rival has no words."""
     for index, rival in enumerate(rivals):
         _check_text(rival, f"rivals.{index}", "Leave it out, or describe another scene.")
+
+
+def check_distinct(rivals: Sequence[str], goal_text: str) -> None:
+    """Raises InvalidInput when a rival, as it was read, is the goal text."""
+    for index, rival in enumerate(rivals):
         if rival == goal_text:
             raise InvalidInput(
-                f"`rivals` must differ from the goal text; rival {index} is the same.",
+                f"`rivals` must say something else than the goal text; rival {index} says the same.",
                 field=f"rivals.{index}",
                 hint="Leave it out.",
             )
 
 
 def check_phrases(phrases: Sequence[str], *, least: int) -> None:
-    """Raises InvalidInput when there are too few phrases, or one is empty, blank or repeated."""
+    """Raises InvalidInput when there are too few phrases, or one is repeated or has no words."""
     if len(phrases) < least:
         raise InvalidInput(
             f"`phrases` must hold at least {least} noun phrases; got {len(phrases)}.",
@@ -56,7 +62,7 @@ def check_phrases(phrases: Sequence[str], *, least: int) -> None:
 
 
 def _check_text(text: str, field: str, hint: str) -> None:
-    if not text.strip():
+    if not words(text):
         raise InvalidInput(f"`{field}` must hold words; got none.", field=field, hint=hint)
 
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.types.common import ModelRef
+from freerein_reward.goal_text import Grammar
 from freerein_reward.model import PhraseLocations
 
 
@@ -17,9 +18,11 @@ class RewardModel(Protocol):
 
     Attributes:
         cameras: Cameras that it expects; one empty name for any image.
+        grammar: Reads goal texts.
     """
 
     cameras: tuple[str, ...]
+    grammar: Grammar
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""
@@ -30,13 +33,16 @@ class RewardModel(Protocol):
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Returns unit embeddings, float32 (K, D), and whether each text was truncated, bool (K,)."""
 
-    def unknown_words(self, text: str) -> int:
-        """Returns the number of out-of-vocabulary words of a text."""
-
 
 @runtime_checkable
 class GroundingModel(Protocol):
-    """A trained grounding model: locates noun phrases in images."""
+    """A trained grounding model: locates noun phrases in images.
+
+    Attributes:
+        grammar: Knows the words that the model was trained on.
+    """
+
+    grammar: Grammar
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""

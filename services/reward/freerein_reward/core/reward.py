@@ -16,9 +16,16 @@ from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein_reward.core.goal_cache import GoalCache
 from freerein_reward.core.inference import InferenceItem, InferenceOutput, ScoreItem, Scores
-from freerein_reward.core.inputs import FrameSequence, check_goal_text, check_rivals, model_inputs, request_frames
+from freerein_reward.core.inputs import (
+    FrameSequence,
+    check_distinct,
+    check_goal_text,
+    check_rivals,
+    model_inputs,
+    request_frames,
+)
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
-from freerein_reward.relations import rival_captions
+from freerein_reward.goal_text import GoalText, Grammar
 
 _FRAMES_AT_ONCE = 64
 
@@ -33,7 +40,7 @@ class RewardCore:
     timeout_s: float
 
     async def reward(self, request: RewardRequest) -> RewardResponse:
-        """Returns the reward of every frame for a goal text (section 4.2).
+        """Returns the reward of every frame for a goal text (section 4.2), read by the model's grammar.
 
         Raises:
             InvalidInput: A text or a frame is invalid, a camera is missing, a binary reward has no rivals, or the model
@@ -44,10 +51,9 @@ class RewardCore:
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
-        check_rivals(request.rivals, request.goal_text)
-        texts = _goal_and_rivals(request)
+        check_rivals(request.rivals)
         ref, model = await self._resolve(request.model, allow_grounding=request.mode == "raw")
-        frames = await timer.decode(asyncio.to_thread(request_frames, request, model.cameras))
+        goal, texts, frames = await timer.decode(asyncio.to_thread(_decode, request, model))
         parts = []
         count = len(frames[model.cameras[0]])
         for start in range(0, count, _FRAMES_AT_ONCE):
@@ -56,33 +62,34 @@ class RewardCore:
             key = ref if count == 1 else object()  # single frames share a batch with those of other requests
             parts.append(await self._infer(ScoreItem(ref, model, texts, views), key, timer))
         similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
-        winners = _winners(similarities)
+        winners = _winners(similarities, is_known=not goal.unknown)
         return RewardResponse(
             rewards=(winners == 0).astype(np.float32) if request.mode == "binary" else similarities[:, 0],
             similarities=similarities[:, 0],
             winners=winners,
             texts=texts,
-            truncated=any(goal.truncated for goal in parts[0].goals),
-            unknown_words=model.unknown_words(request.goal_text),
+            truncated=any(text.truncated for text in parts[0].goals),
+            unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),
         )
 
     async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
-        """Returns the embedding of a goal text.
+        """Returns the embedding of a goal text, read by the model's grammar.
 
-        Raises InvalidInput when the text is empty, blank or too long; otherwise as `reward`.
+        Raises InvalidInput when the text has no words or is too long; otherwise as `reward`.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
         ref, model = await self._resolve(request.model, allow_grounding=False)
-        goal = self.goals.find(ref, request.goal_text)
-        if goal is None:
-            (goal,) = (await self._infer(ScoreItem(ref, model, (request.goal_text,)), ref, timer)).goals
+        goal = model.grammar.read(request.goal_text)
+        found = self.goals.find(ref, goal.text)
+        if found is None:
+            (found,) = (await self._infer(ScoreItem(ref, model, (goal.text,)), ref, timer)).goals
         return EmbedGoalResponse(
-            embedding=goal.vector,
-            truncated=goal.truncated,
-            unknown_words=model.unknown_words(request.goal_text),
+            embedding=found.vector,
+            truncated=found.truncated,
+            unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),
         )
@@ -98,6 +105,15 @@ class RewardCore:
         return cast(Scores, await timer.infer(self.batcher.submit(item, key=key, timeout_s=self.timeout_s)))
 
 
+def _decode(
+    request: RewardRequest, model: RewardModel
+) -> tuple[GoalText, tuple[str, ...], Mapping[str, FrameSequence]]:
+    """Returns the goal text, all texts to compare, and the frames by camera."""
+    goal = model.grammar.read(request.goal_text)
+    texts = (goal.text, *_rivals(request, goal, model.grammar))
+    return goal, texts, request_frames(request, model.cameras)
+
+
 def _views(
     frames: Mapping[str, FrameSequence], model: RewardModel, start: int, stop: int
 ) -> dict[str, npt.NDArray[np.uint8]]:
@@ -106,20 +122,25 @@ def _views(
     }
 
 
-def _goal_and_rivals(request: RewardRequest) -> tuple[str, ...]:
-    rivals = request.rivals or rival_captions(request.goal_text)
-    if not rivals and request.mode == "binary":
+def _rivals(request: RewardRequest, goal: GoalText, grammar: Grammar) -> tuple[str, ...]:
+    rivals = tuple(grammar.read(rival).text for rival in request.rivals)
+    check_distinct(rivals, goal.text)
+    if not rivals and not goal.rivals and request.mode == "binary":
         raise InvalidInput(
             "A binary reward needs rivals; none were given, and the goal text has no relation to derive them from.",
             field="rivals",
             hint="Send `rivals`, descriptions of other outcomes, or use mode raw.",
         )
-    return request.goal_text, *rivals
+    return rivals or goal.rivals
 
 
-def _winners(similarities: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-    """Returns the index of each frame's most similar text; the goal text, index 0, must beat all rivals strictly."""
+def _winners(similarities: npt.NDArray[np.float32], *, is_known: bool) -> npt.NDArray[np.int64]:
+    """Returns the index of each frame's most similar text; the goal text, index 0, must beat all rivals strictly.
+
+    A goal text with words that the model does not know beats none; where there are no rivals, it stays alone.
+    """
     if similarities.shape[1] == 1:
         return np.zeros(len(similarities), np.int64)
     rivals = similarities[:, 1:]
-    return np.where(similarities[:, 0] > rivals.max(axis=1), 0, 1 + rivals.argmax(axis=1)).astype(np.int64)
+    is_won = (similarities[:, 0] > rivals.max(axis=1)) & is_known
+    return np.where(is_won, 0, 1 + rivals.argmax(axis=1)).astype(np.int64)

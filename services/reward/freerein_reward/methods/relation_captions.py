@@ -9,16 +9,16 @@ from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
+from freerein_reward.goal_text import bare_words, rival_captions, words
 from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
-from freerein_reward.relations import rival_captions
 from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
 
 _MAX_PHRASES = 32  # captions and time grow with the square
 
 
 def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
-    distinct = {phrase.strip() for phrase in config.phrases} - {""}
-    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, distinct)):
+    distinct = {bare_words(words(phrase)) for phrase in config.phrases} - {()}
+    if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, config.phrases)):
         raise InvalidInput(
             f"`phrases` must be 2 to {_MAX_PHRASES} distinct noun phrases without relations such as `on`; "
             f"got {len(config.phrases)}.",

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import PIL.Image
 import torch
 
+from freerein_reward.goal_text import Grammar
 from freerein_reward.model.dual_encoder import DualEncoder, channels_last
 
 _IMAGES_AT_ONCE = 16
@@ -19,6 +20,7 @@ class DualEncoderModel:
     def __init__(self, network: DualEncoder) -> None:
         self.network = channels_last(network.eval())
         self.cameras = network.spec.cameras
+        self.grammar = Grammar(network.spec.phrases, network.spec.vocabulary)
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the network's input, uint8 (H, W, 3)."""
@@ -39,10 +41,6 @@ class DualEncoderModel:
         tokens = self.network.tokenizer(texts)
         embeddings = self.network.embed_texts(torch.from_numpy(tokens.ids).to(self.network.device))
         return embeddings.cpu().numpy(), tokens.truncated
-
-    def unknown_words(self, text: str) -> int:
-        """Returns the number of out-of-vocabulary words of a text."""
-        return int(self.network.tokenizer([text]).unknown[0])
 
 
 def preprocess(image: npt.NDArray[np.uint8], *, size: int) -> npt.NDArray[np.uint8]:

@@ -13,6 +13,7 @@ class DualEncoderSpec:
     Attributes:
         cameras: Camera names; the image embedding is the mean over cameras. One empty name for any image.
         vocabulary: Words of the training texts.
+        phrases: Noun phrases of the training captions; empty for a grounding model.
         image_size: Height and width of the image encoder's input, in pixels; a multiple of 4.
         width: Channels of the image encoder's stem; a multiple of 8.
         depth: Bottlenecks per stage of the image encoder.
@@ -29,6 +30,7 @@ class DualEncoderSpec:
 
     cameras: tuple[str, ...]
     vocabulary: tuple[str, ...]
+    phrases: tuple[str, ...] = ()
     image_size: int = bounded(64, least=16, most=512)
     width: int = bounded(8, least=8, most=128)
     depth: int = bounded(1, least=1, most=8)

@@ -16,7 +16,7 @@ from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import tensor_files
 from freerein.learning.split import train_validation_split
 from freerein_reward.model import GradCamModel, preprocess
-from freerein_reward.relations import WORDINGS, SpatialRelation, caption, classify_relation
+from freerein_reward.relations import SpatialRelation, caption, classify_relation
 from freerein_reward.training.config import RewardConfig
 
 NO_CAPTION = -1
@@ -31,9 +31,6 @@ _MIRRORED = np.array(
         SpatialRelation.APART_FROM,
     ]
 )
-_CANONICAL_WORDING = 0.7
-"""Probability of a relation's first wording, which captions and the sim's goal texts use."""
-
 _IMAGES_AT_ONCE = 256
 
 
@@ -151,17 +148,10 @@ def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
     return values[:, first, second].astype(np.int64)
 
 
-def relation_captions(
-    phrases: Sequence[str], pairs: npt.NDArray[np.int64], *, rng: np.random.Generator | None = None
-) -> tuple[str, ...]:
-    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair, int64 (pairs, 2).
-
-    `rng` draws the wordings; None for the canonical ones.
-    """
+def relation_captions(phrases: Sequence[str], pairs: npt.NDArray[np.int64]) -> tuple[str, ...]:
+    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair, int64 (pairs, 2)."""
     return tuple(
-        caption(phrases[first], relation, phrases[second], wording=_wording(relation, rng))
-        for first, second in pairs
-        for relation in SpatialRelation
+        caption(phrases[first], relation, phrases[second]) for first, second in pairs for relation in SpatialRelation
     )
 
 
@@ -184,13 +174,6 @@ def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
     if frames.shape[1:] == (size, size, 3):
         return frames
     return np.stack([preprocess(frame, size=size) for frame in frames])
-
-
-def _wording(relation: SpatialRelation, rng: np.random.Generator | None) -> str:
-    wordings = WORDINGS[relation]
-    if rng is None or rng.random() < _CANONICAL_WORDING:
-        return wordings[0]
-    return wordings[rng.integers(len(wordings))]
 
 
 def _shift(view: npt.NDArray[np.uint8], offsets: npt.NDArray[np.int64], limit: int) -> npt.NDArray[np.uint8]:

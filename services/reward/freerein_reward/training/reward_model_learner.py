@@ -11,10 +11,10 @@ from torch import Tensor
 from freerein.learning import weights
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
+from freerein_reward.goal_text import words
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
-from freerein_reward.model.tokenizer import words
 from freerein_reward.objectives import contrastive_loss, relation_cross_entropy
-from freerein_reward.relations import WORDINGS, SpatialRelation
+from freerein_reward.relations import CANONICAL_WORDINGS, SpatialRelation
 from freerein_reward.training.caption_dataset import (
     NO_CAPTION,
     CaptionDataset,
@@ -65,7 +65,7 @@ class RewardModelLearner:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
         rng = np.random.default_rng(int(torch.randint(2**31, (), generator=state.generator)))
         batch = _augment(self.training.subset(items), rng)
-        return fit_step(state, _loss(state.network, batch, rng), self.config)
+        return fit_step(state, _loss(state.network, batch), self.config)
 
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of relations on the validation images."""
@@ -75,10 +75,11 @@ class RewardModelLearner:
 
 def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncoderSpec:
     """Returns the architecture of a reward model: the grounding model's, with keypoint pooling."""
-    texts = (*config.phrases, *(wording for wordings in WORDINGS.values() for wording in wordings), *SIDES)
+    texts = (*config.phrases, *CANONICAL_WORDINGS.values(), *SIDES)
     return replace(
         grounding,
         cameras=config.cameras,
+        phrases=config.phrases,
         vocabulary=tuple(dict.fromkeys(word for text in texts for word in words(text))),
         keypoints=len(config.phrases) + config.extra_keypoints,
         hidden_size=config.hidden_size,
@@ -122,7 +123,7 @@ def _augment(batch: CaptionDataset, rng: np.random.Generator) -> CaptionDataset:
     return shifted.mirrored(rng.random(len(batch)) < 0.5) if len(batch.views) == 1 else shifted
 
 
-def _loss(network: DualEncoder, batch: CaptionDataset, rng: np.random.Generator) -> Tensor:
+def _loss(network: DualEncoder, batch: CaptionDataset) -> Tensor:
     """Returns the contrastive loss over captions and their rivals, plus the cross-entropies of relations and sides.
 
     A caption that is true of several images is one column; the rivals of each caption are columns too.
@@ -130,7 +131,7 @@ def _loss(network: DualEncoder, batch: CaptionDataset, rng: np.random.Generator)
     relations = flatten_pairs(batch.relations)  # (N, all pairs)
     has_caption = (relations != NO_CAPTION).any(axis=0)
     pairs = ordered_pairs(len(batch.phrases))[has_caption]
-    captions = (*relation_captions(batch.phrases, pairs, rng=rng), *_side_captions(batch.phrases, pairs))
+    captions = (*relation_captions(batch.phrases, pairs), *_side_captions(batch.phrases, pairs))
     texts = network.embed_texts(network.tokenize(captions))
     images = network.embed_images(_stacked_views(batch).to(network.device))
     scores = network.temperature(images @ texts.T)  # (N, 7 pairs)

@@ -15,6 +15,8 @@ import numpy.typing as npt
 import PIL.Image
 import PIL.ImageDraw
 
+from freerein_reward.goal_text import SYNONYMS
+
 IMAGE_SIZE = 64
 NOTHING = "nothing"
 _EMPTY_PROBABILITY = 0.1
@@ -221,9 +223,7 @@ _DRAWINGS: Mapping[str, Callable[..., None]] = MappingProxyType(
     }
 )
 SHAPES = tuple(_DRAWINGS)
-_NAMES = MappingProxyType(
-    {**{shape: (shape,) for shape in SHAPES}, "block": ("block", "cube"), "ball": ("ball", "sphere")}
-)
+_NAMES = MappingProxyType({shape: (shape, *SYNONYMS.get(shape, ())) for shape in SHAPES})
 VOCABULARY = (
     "a",
     "an",

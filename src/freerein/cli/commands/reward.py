@@ -157,8 +157,8 @@ def _show(answer: RewardResponse) -> None:
     ]
     show_table(("frame", "reward", "similarity", "fits best"), rows)
     typer.echo(f"{len(rows)} frames, model {answer.model.name} {answer.model.version}")
-    if answer.unknown_words:
-        typer.echo(f"The model does not know {answer.unknown_words} words of the goal; the rewards are unreliable.")
+    if answer.unknown:
+        typer.echo(f"The model does not know {', '.join(answer.unknown)}: the goal is never rewarded.")
     if answer.truncated:
         typer.echo("A text was too long for the model and was truncated.")
 

@@ -68,10 +68,13 @@ def record_rollouts(context: RunContext, policies: Sequence[StoredPolicy], plan:
 
     Raises:
         Stopped: The run is to stop.
-        InvalidInput: The teachers' tasks have different actions.
+        InvalidInput: The teachers' tasks have different actions, or a reward model that is to choose what to keep does
+            not know a word of its teacher's goal text.
         FailedPrecondition: No rollout of a teacher was kept.
     """
     recording = _Recording(context, policies, plan)
+    if plan.keep == "rewarded":
+        recording.check_goal_texts()
     with recording.open() as writer:
         for number, each in enumerate(plan.rounds(len(policies))):
             recording.record(writer, number, each)
@@ -95,6 +98,12 @@ class _Recording:
         recorded = list(plan.rounds(len(policies)))[: len(self._kept)]
         self._episodes = sum(each.count for each in recorded)
         self._metrics = context.metrics_logger(self._episodes)
+
+    def check_goal_texts(self) -> None:
+        """Raises InvalidInput where a reward model does not know a word of its teacher's goal text."""
+        size = self._camera.height, self._camera.width, self._camera.channels
+        for policy in self._policies:
+            self._retry.call(partial(self._reward_fn(policy).resolve_model, *size))
 
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
@@ -146,11 +155,14 @@ class _Recording:
     def _to_keep(self, policy: StoredPolicy, episodes: Sequence[Episode]) -> Sequence[Episode]:
         if self._plan.keep == "all":
             return episodes
-        goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
-        reward_fn = LearnedReward(self._reward, goal_text, self._camera.name, model)
+        reward_fn = self._reward_fn(policy)
         last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
         rewards = self._retry.call(lambda: reward_fn(last, None))
         return [episode for episode, reward in zip(episodes, rewards, strict=True) if reward > 0]
+
+    def _reward_fn(self, policy: StoredPolicy) -> LearnedReward:
+        goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
+        return LearnedReward(self._reward, goal_text, self._camera.name, model)
 
     def _finish(self, each: _Round, kept: Sequence[Episode]) -> None:
         self._episodes += each.count

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xcd\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12K\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x08\x88\xb5\x18@\x90\xb5\x18\x10\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\xe2\x01\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12\x15\n\runknown_words\x18\x06 \x01(\r\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\"\xa8\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xae\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xd1\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12\x15\n\runknown_words\x18\x03 \x01(\r\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing2\x82\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xcd\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12K\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x08\x88\xb5\x18@\x90\xb5\x18\x10\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\xf1\x01\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\t \x03(\tJ\x04\x08\x06\x10\x07R\runknown_words\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\"\xb9\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xbf\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xe0\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x06 \x03(\tJ\x04\x08\x03\x10\x04R\runknown_words2\x82\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -57,23 +57,23 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REWARDREQUEST_MODE']._serialized_start=494
   _globals['_REWARDREQUEST_MODE']._serialized_end=553
   _globals['_REWARDRESPONSE']._serialized_start=565
-  _globals['_REWARDRESPONSE']._serialized_end=791
-  _globals['_GROUNDREQUEST']._serialized_start=794
-  _globals['_GROUNDREQUEST']._serialized_end=932
-  _globals['_GROUNDING']._serialized_start=934
-  _globals['_GROUNDING']._serialized_end=1050
-  _globals['_GROUNDRESPONSE']._serialized_start=1053
-  _globals['_GROUNDRESPONSE']._serialized_end=1221
-  _globals['_DESCRIBEREQUEST']._serialized_start=1224
-  _globals['_DESCRIBEREQUEST']._serialized_end=1406
-  _globals['_DESCRIPTION']._serialized_start=1408
-  _globals['_DESCRIPTION']._serialized_end=1439
-  _globals['_DESCRIBERESPONSE']._serialized_start=1442
-  _globals['_DESCRIBERESPONSE']._serialized_end=1616
-  _globals['_EMBEDGOALREQUEST']._serialized_start=1618
-  _globals['_EMBEDGOALREQUEST']._serialized_end=1711
-  _globals['_EMBEDGOALRESPONSE']._serialized_start=1714
-  _globals['_EMBEDGOALRESPONSE']._serialized_end=1923
-  _globals['_REWARDSERVICE']._serialized_start=1926
-  _globals['_REWARDSERVICE']._serialized_end=2312
+  _globals['_REWARDRESPONSE']._serialized_end=806
+  _globals['_GROUNDREQUEST']._serialized_start=809
+  _globals['_GROUNDREQUEST']._serialized_end=947
+  _globals['_GROUNDING']._serialized_start=949
+  _globals['_GROUNDING']._serialized_end=1065
+  _globals['_GROUNDRESPONSE']._serialized_start=1068
+  _globals['_GROUNDRESPONSE']._serialized_end=1253
+  _globals['_DESCRIBEREQUEST']._serialized_start=1256
+  _globals['_DESCRIBEREQUEST']._serialized_end=1438
+  _globals['_DESCRIPTION']._serialized_start=1440
+  _globals['_DESCRIPTION']._serialized_end=1471
+  _globals['_DESCRIBERESPONSE']._serialized_start=1474
+  _globals['_DESCRIBERESPONSE']._serialized_end=1665
+  _globals['_EMBEDGOALREQUEST']._serialized_start=1667
+  _globals['_EMBEDGOALREQUEST']._serialized_end=1760
+  _globals['_EMBEDGOALRESPONSE']._serialized_start=1763
+  _globals['_EMBEDGOALRESPONSE']._serialized_end=1987
+  _globals['_REWARDSERVICE']._serialized_start=1990
+  _globals['_REWARDSERVICE']._serialized_end=2376
 # @@protoc_insertion_point(module_scope)

@@ -77,7 +77,9 @@ class RewardRequest(_message.Message):
     RIVALS_FIELD_NUMBER: _builtins.int
     MODE_FIELD_NUMBER: _builtins.int
     goal_text: _builtins.str
-    """Description of the goal, such as `a red block on top of a yellow block`; at most 2 000 characters."""
+    """Description of the goal, such as `put the red block on the yellow one`; at most 2 000 characters. Sentences of two of
+    the model's noun phrases and a relation are read by a grammar; other texts are compared as they are.
+    """
     mode: Global___RewardRequest.Mode.ValueType
     """Unset for binary."""
     @_builtins.property
@@ -98,8 +100,8 @@ class RewardRequest(_message.Message):
 
     @_builtins.property
     def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Texts that the goal text must beat, at most 64 of at most 2 000 characters each. Empty for the goal text with every
-        other relation; a goal text without a relation needs rivals or mode raw.
+        """Texts that the goal text must beat, at most 64 of at most 2 000 characters each, read as the goal text is. Empty for
+        the goal text with every other relation; a goal text without a relation needs rivals or mode raw.
         """
 
     def __init__(
@@ -133,16 +135,14 @@ class RewardResponse(_message.Message):
     WINNERS_FIELD_NUMBER: _builtins.int
     TEXTS_FIELD_NUMBER: _builtins.int
     TRUNCATED_FIELD_NUMBER: _builtins.int
-    UNKNOWN_WORDS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
     """Whether any text was too long for the model and was truncated."""
-    unknown_words: _builtins.int
-    """Number of words of the goal text outside the model's vocabulary; above 0 the reward is unreliable."""
     @_builtins.property
     def rewards(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """Reward of each of N frames, in the requested mode."""
+        """Reward of each of N frames, in the requested mode; in the mode binary 0 where `unknown` is not empty."""
 
     @_builtins.property
     def similarities(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
@@ -150,11 +150,15 @@ class RewardResponse(_message.Message):
 
     @_builtins.property
     def winners(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """Index in `texts` of the most similar text of each of N frames; 0 is the goal text, which loses ties."""
+        """Index in `texts` of the most similar text of each of N frames; 0 is the goal text, which loses ties, and loses to
+        every rival where `unknown` is not empty.
+        """
 
     @_builtins.property
     def texts(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """The goal text, then its rivals."""
+        """The goal text, then its rivals, as they were compared: what the grammar can read is in the words of the model's
+        training, such as `a red block on top of a yellow block`.
+        """
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -164,6 +168,12 @@ class RewardResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words of the goal text that the model does not know, distinct and in order; at most 16 of at most 32 characters each,
+        longer ones cut.
+        """
+
     def __init__(
         self,
         *,
@@ -172,13 +182,13 @@ class RewardResponse(_message.Message):
         winners: _abc.Iterable[_builtins.int] | None = ...,
         texts: _abc.Iterable[_builtins.str] | None = ...,
         truncated: _builtins.bool = ...,
-        unknown_words: _builtins.int = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown_words", b"unknown_words", "winners", b"winners"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown", "winners", b"winners"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -269,6 +279,7 @@ class GroundResponse(_message.Message):
     GROUNDINGS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def groundings(self) -> _containers.RepeatedCompositeFieldContainer[Global___Grounding]:
         """One per phrase."""
@@ -281,16 +292,21 @@ class GroundResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+
     def __init__(
         self,
         *,
         groundings: _abc.Iterable[Global___Grounding] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -371,6 +387,7 @@ class DescribeResponse(_message.Message):
     DESCRIPTIONS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def descriptions(self) -> _containers.RepeatedCompositeFieldContainer[Global___Description]:
         """One per image."""
@@ -383,16 +400,21 @@ class DescribeResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+
     def __init__(
         self,
         *,
         descriptions: _abc.Iterable[Global___Description] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -434,13 +456,11 @@ class EmbedGoalResponse(_message.Message):
 
     EMBEDDING_FIELD_NUMBER: _builtins.int
     TRUNCATED_FIELD_NUMBER: _builtins.int
-    UNKNOWN_WORDS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
     """Whether the text was too long for the model and was truncated."""
-    unknown_words: _builtins.int
-    """Number of words outside the model's vocabulary."""
     @_builtins.property
     def embedding(self) -> _common_pb2.Tensor:
         """FP32 (D), of unit length."""
@@ -453,18 +473,22 @@ class EmbedGoalResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Words that the model does not know, as in `RewardResponse`; the embedding says nothing about them."""
+
     def __init__(
         self,
         *,
         embedding: _common_pb2.Tensor | None = ...,
         truncated: _builtins.bool = ...,
-        unknown_words: _builtins.int = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["embedding", b"embedding", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["embedding", b"embedding", "model", b"model", "timing", b"timing", "truncated", b"truncated", "unknown_words", b"unknown_words"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["embedding", b"embedding", "model", b"model", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -1,0 +1,238 @@
+"""Goal texts, read by a small grammar: a statement that two of a model's noun phrases stand in a relation.
+
+    [please] [put] PHRASE [is] RELATION PHRASE [please]
+
+Case and punctuation do not matter. A phrase may have another article, its last word a synonym or `one`, and that word
+may be missing where the rest still names one phrase. Whatever else a text says, it is not a statement.
+"""
+
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from types import MappingProxyType
+
+from freerein_reward.relations import SpatialRelation, caption
+
+Words = tuple[str, ...]
+
+POLITE = "please"
+ARTICLES = ("a", "an", "the", "one", "this", "that")
+GENERIC_NOUNS = ("one", "object", "thing")
+SYNONYMS: Mapping[str, tuple[str, ...]] = MappingProxyType({"block": ("cube",), "ball": ("sphere",)})
+"""Other names of a noun."""
+
+VERBS = ("put", "place", "move", "push", "pull", "set", "bring", "slide", "stack", "lay", "get", "keep")
+COPULAS = (
+    *("is", "are", "should be", "must be", "lies", "sits", "rests", "stands"),
+    *("is placed", "is lying", "is sitting", "is resting", "is standing"),
+)
+MAX_UNKNOWN = 16
+"""Most unknown words that are named."""
+
+MAX_UNKNOWN_CHARACTERS = 32
+"""Longer words are cut."""
+
+_NEARBY = ("beside", "next to", "close")
+"""Known only before a side: alone they do not say which."""
+
+_EXACTLY = ("just", "directly")
+_PIECE = re.compile(r"\S{1,64}|\s+")  # normalising a long run of combining marks takes quadratic time
+_UNSPOKEN = re.compile(r"(?:[^\w\s]|_)+")
+
+
+def _wordings(side: str) -> tuple[str, ...]:
+    """Returns the wordings of `left` or `right`."""
+    ends = (f"{side} of", f"{side} side of", f"{side} hand side of")
+    plain = [" ".join(filter(None, parts)) for parts in product(("to the", "on the", "at the", ""), ends)]
+    return (*plain, *(f"{before} {each}" for before, each in product((*_NEARBY, *_EXACTLY), plain)))
+
+
+def _exactly(*plain: str) -> tuple[str, ...]:
+    return (*plain, *(f"{before} {each}" for before, each in product(_EXACTLY, plain)))
+
+
+WORDINGS: Mapping[SpatialRelation, tuple[str, ...]] = MappingProxyType(
+    {
+        SpatialRelation.LEFT_OF: _wordings("left"),
+        SpatialRelation.RIGHT_OF: _wordings("right"),
+        SpatialRelation.ON_TOP_OF: _exactly(
+            "on top of", "on the top of", "on", "onto", "upon", "above", "over", "atop"
+        ),
+        SpatialRelation.BELOW: _exactly("below", "under", "underneath", "beneath"),
+        SpatialRelation.APART_FROM: ("apart from", "far apart from", "far from", "far away from", "away from"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A relation of two different noun phrases of a model, as the model spells them."""
+
+    first: str
+    relation: SpatialRelation
+    second: str
+
+    @property
+    def caption(self) -> str:
+        """The statement in the words of the model's training."""
+        return caption(self.first, self.relation, self.second)
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """The captions with each other relation."""
+        return tuple(caption(self.first, each, self.second) for each in SpatialRelation if each is not self.relation)
+
+
+@dataclass(frozen=True)
+class GoalText:
+    """A text as a grammar reads it.
+
+    Attributes:
+        text: What the model is given: the statement's caption, or the text itself.
+        rivals: What it says with each other relation; empty without a relation.
+        statement: What it states; None where it cannot be read.
+        unknown: Words that the model does not know, distinct and in order, at most `MAX_UNKNOWN` of at most
+            `MAX_UNKNOWN_CHARACTERS` characters each. Empty for a statement.
+    """
+
+    text: str
+    rivals: tuple[str, ...]
+    statement: Statement | None
+    unknown: Words
+
+
+class Grammar:
+    """The grammar of a model that was trained on texts of the words `vocabulary`.
+
+    Without `phrases`, as of a grounding model, no text is a statement, and the grammar's words are known.
+    """
+
+    def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str]) -> None:
+        self._phrases = _names_of(phrases)
+        self._longest = max(map(len, self._phrases), default=0)
+        trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text))
+        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases)
+        self._embedded = trained if phrases else self._known
+
+    def read(self, text: str) -> GoalText:
+        """Returns what a text says, in linear time.
+
+        A text that cannot be read goes to the model as it is. Words that only the grammar knows do not help it: they
+        are named as unknown, too, where there are no others.
+        """
+        said = words(text)
+        if statement := self._statement(said):
+            return GoalText(statement.caption, statement.rivals, statement, ())
+        unknown = _outside(said, self._known) or _outside(said, self._embedded)
+        return GoalText(text, _rivals(said), None, unknown)
+
+    def unknown_words(self, phrases: Iterable[str]) -> Words:
+        """Returns the words of noun phrases that neither the grammar nor the model knows, as `GoalText.unknown`."""
+        return _outside((word for phrase in phrases for word in words(phrase)), self._known)
+
+    def _statement(self, said: Words) -> Statement | None:
+        said = said[1:] if said[:1] == (POLITE,) else said
+        said = said[:-1] if said[-1:] == (POLITE,) else said
+        said = said[1:] if said[:1] and said[0] in VERBS else said
+        sizes = range(1, min(len(said), 1 + self._longest) + 1)
+        firsts = [(size, found) for size in sizes if (found := self._phrase(said[:size]))]
+        seconds = [(size, found) for size in sizes if (found := self._phrase(said[-size:]))]
+        read = {
+            Statement(first, relation, second)
+            for (before, first), (after, second) in product(firsts, seconds)
+            if first != second and (relation := _RELATIONS.get(said[before : len(said) - after])) is not None
+        }
+        return read.pop() if len(read) == 1 else None
+
+    def _phrase(self, said: Words) -> str | None:
+        """Returns the phrase of these words, which may begin with an article."""
+        return self._phrases.get(said) or self._phrases.get(bare_words(said))
+
+
+def words(text: str) -> Words:
+    """Returns a text's words, casefolded, in linear time.
+
+    Punctuation and control characters separate words. Symbols are words, as are marks that no letter takes.
+    """
+    folded = "".join(map(_fold, _PIECE.findall(text)))
+    return tuple(_UNSPOKEN.sub(_symbols, folded).split())
+
+
+def rival_captions(text: str) -> tuple[str, ...]:
+    """Returns the text with its first relation replaced by each other one; empty without a relation."""
+    return _rivals(words(text))
+
+
+def bare_words(phrase: Words) -> Words:
+    """Returns the words of a noun phrase without its article."""
+    return phrase[1:] if len(phrase) > 1 and phrase[0] in ARTICLES else phrase
+
+
+def _rivals(said: Words) -> tuple[str, ...]:
+    for start in (place for place, word in enumerate(said) if word in _RELATION_STARTS):
+        for end in range(min(len(said), start + _LONGEST_RELATION), start, -1):
+            if (relation := _WORDINGS.get(said[start:end])) is not None:
+                before, after = " ".join(said[:start]), " ".join(said[end:])
+                others = (each for each in SpatialRelation if each is not relation)
+                return tuple(caption(before, other, after).strip() for other in others)
+    return ()
+
+
+def _names_of(phrases: Sequence[str]) -> dict[Words, str]:
+    """Returns what names exactly one of the phrases; their own words come before synonyms, these before the rest."""
+    named: dict[Words, set[str]] = {}
+    for variants in (_own, _synonymous, _generic):
+        found: dict[Words, set[str]] = {}
+        for phrase in phrases:
+            for name in variants(bare_words(words(phrase))):
+                found.setdefault(name, set()).add(phrase)
+        named = found | named
+    return {name: among.pop() for name, among in named.items() if len(among) == 1}
+
+
+def _own(phrase: Words) -> Iterator[Words]:
+    if phrase:
+        yield phrase
+
+
+def _synonymous(phrase: Words) -> Iterator[Words]:
+    yield from ((*phrase[:-1], other) for noun in phrase[-1:] for other in _SAME.get(noun, ()))
+
+
+def _generic(phrase: Words) -> Iterator[Words]:
+    """Yields the words before the noun, alone and with a generic noun."""
+    if len(phrase) > 1:
+        yield phrase[:-1]
+        yield from ((*phrase[:-1], noun) for noun in GENERIC_NOUNS)
+
+
+def _outside(said: Iterable[str], known: frozenset[str]) -> Words:
+    cut = (word[:MAX_UNKNOWN_CHARACTERS] for word in said if word not in known)
+    return tuple(dict.fromkeys(cut))[:MAX_UNKNOWN]
+
+
+def _fold(text: str) -> str:
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", text).casefold())
+
+
+def _symbols(unspoken: re.Match[str]) -> str:
+    kept = (character for character in unspoken[0] if unicodedata.category(character)[0] in "SM")
+    return f" {''.join(kept)} "
+
+
+def _split(texts: Iterable[str]) -> frozenset[str]:
+    return frozenset(word for text in texts for word in text.split())
+
+
+_SAME = {name: (noun, *others) for noun, others in SYNONYMS.items() for name in (noun, *others)}
+_WORDINGS = {tuple(each.split()): relation for relation, wordings in WORDINGS.items() for each in wordings}
+_LONGEST_RELATION = max(map(len, _WORDINGS))
+_RELATION_STARTS = frozenset(wording[0] for wording in _WORDINGS)
+_RELATIONS = {
+    (*copula.split(), *wording): relation for copula, (wording, relation) in product(("", *COPULAS), _WORDINGS.items())
+}
+_GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - {
+    each.split()[0] for each in _NEARBY
+}
