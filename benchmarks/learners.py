@@ -27,7 +27,7 @@ from freerein_imitation.training.skills import network_spec as skills_spec
 from freerein_reward.model import load_grounding
 from freerein_reward.training import RewardConfig, RewardModelLearner
 from freerein_reward.training import network_spec as reward_spec
-from freerein_reward.training.caption_dataset import CaptionDataset, pairwise_relations, pairwise_sides
+from freerein_reward.training.caption_dataset import CaptionDataset, pairwise_relations
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 from freerein_segmentation.training import network_spec as segmentation_spec
 
@@ -183,4 +183,4 @@ def _draw_captions(config: RewardConfig, *, size: int) -> CaptionDataset:
             image[row : row + _BLOCK, column : column + _BLOCK] = colour
     y, x = corners[:, :, 0] / size, corners[:, :, 1] / size
     relations = pairwise_relations(x, y, np.ones(x.shape, bool), epsilon=config.epsilon)
-    return CaptionDataset((frames,), config.phrases, relations, pairwise_sides(x, relations))
+    return CaptionDataset((frames,), config.phrases, relations)

@@ -7,9 +7,10 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec
-from freerein_reward.model.image_encoder import AttentionPool, KeypointPool
+from freerein_reward.model.image_encoder import AttentionPool, RelationPool
 
-SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), keypoints=4, hidden_size=32)
+PHRASES = ("a red block", "a blue block", "a cup")
+SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), phrases=PHRASES, hidden_size=32)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def test_a_text_alone_or_among_longer_ones_has_the_same_embedding(model: DualEnc
 
 
 def test_two_views_are_averaged() -> None:
-    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), keypoints=4, hidden_size=32))
+    two = DualEncoder(DualEncoderSpec(cameras=("front", "tilt"), vocabulary=("a",), phrases=PHRASES, hidden_size=32))
     weights.initialise(two, generator=torch.Generator().manual_seed(0))
     frames = np.random.default_rng(0).integers(0, 256, size=(2, 3, 64, 64, 3), dtype=np.uint8)
     there = DualEncoderModel(two).embed_images({"front": frames[0], "tilt": frames[1]})
@@ -56,13 +57,14 @@ def test_two_views_are_averaged() -> None:
         lambda: np.full((4096, 2, 3), 200, np.uint8),
     ],
 )
-def test_any_image_has_a_finite_embedding_of_length_1(
+def test_any_image_has_a_unit_vector_for_every_pair_of_phrases(
     model: DualEncoderModel, make: Callable[[], np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]
 ) -> None:
     view = model.preprocess(make())
     embedding = model.embed_images({"front": view[None]})
     assert (str(view.dtype), view.shape) == ("uint8", (64, 64, 3))
-    assert np.linalg.norm(embedding) == pytest.approx(1.0, abs=1e-5)
+    lengths = np.linalg.norm(embedding.reshape(len(PHRASES), len(PHRASES), -1), axis=2)
+    np.testing.assert_allclose(lengths, 1 - np.eye(len(PHRASES)), atol=1e-5)
 
 
 def test_the_inverse_temperature_is_at_most_100(network: DualEncoder) -> None:
@@ -88,7 +90,7 @@ def test_attention_pooling_equals_attention_with_explicit_keys_and_values() -> N
 
 
 def test_a_keypoint_has_position_and_presence() -> None:
-    pool = KeypointPool(2, 2, hidden_size=8, embedding_dim=8)
+    pool = RelationPool(2, 2, hidden_size=8, embedding_dim=8)
     with torch.no_grad():
         pool.logits.weight.copy_(torch.eye(2))
         pool.logits.bias.fill_(-50.0)
@@ -99,6 +101,23 @@ def test_a_keypoint_has_position_and_presence() -> None:
 
     assert found[0].tolist() == pytest.approx([1 / 16 - 1, 25 / 16 - 1, 1.0], abs=1e-5)
     assert found[1].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_a_pair_is_embedded_alike_whichever_phrases_it_is_of() -> None:
+    pool = RelationPool(3, 3, hidden_size=8, embedding_dim=8)
+    weights.initialise(pool, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        pool.logits.weight.copy_(20 * torch.eye(3))
+    maps = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(1))
+    there = pool(maps).view(3, 3, 8)
+    exchanged = pool(maps[:, [1, 0, 2]]).view(3, 3, 8)
+    assert torch.allclose(there, exchanged[[1, 0, 2]][:, [1, 0, 2]], atol=1e-6)
+
+
+def test_the_similarity_of_a_text_and_an_image_is_a_cosine(model: DualEncoderModel) -> None:
+    frames = np.random.default_rng(0).integers(0, 256, size=(8, 64, 64, 3), dtype=np.uint8)
+    texts, _ = model.embed_texts(["a red block", "red " * 100, "a"])
+    assert np.abs(model.embed_images({"front": frames}) @ texts.T).max() <= 1.0
 
 
 def test_a_spec_with_an_odd_size_is_refused() -> None:

@@ -97,13 +97,20 @@ def test_the_order_of_the_phrases_counts() -> None:
 def test_a_statement_is_given_to_the_model_as_its_caption_with_the_captions_of_the_other_relations_as_rivals() -> None:
     read = GRAMMAR.read("Put the red cube on the yellow one.")
     assert (read.text, read.unknown) == ("a red block on top of a yellow block", ())
-    assert read.rivals == rival_captions(read.text)
     assert read.rivals == (
         "a red block to the left of a yellow block",
         "a red block to the right of a yellow block",
         "a red block below a yellow block",
         "a red block apart from a yellow block",
+        "a red block or a yellow block missing",
     )
+    assert read.rivals[:-1] == rival_captions(read.text)
+
+
+def test_the_caption_of_a_missing_object_is_read_and_its_words_alone_are_unknown() -> None:
+    read = GRAMMAR.read("A red block or a yellow block missing.")
+    assert (read.text, read.rivals, read.unknown) == ("a red block or a yellow block missing", (), ())
+    assert GRAMMAR.read("a red block or a green block on a yellow block").unknown == ("or",)
 
 
 @pytest.mark.parametrize("text", UNREAD)
@@ -190,4 +197,4 @@ def test_any_text_is_read_or_not(text: str) -> None:
     assert read.statement is None or not read.unknown
     assert read.text == (read.statement.caption if read.statement else text)
     assert all(0 < len(word) <= MAX_UNKNOWN_CHARACTERS for word in read.unknown)
-    assert len(read.rivals) in (0, len(SpatialRelation) - 1)
+    assert len(read.rivals) in (0, len(SpatialRelation) - 1, len(SpatialRelation))

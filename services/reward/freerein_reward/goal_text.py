@@ -10,10 +10,10 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import permutations, product
 from types import MappingProxyType
 
-from freerein_reward.relations import SpatialRelation, caption
+from freerein_reward.relations import MISSING, SpatialRelation, absence_caption, caption
 
 Words = tuple[str, ...]
 
@@ -81,8 +81,9 @@ class Statement:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """The captions with each other relation."""
-        return tuple(caption(self.first, each, self.second) for each in SpatialRelation if each is not self.relation)
+        """The captions with each other relation, and the one of either missing."""
+        others = [caption(self.first, each, self.second) for each in SpatialRelation if each is not self.relation]
+        return (*others, absence_caption(self.first, self.second))
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,9 @@ class Grammar:
     def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str]) -> None:
         self._phrases = _names_of(phrases)
         self._longest = max(map(len, self._phrases), default=0)
-        trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text))
+        pairs = permutations(phrases, 2)
+        self._absences = {words(each): each for each in (absence_caption(first, second) for first, second in pairs)}
+        trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text)) - _ABSENCE_WORDS
         self._known = trained.union(_GRAMMAR_WORDS, *self._phrases)
         self._embedded = trained if phrases else self._known
 
@@ -125,6 +128,8 @@ class Grammar:
         said = words(text)
         if statement := self._statement(said):
             return GoalText(statement.caption, statement.rivals, statement, ())
+        if absence := self._absences.get(said):
+            return GoalText(absence, (), None, ())
         unknown = _outside(said, self._known) or _outside(said, self._embedded)
         return GoalText(text, _rivals(said), None, unknown)
 
@@ -233,6 +238,7 @@ _RELATION_STARTS = frozenset(wording[0] for wording in _WORDINGS)
 _RELATIONS = {
     (*copula.split(), *wording): relation for copula, (wording, relation) in product(("", *COPULAS), _WORDINGS.items())
 }
+_ABSENCE_WORDS = frozenset(("or", MISSING))
 _GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - {
     each.split()[0] for each in _NEARBY
 }

@@ -40,9 +40,20 @@ CANONICAL_WORDINGS: Mapping[SpatialRelation, str] = MappingProxyType(
 """The wordings of captions; `freerein_reward.goal_text` reads others."""
 
 
+MISSING = "missing"
+
+
 def caption(first: str, relation: SpatialRelation, second: str) -> str:
     """Returns a caption, such as `a red block on top of a yellow block`."""
     return f"{first} {CANONICAL_WORDINGS[relation]} {second}"
+
+
+def absence_caption(first: str, second: str) -> str:
+    """Returns the caption of an image that does not show both, such as `a red block or a yellow block missing`.
+
+    It rivals every relation of the two: nothing can be to the left of what is not there.
+    """
+    return f"{first} or {second} {MISSING}"
 
 
 def classify_relation(

@@ -1,4 +1,8 @@
-"""A CLIP-style dual encoder: an image encoder and a text encoder, compared by cosine similarity."""
+"""A CLIP-style dual encoder: an image encoder and a text encoder, compared by the product of their embeddings.
+
+Without phrases it compares what an image and a text are about, by cosine similarity, as CLIP does. With phrases it
+compares what the image shows of a pair of phrases with what the text says of them: a cosine similarity per pair.
+"""
 
 import math
 from collections.abc import Sequence
@@ -27,13 +31,14 @@ class DualEncoder(nn.Module):
         self.temperature = Temperature()
 
     def embed_images(self, views: Tensor) -> Tensor:
-        """Returns unit embeddings, float32 (N, D), of V camera views, uint8 (N, V, image_size, image_size, 3)."""
-        embeddings = self.image(views.flatten(end_dim=1)).unflatten(0, views.shape[:2])  # (N, V, D)
-        return functional.normalize(embeddings.mean(dim=1), dim=1)
+        """Returns the embeddings, float32 (N, D), of V camera views, uint8 (N, V, image_size, image_size, 3)."""
+        embeddings = self.image(views.flatten(end_dim=1)).unflatten(0, views.shape[:2]).mean(dim=1)  # (N, D)
+        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1)
 
     def embed_texts(self, ids: Tensor) -> Tensor:
-        """Returns unit embeddings, float32 (K, D), of tokens int64 (K, L)."""
-        return functional.normalize(self.text(ids), dim=1)
+        """Returns the embeddings, float32 (K, D), of tokens int64 (K, L). Similarities with images are in [-1, 1]."""
+        embeddings: Tensor = self.text(ids)
+        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1)
 
     def tokenize(self, texts: Sequence[str]) -> Tensor:
         """Returns the tokens of texts, int64 (K, L), on the network's device."""

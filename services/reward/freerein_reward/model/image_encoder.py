@@ -1,9 +1,9 @@
 """A small version of CLIP's ModifiedResNet: a stem of three convolutions, anti-aliased strides, attention pooling.
 
 Two departures from CLIP: there are two stages, so that the feature map keeps a quarter of the image's resolution
-(objects are a tenth of the image wide); and pooling can return keypoint positions instead of appearance, for spatial
-relations. Batch normalisation as in CLIP: normalising by each image's own statistics would make an object's features
-depend on what else is shown.
+(objects are a tenth of the image wide); and pooling can return the relations of named objects instead of appearance.
+Batch normalisation as in CLIP: normalising by each image's own statistics would make an object's features depend on
+what else is shown.
 """
 
 from collections import OrderedDict
@@ -27,14 +27,14 @@ class ClipImageEncoder(nn.Module):
         self.stem = _stem(width)
         self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
         self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
-        self.pool: AttentionPool | KeypointPool = (
-            KeypointPool(channels, spec.keypoints, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
-            if spec.keypoints
+        self.pool: AttentionPool | RelationPool = (
+            RelationPool(channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
+            if spec.phrases
             else AttentionPool(channels, embedding_dim=spec.embedding_dim)
         )
 
     def forward(self, images: Tensor) -> Tensor:
-        """Returns unnormalised embeddings (N, D) of images uint8 (N, H, W, 3)."""
+        """Returns the pooled embeddings (N, D) of images uint8 (N, H, W, 3)."""
         embeddings: Tensor = self.pool(self.feature_maps(images))
         return embeddings
 
@@ -46,16 +46,16 @@ class ClipImageEncoder(nn.Module):
 
     @property
     def attention_pool(self) -> "AttentionPool":
-        """The attention pooling; a TypeError with keypoint pooling."""
+        """The attention pooling; a TypeError with relation pooling."""
         if not isinstance(self.pool, AttentionPool):
-            raise TypeError("This image encoder pools keypoints; expected attention pooling.")
+            raise TypeError("This image encoder pools relations; expected attention pooling.")
         return self.pool
 
     @property
-    def keypoint_pool(self) -> "KeypointPool":
-        """The keypoint pooling; a TypeError with attention pooling."""
-        if not isinstance(self.pool, KeypointPool):
-            raise TypeError("This image encoder pools by attention; expected keypoint pooling.")
+    def relation_pool(self) -> "RelationPool":
+        """The relation pooling; a TypeError with attention pooling."""
+        if not isinstance(self.pool, RelationPool):
+            raise TypeError("This image encoder pools by attention; expected relation pooling.")
         return self.pool
 
 
@@ -91,27 +91,37 @@ class AttentionPool(nn.Module):
         return embeddings
 
 
-class KeypointPool(nn.Module):
-    """Keypoints by spatial soft-argmax, each with a presence probability, then an MLP.
+class RelationPool(nn.Module):
+    """A keypoint for every phrase, then one vector for every ordered pair of phrases, by an MLP that all pairs share.
 
-    Each keypoint's softmax runs over all cells and one "absent" class whose logit is 0. Two hidden layers, because
-    relations are not linear in positions.
+    A keypoint is a spatial soft-argmax with a presence probability: its softmax runs over all cells and one "absent"
+    class whose logit is 0. The MLP has two hidden layers, because relations are not linear in positions. Whoever stands
+    in a relation, it looks the same: what is learned of one pair holds for all, however many objects are shown.
     """
 
-    def __init__(self, channels: int, keypoints: int, *, hidden_size: int, embedding_dim: int) -> None:
+    def __init__(self, channels: int, phrases: int, *, hidden_size: int, embedding_dim: int) -> None:
         super().__init__()
-        self.logits = nn.Linear(channels, keypoints)
-        layers = (nn.Linear(3 * keypoints, hidden_size), nn.ReLU(), nn.Linear(hidden_size, hidden_size), nn.ReLU())
+        self._pairs = (phrases, embedding_dim)
+        self.logits = nn.Linear(channels, phrases)
+        layers = (nn.Linear(6, hidden_size), nn.ReLU(), nn.Linear(hidden_size, hidden_size), nn.ReLU())
         self.mlp = nn.Sequential(*layers, nn.Linear(hidden_size, embedding_dim))
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""
-        embeddings: Tensor = self.mlp(self.keypoints(maps).flatten(start_dim=1))
-        return embeddings
+        """Returns the embeddings (N, P * P * D) of feature maps (N, C, h, w): a unit vector for each ordered pair.
+
+        A phrase and itself are no pair: their vector is 0.
+        """
+        phrases, _ = self._pairs
+        keypoints = self.keypoints(maps)  # (N, P, 3)
+        first = keypoints[:, :, None].expand(-1, -1, phrases, -1)
+        second = keypoints[:, None].expand(-1, phrases, -1, -1)
+        vectors = functional.normalize(self.mlp(torch.cat([first, second], dim=3)), dim=3)  # (N, P, P, D)
+        is_pair = ~torch.eye(phrases, dtype=torch.bool, device=maps.device)
+        return (vectors * is_pair[:, :, None]).flatten(start_dim=1)
 
     def keypoints(self, maps: Tensor) -> Tensor:
-        """Returns row and column in [-1, 1], both times the presence, and presence in [0, 1]: (N, keypoints, 3)."""
-        scores = self.logits(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2)  # (N, keypoints, S)
+        """Returns row and column in [-1, 1], both times the presence, and presence in [0, 1]: (N, P, 3)."""
+        scores = self.logits(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2)  # (N, P, S)
         share = functional.pad(scores, (0, 1)).softmax(dim=2)[:, :, :-1]
         rows, columns = ((torch.arange(cells, device=maps.device) + 0.5) / cells * 2 - 1 for cells in maps.shape[2:])
         return share @ functional.pad(torch.cartesian_prod(rows, columns), (0, 1), value=1.0)

@@ -13,15 +13,14 @@ class DualEncoderSpec:
     Attributes:
         cameras: Camera names; the image embedding is the mean over cameras. One empty name for any image.
         vocabulary: Words of the training texts.
-        phrases: Noun phrases of the training captions; empty for a grounding model.
+        phrases: Noun phrases of the training captions, whose relations are embedded; empty for a grounding model.
         image_size: Height and width of the image encoder's input, in pixels; a multiple of 4.
         width: Channels of the image encoder's stem; a multiple of 8.
         depth: Bottlenecks per stage of the image encoder.
-        keypoints: Keypoints of the image encoder's pooling, for relations; 0 for attention pooling, for nouns.
-        hidden_size: Units of each hidden layer after keypoint pooling.
+        hidden_size: Units of each of the two hidden layers of the relation pooling.
         text_width: Channels of the text encoder; a multiple of 16.
         text_depth: Layers of the text encoder.
-        embedding_dim: Dimension of the embeddings.
+        embedding_dim: Dimension of the embeddings; with phrases, of each pair's.
         presence_heat: Grad-CAM peak at which an object is present with probability 1/2; of a grounding model.
 
     Raises:
@@ -34,11 +33,10 @@ class DualEncoderSpec:
     image_size: int = bounded(64, least=16, most=512)
     width: int = bounded(8, least=8, most=128)
     depth: int = bounded(1, least=1, most=8)
-    keypoints: int = bounded(0, least=0, most=512)
-    hidden_size: int = bounded(256, least=1, most=4096)
+    hidden_size: int = bounded(64, least=1, most=4096)
     text_width: int = bounded(64, least=16, most=1024)
     text_depth: int = bounded(2, least=1, most=12)
-    embedding_dim: int = bounded(64, least=8, most=1024)
+    embedding_dim: int = bounded(64, least=4, most=1024)
     presence_heat: float = bounded(1.0, least=1e-6, most=1e6)
 
     def __post_init__(self) -> None:

@@ -20,7 +20,11 @@ class ClipTextEncoder(nn.Module):
         self.position_embedding = nn.Embedding(MAX_TOKENS, width)
         self.layers = nn.ModuleList(_TransformerLayer(width) for _ in range(spec.text_depth))
         self.norm = nn.LayerNorm(width)
-        self.head = nn.Linear(width, spec.embedding_dim)
+        self.head: nn.Linear | RelationHead = (
+            RelationHead(width, len(spec.phrases), embedding_dim=spec.embedding_dim)
+            if spec.phrases
+            else nn.Linear(width, spec.embedding_dim)
+        )
 
     def forward(self, ids: Tensor) -> Tensor:
         """Returns unnormalised embeddings (K, D) of tokens int64 (K, L), L at most 77."""
@@ -30,6 +34,26 @@ class ClipTextEncoder(nn.Module):
         last = (ids == END).to(torch.int64).argmax(dim=1)  # (K,)
         embeddings: Tensor = self.head(self.norm(x[torch.arange(len(ids), device=ids.device), last]))  # (K, D)
         return embeddings
+
+
+class RelationHead(nn.Module):
+    """Which two phrases a text names, and the relation that it says: the counterpart of `RelationPool`.
+
+    The embedding is the outer product of a distribution over the first phrase, one over the second, and a unit vector
+    of the relation. Its product with an image's is the similarity of what is said and what is seen of that pair.
+    """
+
+    def __init__(self, width: int, phrases: int, *, embedding_dim: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(width, phrases)
+        self.second = nn.Linear(width, phrases)
+        self.relation = nn.Linear(width, embedding_dim)
+
+    def forward(self, states: Tensor) -> Tensor:
+        """Returns the embeddings (K, P * P * D) of the encoder's states (K, C)."""
+        first, second = self.first(states).softmax(dim=1), self.second(states).softmax(dim=1)  # (K, P) each
+        relation = functional.normalize(self.relation(states), dim=1)  # (K, D)
+        return torch.einsum("kp,kq,kd->kpqd", first, second, relation).flatten(start_dim=1)
 
 
 class _TransformerLayer(nn.Module):

@@ -14,13 +14,20 @@ from freerein.data import Dataset
 from freerein.errors import InvalidInput
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import tensor_files
+from freerein.learning.augmentation import augment_camera
 from freerein.learning.split import train_validation_split
 from freerein_reward.model import GradCamModel, preprocess
-from freerein_reward.relations import SpatialRelation, caption, classify_relation
+from freerein_reward.relations import SpatialRelation, absence_caption, caption, classify_relation
 from freerein_reward.training.config import RewardConfig
 
 NO_CAPTION = -1
-"""Instead of a relation: no caption mentions this pair."""
+"""Instead of a relation: no caption mentions this pair, because it is not sure that the image shows both."""
+
+ABSENT = len(SpatialRelation)
+"""Instead of a relation: one of the two is surely missing."""
+
+CAPTIONS = len(SpatialRelation) + 1
+"""Captions of a pair: one of each relation, and that one of the two is missing."""
 
 _MIRRORED = np.array(
     [
@@ -29,6 +36,7 @@ _MIRRORED = np.array(
         SpatialRelation.ON_TOP_OF,
         SpatialRelation.BELOW,
         SpatialRelation.APART_FROM,
+        ABSENT,
     ]
 )
 _IMAGES_AT_ONCE = 256
@@ -41,14 +49,12 @@ class CaptionDataset:
     Attributes:
         views: uint8 (N, H, W, 3) per camera.
         phrases: P noun phrases.
-        relations: int8 (N, P, P), relation of the row's phrase to the column's, or `NO_CAPTION`.
-        sides: int8 (N, P, P), side of the row's phrase at any distance: `LEFT_OF`, `RIGHT_OF` or `NO_CAPTION`.
+        relations: int8 (N, P, P), relation of the row's phrase to the column's, `ABSENT` or `NO_CAPTION`.
     """
 
     views: tuple[npt.NDArray[np.uint8], ...]
     phrases: tuple[str, ...]
     relations: npt.NDArray[np.int8]
-    sides: npt.NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.relations)
@@ -56,24 +62,21 @@ class CaptionDataset:
     def subset(self, items: npt.NDArray[np.int64]) -> "CaptionDataset":
         """Returns the images at some indices, int64 (n,)."""
         views = tuple(view[items] for view in self.views)
-        return CaptionDataset(views, self.phrases, self.relations[items], self.sides[items])
+        return CaptionDataset(views, self.phrases, self.relations[items])
 
     def mirrored(self, flips: npt.NDArray[np.bool_]) -> "CaptionDataset":
         """Returns the dataset with the images where `flips`, bool (N,), mirrored left to right, captions included."""
         views = tuple(np.where(flips[:, None, None, None], view[:, :, ::-1], view) for view in self.views)
-        relations, sides = (
-            np.where(flips[:, None, None] & (values != NO_CAPTION), _MIRRORED[values], values).astype(np.int8)
-            for values in (self.relations, self.sides)
-        )
-        return CaptionDataset(views, self.phrases, relations, sides)
+        is_turned = flips[:, None, None] & (self.relations != NO_CAPTION)
+        relations = np.where(is_turned, _MIRRORED[self.relations], self.relations).astype(np.int8)
+        return CaptionDataset(views, self.phrases, relations)
 
-    def shifted(self, offsets: npt.NDArray[np.int64], *, limit: int) -> "CaptionDataset":
-        """Returns the dataset with images shifted by whole pixels, edges replicated; captions stay.
-
-        `offsets` are rows and columns, int64 (N, 2) in [-limit, limit].
-        """
-        views = tuple(_shift(view, offsets, limit) for view in self.views)
-        return CaptionDataset(views, self.phrases, self.relations, self.sides)
+    def augmented(self, strength: float, *, generator: torch.Generator) -> "CaptionDataset":
+        """Returns the dataset as other cameras would have seen it, the views of an image alike; captions stay."""
+        takes = torch.arange(len(self)).repeat(len(self.views))
+        frames = torch.from_numpy(np.concatenate(self.views))
+        seen = augment_camera(frames, takes, strength=strength, generator=generator).numpy()
+        return CaptionDataset(tuple(np.split(seen, len(self.views))), self.phrases, self.relations)
 
     def split(
         self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
@@ -84,7 +87,7 @@ class CaptionDataset:
         Raises InvalidInput when there is only one trajectory, or a side has no captions.
         """
         trajectories = np.repeat(np.arange(len(lengths)), lengths)  # (N,)
-        has_caption = (self.relations != NO_CAPTION).any(axis=(1, 2))
+        has_caption = _is_related(self.relations).any(axis=(1, 2))
         training, validation = (
             np.flatnonzero(has_caption & np.isin(trajectories, side))
             for side in train_validation_split(np.arange(len(lengths)), fraction=fraction, seed=seed)
@@ -109,13 +112,12 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
     views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
-        relations, sides = cached["relations"].numpy(), cached["sides"].numpy()
+        relations = cached["relations"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        relations, sides = _relations(views[0], grounding, config, rows)
-        tensors = {"relations": torch.from_numpy(relations), "sides": torch.from_numpy(sides)}
-        write_atomic(path, tensor_files.dump(tensors))
-    return CaptionDataset(views, config.phrases, relations, sides)
+        relations = _relations(views[0], grounding, config, rows)
+        write_atomic(path, tensor_files.dump({"relations": torch.from_numpy(relations)}))
+    return CaptionDataset(views, config.phrases, relations)
 
 
 def ordered_pairs(count: int) -> npt.NDArray[np.int64]:
@@ -136,10 +138,13 @@ def pairwise_relations(
     return np.where(both, relations, NO_CAPTION).astype(np.int8)
 
 
-def pairwise_sides(x: npt.NDArray[np.float64], relations: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    """Returns left or right at any distance, int8 (N, P, P), of x (N, P), where `relations` has captions."""
-    left = np.where(x[:, :, None] < x[:, None], SpatialRelation.LEFT_OF, SpatialRelation.RIGHT_OF)
-    return np.where(relations == NO_CAPTION, NO_CAPTION, left).astype(np.int8)
+def pairwise_absences(presence: npt.NDArray[np.float64], *, least: float) -> npt.NDArray[np.bool_]:
+    """Returns which ordered pairs are surely not both shown, bool (N, P, P), False for a phrase and itself.
+
+    `presence` are probabilities, float64 (N, P); one of at most 1 - `least` is sure.
+    """
+    is_missing = presence <= 1 - least
+    return (is_missing[:, :, None] | is_missing[:, None]) & ~np.eye(presence.shape[1], dtype=bool)
 
 
 def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
@@ -148,25 +153,32 @@ def flatten_pairs(values: npt.NDArray[np.int8]) -> npt.NDArray[np.int64]:
     return values[:, first, second].astype(np.int64)
 
 
-def relation_captions(phrases: Sequence[str], pairs: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    """Returns the caption with each relation, in the order of `SpatialRelation`, of each pair, int64 (pairs, 2)."""
+def pair_captions(phrases: Sequence[str], pairs: npt.NDArray[np.int64]) -> tuple[str, ...]:
+    """Returns the `CAPTIONS` captions of each pair, int64 (pairs, 2): with each relation, and that one is missing."""
     return tuple(
-        caption(phrases[first], relation, phrases[second]) for first, second in pairs for relation in SpatialRelation
+        text
+        for first, second in ((phrases[first], phrases[second]) for first, second in pairs)
+        for text in (*(caption(first, each, second) for each in SpatialRelation), absence_caption(first, second))
     )
 
 
 def _relations(
     frames: npt.NDArray[np.uint8], grounding: GradCamModel, config: RewardConfig, rows: MetricsWriter
-) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int8]]:
-    """Returns relations and sides, int8 (N, P, P) each, of frames (N, H, W, 3)."""
-    relations, sides = [], []
+) -> npt.NDArray[np.int8]:
+    """Returns the relations, int8 (N, P, P), of frames (N, H, W, 3)."""
+    relations = []
     for start in range(0, len(frames), _IMAGES_AT_ONCE):
         found = grounding.ground(frames[start : start + _IMAGES_AT_ONCE], config.phrases)
         is_shown = found.presence >= config.min_presence
-        relations.append(pairwise_relations(found.x, found.y, is_shown, epsilon=config.epsilon))
-        sides.append(pairwise_sides(found.x, relations[-1]))
+        shown = pairwise_relations(found.x, found.y, is_shown, epsilon=config.epsilon)
+        absent = pairwise_absences(found.presence, least=config.min_presence)
+        relations.append(np.where(absent, ABSENT, shown).astype(np.int8))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
-    return np.concatenate(relations), np.concatenate(sides)
+    return np.concatenate(relations)
+
+
+def _is_related(relations: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
+    return np.asarray((relations != NO_CAPTION) & (relations != ABSENT))
 
 
 def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
@@ -174,14 +186,3 @@ def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
     if frames.shape[1:] == (size, size, 3):
         return frames
     return np.stack([preprocess(frame, size=size) for frame in frames])
-
-
-def _shift(view: npt.NDArray[np.uint8], offsets: npt.NDArray[np.int64], limit: int) -> npt.NDArray[np.uint8]:
-    height, width = view.shape[1:3]
-    padded = np.pad(view, ((0, 0), (limit, limit), (limit, limit), (0, 0)), mode="edge")
-    return np.stack(
-        [
-            image[row : row + height, column : column + width]
-            for image, (row, column) in zip(padded, offsets + limit, strict=True)
-        ]
-    )

@@ -40,9 +40,9 @@ class RewardConfig(DatasetFitConfig):
         epsilon: Object width as a fraction of the image width: eps of table 4.1.
         min_presence: Presence probability from which a phrase appears in captions.
         batch_size: Images per optimiser step.
-        extra_keypoints: Keypoints in addition to one per phrase.
-        hidden_size: Units of each of the two hidden layers after keypoint pooling.
-        embedding_dim: Dimension of the embeddings.
+        augmentation: Strength of the camera augmentation; 0 for none.
+        hidden_size: Units of each of the two hidden layers of the relation pooling.
+        embedding_dim: Dimension of a pair's embedding.
     """
 
     phrases: tuple[str, ...] = ()
@@ -51,6 +51,6 @@ class RewardConfig(DatasetFitConfig):
     batch_size: int = bounded(128, least=2, most=4096)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(50, least=1, most=1_000_000)
-    extra_keypoints: int = bounded(12, least=0, most=256)
-    hidden_size: int = bounded(256, least=1, most=4096)
-    embedding_dim: int = bounded(64, least=8, most=1024)
+    augmentation: float = bounded(1.0, least=0.0, most=1.0)
+    hidden_size: int = bounded(64, least=1, most=4096)
+    embedding_dim: int = bounded(16, least=4, most=1024)

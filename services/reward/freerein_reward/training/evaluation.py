@@ -10,9 +10,9 @@ import torch
 from freerein_reward.model import DualEncoder, contrast_texts
 from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
-from freerein_reward.training.caption_dataset import NO_CAPTION, CaptionDataset, flatten_pairs
+from freerein_reward.training.caption_dataset import ABSENT, NO_CAPTION, CaptionDataset, flatten_pairs
 from freerein_reward.training.grounding_learner import GroundingLearner
-from freerein_reward.training.reward_model_learner import relation_scores
+from freerein_reward.training.reward_model_learner import caption_scores
 
 _COLOURS_PER_QUERY = 4
 _QUERIES = 10
@@ -26,8 +26,11 @@ def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, 
     """
     targets = flatten_pairs(dataset.relations)  # (N, pairs)
     has_caption = targets != NO_CAPTION
-    targets, predictions = targets[has_caption], relation_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
-    figures = {"relation_accuracy": float((predictions == targets).mean())}
+    targets, predictions = targets[has_caption], caption_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
+    figures = {
+        "relation_accuracy": float((predictions == targets)[targets != ABSENT].mean()),
+        "absence_accuracy": float(((predictions == ABSENT) == (targets == ABSENT)).mean()),
+    }
     for relation in SpatialRelation:
         true_positives = float(((predictions == relation) & (targets == relation)).sum())
         name = relation.name.lower()

@@ -13,23 +13,18 @@ from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
-from freerein_reward.objectives import contrastive_loss, relation_cross_entropy
-from freerein_reward.relations import CANONICAL_WORDINGS, SpatialRelation
+from freerein_reward.objectives import relation_cross_entropy
 from freerein_reward.training.caption_dataset import (
-    NO_CAPTION,
+    CAPTIONS,
     CaptionDataset,
     flatten_pairs,
     ordered_pairs,
-    relation_captions,
+    pair_captions,
 )
 from freerein_reward.training.config import RewardConfig
 
 State = TrainState[DualEncoder]
 
-SIDES = ("further left than", "further right than")
-"""Table 4.1's first two criteria, which hold at any distance: an auxiliary task for left and right."""
-
-_MAX_SHIFT = 4
 _IMAGES_AT_ONCE = 256
 _STEEPNESS = 16.0
 _HALF_HEAT = 0.75
@@ -38,7 +33,7 @@ _HALF_HEAT = 0.75
 
 @dataclass(frozen=True, eq=False)
 class RewardModelLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with keypoint pooling, initialised from `grounding`."""
+    """A `freerein.learning.fit.Learner` of a dual encoder of relations, initialised from `grounding`."""
 
     config: RewardConfig
     spec: DualEncoderSpec
@@ -63,25 +58,30 @@ class RewardModelLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
-        rng = np.random.default_rng(int(torch.randint(2**31, (), generator=state.generator)))
-        batch = _augment(self.training.subset(items), rng)
+        batch = self._augment(self.training.subset(items), state.generator)
         return fit_step(state, _loss(state.network, batch), self.config)
 
     def evaluate(self, state: State) -> float:
-        """Returns the cross-entropy of relations on the validation images."""
+        """Returns the cross-entropy of the captions of the validation images."""
         targets = torch.from_numpy(flatten_pairs(self.validation.relations))
-        return relation_cross_entropy(relation_scores(state.network, self.validation), targets).item()
+        return relation_cross_entropy(caption_scores(state.network, self.validation), targets).item()
+
+    def _augment(self, batch: CaptionDataset, generator: torch.Generator) -> CaptionDataset:
+        """Returns images as other cameras would have seen them; of one view, half of them are mirrored."""
+        seen = batch.augmented(self.config.augmentation, generator=generator)
+        if len(batch.views) > 1:  # several views cannot be mirrored consistently
+            return seen
+        return seen.mirrored(torch.randint(2, (len(batch),), generator=generator).bool().numpy())
 
 
 def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncoderSpec:
-    """Returns the architecture of a reward model: the grounding model's, with keypoint pooling."""
-    texts = (*config.phrases, *CANONICAL_WORDINGS.values(), *SIDES)
+    """Returns the architecture of a reward model: the grounding model's, with relation pooling."""
+    texts = pair_captions(config.phrases, ordered_pairs(len(config.phrases)))
     return replace(
         grounding,
         cameras=config.cameras,
         phrases=config.phrases,
         vocabulary=tuple(dict.fromkeys(word for text in texts for word in words(text))),
-        keypoints=len(config.phrases) + config.extra_keypoints,
         hidden_size=config.hidden_size,
         embedding_dim=config.embedding_dim,
         presence_heat=1.0,
@@ -90,66 +90,38 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
 
 @torch.no_grad()
 def init_from_grounding(network: DualEncoder, grounding: GradCamModel, phrases: Sequence[str]) -> None:
-    """Copies and freezes the grounding model's convolutions, and sets one keypoint per phrase to its Grad-CAM weights.
+    """Copies the grounding model's convolutions, and gives each phrase a keypoint with its Grad-CAM weights.
 
-    The convolutions already detect colours and shapes; relations need no others. Both have one width and depth.
+    Batch normalisation keeps the statistics of the grounding model: the network stays in evaluation mode.
     """
     ours, theirs = network.image, grounding.network.image
     for module, source in ((ours.stem, theirs.stem), (ours.layer1, theirs.layer1), (ours.layer2, theirs.layer2)):
         module.load_state_dict(source.state_dict())
-        module.requires_grad_(False)
     network.eval()
     scale = _STEEPNESS / grounding.network.spec.presence_heat
-    logits = ours.keypoint_pool.logits
-    logits.weight[: len(phrases)] = scale * grounding.channel_weights(phrases)
-    logits.bias[: len(phrases)] = -_HALF_HEAT * _STEEPNESS
+    logits = ours.relation_pool.logits
+    logits.weight.copy_(scale * grounding.channel_weights(phrases))
+    logits.bias.fill_(-_HALF_HEAT * _STEEPNESS)
 
 
 @torch.no_grad()
-def relation_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
-    """Returns the scaled cosines of images and canonical captions of each relation, float32 (N, pairs, 5)."""
-    captions = relation_captions(dataset.phrases, ordered_pairs(len(dataset.phrases)))
-    texts = network.embed_texts(network.tokenize(captions))
+def caption_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
+    """Returns the scaled similarity of images and the captions of each pair, float32 (N, pairs, `CAPTIONS`)."""
     parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
-    images = torch.cat([network.embed_images(part.to(network.device)) for part in parts])
-    scores: Tensor = network.temperature(images @ texts.T).unflatten(1, (-1, len(SpatialRelation))).cpu()
-    return scores
-
-
-def _augment(batch: CaptionDataset, rng: np.random.Generator) -> CaptionDataset:
-    """Returns randomly shifted images, half of them mirrored; several views cannot be mirrored consistently."""
-    offsets = rng.integers(-_MAX_SHIFT, _MAX_SHIFT + 1, size=(len(batch), 2))
-    shifted = batch.shifted(offsets, limit=_MAX_SHIFT)
-    return shifted.mirrored(rng.random(len(batch)) < 0.5) if len(batch.views) == 1 else shifted
+    return torch.cat([_scores(network, part, dataset.phrases).cpu() for part in parts])
 
 
 def _loss(network: DualEncoder, batch: CaptionDataset) -> Tensor:
-    """Returns the contrastive loss over captions and their rivals, plus the cross-entropies of relations and sides.
-
-    A caption that is true of several images is one column; the rivals of each caption are columns too.
-    """
-    relations = flatten_pairs(batch.relations)  # (N, all pairs)
-    has_caption = (relations != NO_CAPTION).any(axis=0)
-    pairs = ordered_pairs(len(batch.phrases))[has_caption]
-    captions = (*relation_captions(batch.phrases, pairs), *_side_captions(batch.phrases, pairs))
-    texts = network.embed_texts(network.tokenize(captions))
-    images = network.embed_images(_stacked_views(batch).to(network.device))
-    scores = network.temperature(images @ texts.T)  # (N, 7 pairs)
-    scores, side_scores = scores.tensor_split([len(SpatialRelation) * len(pairs)], dim=1)  # (N, 5 pairs), (N, 2 pairs)
-    targets, sides = (
-        torch.from_numpy(values[:, has_caption]).to(network.device)  # (N, pairs)
-        for values in (relations, flatten_pairs(batch.sides))
-    )
-    positives = (targets[:, :, None] == torch.arange(len(SpatialRelation), device=network.device)).flatten(start_dim=1)
-    return (
-        contrastive_loss(scores, positives)
-        + relation_cross_entropy(scores.unflatten(1, (-1, len(SpatialRelation))), targets)
-        + relation_cross_entropy(side_scores.unflatten(1, (-1, len(SIDES))), sides)
-    )
+    """Returns the cross-entropy of each pair's caption among its rivals: what the reward decides."""
+    targets = torch.from_numpy(flatten_pairs(batch.relations)).to(network.device)  # (N, pairs)
+    return relation_cross_entropy(_scores(network, _stacked_views(batch), batch.phrases), targets)
 
 
-def _side_captions(phrases: Sequence[str], pairs: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    return tuple(f"{phrases[first]} {side} {phrases[second]}" for first, second in pairs for side in SIDES)
+def _scores(network: DualEncoder, views: Tensor, phrases: Sequence[str]) -> Tensor:
+    texts = network.embed_texts(network.tokenize(pair_captions(phrases, ordered_pairs(len(phrases)))))
+    images = network.embed_images(views.to(network.device))
+    scores: Tensor = network.temperature(images @ texts.T).unflatten(1, (-1, CAPTIONS))
+    return scores
 
 
 def _stacked_views(dataset: CaptionDataset) -> Tensor:

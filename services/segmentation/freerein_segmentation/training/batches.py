@@ -1,12 +1,13 @@
 """Batches of trajectories with their tags; there are no labels of timesteps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from freerein.learning.augmentation import augment_camera
 from freerein.learning.encoders import Frames
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import ModelSpec
@@ -27,6 +28,16 @@ class TrajectoryBatch:
     actions: Tensor
     lengths: Tensor
     tags: Tensor
+
+
+    def augmented(self, strength: float, *, generator: torch.Generator) -> "TrajectoryBatch":
+        """Returns the trajectories as other cameras would have seen them, each by one camera; tags stay."""
+        takes = torch.arange(len(self.lengths)).repeat_interleave(self.lengths.cpu())
+        frames = {
+            camera: augment_camera(each, takes, strength=strength, generator=generator)
+            for camera, each in self.frames.items()
+        }
+        return replace(self, frames=frames)
 
 
 def gather(

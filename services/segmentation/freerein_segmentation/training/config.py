@@ -18,6 +18,7 @@ class SegmentationConfig(DatasetFitConfig):
         context: `causal`, the dissertation's, or `bidirectional`.
         encoder: Image encoder.
         use_actions: Whether executed actions are an input.
+        augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
         stride: Temporal stride in timesteps: 1 where skills may be short; more where they are long, to see more
             trajectories in the same time.
         batch_size: Trajectories per optimiser step.
@@ -29,6 +30,7 @@ class SegmentationConfig(DatasetFitConfig):
     context: Context = "bidirectional"
     encoder: str = one_of(ENCODERS, "patch")
     use_actions: bool = True
+    augmentation: float = bounded(1.0, least=0.0, most=1.0)
     stride: int = bounded(1, least=1, most=100)
     steps: int = bounded(1200, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)

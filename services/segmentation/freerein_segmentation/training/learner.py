@@ -63,7 +63,8 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        return fit_step(state, self._losses(state.network, batch).mean(), self.config)
+        seen = batch.augmented(self.config.augmentation, generator=state.generator)
+        return fit_step(state, self._losses(state.network, seen).mean(), self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

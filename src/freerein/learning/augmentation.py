@@ -1,0 +1,86 @@
+"""Augmentation of images by what cameras and light do: brightness, colour temperature, hue, small shifts, noise.
+
+What an image shows stays what it was, and so does all that a fit is told of it: this adds no supervision.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+_LIGHT = 1.6
+"""Largest factor of the brightness, and of its inverse."""
+
+_TEMPERATURE, _TINT = 0.18, 0.05
+"""Largest relative change of red against blue, and of green."""
+
+_HUE_TURN = 0.11
+"""Largest turn of all hues, as a share of the colour circle. Twice as much would make red of yellow."""
+
+_SHIFT = 0.11
+"""Largest shift along each axis, as a share of the frame."""
+
+_NOISE = 0.1
+"""Largest standard deviation of a pixel's noise, as a share of the range of its values; half of the takes have none."""
+
+
+def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator: torch.Generator) -> Tensor:
+    """Returns frames as another camera would have seen them, in another light.
+
+    Args:
+        frames: uint8 (N, H, W, C), C = 1 or 3.
+        takes: int64 (N,), which take each frame is of, from 0 on. Frames of one take share all but the noise's values.
+        strength: 0 for none, 1 for the whole ranges of this module.
+        generator: Source of all draws, on the CPU.
+
+    Returns:
+        uint8 (N, H, W, C), on the device of `frames`.
+    """
+    if not strength or not len(frames):
+        return frames
+
+    def draw(*sizes: int) -> Tensor:  # uniform in [-strength, strength], float32 (N, *sizes)
+        drawn = torch.rand((int(takes.max()) + 1, *sizes), generator=generator)
+        return (strength * (2 * drawn - 1)).to(frames.device)[takes]
+
+    pixels = _shift(frames, draw(2)).float() / 255
+    if frames.shape[3] == 3:
+        pixels = turn_hue(pixels, _HUE_TURN * draw())
+        warmth, tint = draw(), draw()
+        gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)  # (N, 3)
+        pixels = pixels * gains[:, None, None]
+    light = torch.exp(math.log(_LIGHT) * draw())  # (N,)
+    sigma = _NOISE * draw().clamp(min=0)  # (N,)
+    noise = torch.randn(frames.shape, generator=generator).to(frames.device)
+    pixels = pixels * light[:, None, None, None] + noise * sigma[:, None, None, None]
+    return (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
+
+
+def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:
+    """Returns RGB pixels, float (N, H, W, 3), with hues turned; HSV value and saturation stay.
+
+    `turns` are shares of the colour circle, float (N,).
+    """
+    value, least = pixels.amax(dim=3), pixels.amin(dim=3)  # (N, H, W)
+    chroma = value - least
+    red, green, blue = pixels.unbind(dim=3)
+    divisor = chroma.where(chroma > 0, 1.0)
+    sector = torch.where(
+        value == red,
+        (green - blue) / divisor,
+        torch.where(value == green, 2 + (blue - red) / divisor, 4 + (red - green) / divisor),
+    )
+    start = torch.tensor([5.0, 3.0, 1.0], device=pixels.device)
+    phase = (start + (sector + 6 * turns[:, None, None])[..., None]) % 6  # (N, H, W, 3)
+    return value[..., None] - chroma[..., None] * torch.minimum(phase, 4 - phase).clamp(0, 1)
+
+
+def _shift(frames: Tensor, directions: Tensor) -> Tensor:
+    """Returns frames (N, H, W, C) shifted by whole pixels, edges replicated; `directions` are float (N, 2)."""
+    count, height, width, _ = frames.shape
+    scale = torch.tensor([_SHIFT * height, _SHIFT * width], device=frames.device)
+    offsets = (directions * scale).round().long()  # (N, 2)
+    rows = (torch.arange(height, device=frames.device) + offsets[:, :1]).clamp(0, height - 1)  # (N, H)
+    columns = (torch.arange(width, device=frames.device) + offsets[:, 1:]).clamp(0, width - 1)  # (N, W)
+    each = torch.arange(count, device=frames.device)[:, None, None]
+    return frames[each, rows[:, :, None], columns[:, None, :]]

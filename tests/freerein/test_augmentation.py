@@ -1,0 +1,49 @@
+import colorsys
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.learning.augmentation import augment_camera, turn_hue
+
+
+def frames(count: int, channels: int = 3) -> torch.Tensor:
+    drawn = np.random.default_rng(0).integers(60, 160, size=(count, 16, 16, channels), dtype=np.uint8)
+    return torch.from_numpy(drawn)
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_without_strength_nothing_changes() -> None:
+    seen = frames(3)
+    assert augment_camera(seen, torch.arange(3), strength=0.0, generator=generator()) is seen
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_frames_stay_frames_and_the_generator_alone_says_how_they_change(channels: int) -> None:
+    seen = frames(20, channels)
+    first, again = (augment_camera(seen, torch.arange(20), strength=1.0, generator=generator()) for _ in range(2))
+    assert (first.dtype, first.shape) == (torch.uint8, seen.shape)
+    assert torch.equal(first, again)
+    assert all(not torch.equal(before, after) for before, after in zip(seen, first, strict=True))
+
+
+def test_frames_of_one_take_change_alike_but_for_noise() -> None:
+    takes = torch.arange(20).repeat_interleave(2)
+    twins = augment_camera(frames(1).repeat(40, 1, 1, 1), takes, strength=1.0, generator=generator())
+    one, other = twins[::2].float(), twins[1::2].float()
+    is_equal = (one == other).flatten(start_dim=1).all(dim=1)
+    assert 4 <= is_equal.sum() <= 16  # about half have no noise
+    assert (one - other).mean(dim=(1, 2, 3)).abs().max() < 6
+    brightness = one.mean(dim=(1, 2, 3))
+    assert brightness.min() < 90 < 140 < brightness.max()
+
+
+def test_hues_turn_as_in_the_hsv_model() -> None:
+    pixels = torch.rand(1, 4, 4, 3, generator=generator())
+    turned = turn_hue(pixels, torch.tensor([0.1]))
+    for before, after in zip(pixels.view(-1, 3).tolist(), turned.view(-1, 3).tolist(), strict=True):
+        hue, saturation, value = colorsys.rgb_to_hsv(*before)
+        assert after == pytest.approx(colorsys.hsv_to_rgb((hue + 0.1) % 1, saturation, value), abs=1e-5)
