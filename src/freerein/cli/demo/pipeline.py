@@ -25,6 +25,9 @@ REWARD_MODEL = "blocks"
 PHRASES = [f"a {colour} block" for colour in ("red", "green", "yellow", "blue")]
 """Noun phrases of the reward model."""
 
+_BLOCK = 0.105
+"""Width of a block's front in the frames of the camera `front`, as a share of theirs."""
+
 _EPISODES = 50
 
 Step = dict[str, Any]
@@ -43,14 +46,14 @@ def _learn_from_data() -> list[Step]:
         _collect("blocks-demos", task="blocks", behaviour="expert", count=400, min_skills=2, max_skills=3),
         _collect("exploration", task="blocks", behaviour="random", count=400),
         _collect("scatter", task="blocks.scatter", behaviour="random", count=1000),
-        _fit("fit-grid", "segmentation", "grid", "grid-demos", steps=300, batch_size=16),
+        _fit("fit-grid", "segmentation", "grid", "grid-demos", steps=300, batch_size=16, augmentation=0.0),
         _evaluate("grid-labels", "segmentation", task="grid", model="grid", episodes=100, **_skills(5)),
         _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3),
         _step("label-blocks", "label", dataset="blocks-demos", model="blocks", smoothing=1),
         _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
-        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES),
-        _evaluate("two-blocks", "relations", task="blocks.scatter", model=REWARD_MODEL, episodes=320, num_envs=64),
-        _evaluate("four-blocks", "relations", task="blocks", model=REWARD_MODEL, episodes=192, num_envs=64, steps=24),
+        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES, epsilon=_BLOCK),
+        _scenes("two-blocks", "blocks-2"),
+        _scenes("four-blocks", "blocks-4"),
         _fit("fit-goal-images", "imitation", "goal-images", "exploration", method="goal_conditioned"),
     ]
 
@@ -103,6 +106,18 @@ def _fit(name: str, service: str, model: str, dataset: str, *, after: str = "", 
 
 def _evaluate(name: str, form: str, **config: Any) -> Step:
     return _step(name, "evaluate", form=form, **config)
+
+
+def _scenes(name: str, condition: str) -> Step:
+    return _evaluate(
+        name,
+        "relations",
+        task="blocks.scatter",
+        conditions=[condition],
+        model=REWARD_MODEL,
+        episodes=320,
+        num_envs=64,
+    )
 
 
 def _returns(name: str, task: str, policy: str | dict[str, Any], **config: Any) -> Step:

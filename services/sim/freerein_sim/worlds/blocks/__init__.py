@@ -1,8 +1,8 @@
 """Tasks of the blocks world: a Fetch gripper and coloured blocks in a plane. MuJoCo is imported when one is made.
 
 `blocks` has four blocks and no goal. A goal task, such as `blocks.red-left-of-green`, has two blocks and an oracle.
-`blocks.scatter` shows two of the four at random poses: images to train reward models from (dissertation, 4.2). With
-the conditions `blocks-2` to `blocks-4` any of them shows as many; the others lie behind the wall.
+`blocks.scatter` shows two to four at random poses: images to train reward models from (dissertation, 4.2). With the
+conditions `blocks-2` to `blocks-4` any of them shows as many; the others lie behind the wall.
 """
 
 from collections.abc import Callable, Collection
@@ -59,7 +59,7 @@ def _make_free(spec: WorldSpec, conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.blocks import initial_states, simulation
 
-    variation = Variation.of(conditions, blocks=len(COLOURS))
+    variation = Variation.of(conditions, blocks=len(COLOURS), fewest_blocks=len(COLOURS))
     if variation.blocks < len(COLOURS):
         spec = replace(spec, max_skills=variation.blocks)
     if variation.speed < 1:
@@ -72,8 +72,9 @@ def _make_scatter(spec: WorldSpec, conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.blocks import initial_states, simulation
 
-    variation = Variation.of(conditions, blocks=2)
-    return simulation.BlocksWorld(spec, COLOURS, partial(initial_states.scatter, count=variation.blocks), variation)
+    variation = Variation.of(conditions, blocks=len(COLOURS), fewest_blocks=2)
+    draw = partial(initial_states.scatter, fewest=variation.fewest_blocks, most=variation.blocks)
+    return simulation.BlocksWorld(spec, COLOURS, draw, variation)
 
 
 def _make_goal(spec: WorldSpec, goal: BlockGoal, conditions: Collection[str] = ()) -> World:
@@ -81,7 +82,7 @@ def _make_goal(spec: WorldSpec, goal: BlockGoal, conditions: Collection[str] = (
     check_mujoco_gl()
     from freerein_sim.worlds.blocks import initial_states, simulation
 
-    variation = Variation.of(conditions, blocks=2)
+    variation = Variation.of(conditions, blocks=2, fewest_blocks=2)
     colours = (goal.first, goal.second) if variation.blocks == 2 else COLOURS
     interval_m = initial_states.UNSEEN_M if variation.is_start_unseen else initial_states.SEEN_M
     draw = partial(initial_states.pair, goal=goal, count=variation.blocks, interval_m=interval_m)

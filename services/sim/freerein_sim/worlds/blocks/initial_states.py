@@ -119,11 +119,14 @@ def pair(
         return InitialState(blocks, start.gripper)
 
 
-def scatter(rng: np.random.Generator, wanted: Sequence[str] = (), *, count: int = 2) -> InitialState:
-    """Returns a number of blocks anywhere in the plane, one possibly in the gripper; the others are parked.
+def scatter(
+    rng: np.random.Generator, wanted: Sequence[str] = (), *, fewest: int = 2, most: int = len(COLOURS)
+) -> InitialState:
+    """Returns some blocks anywhere in the plane, one possibly in the gripper; the others are parked.
 
     Two of them are arranged; there are no skills, so that none is wanted.
     """
+    count = int(rng.integers(fewest, most, endpoint=True))
     arrange = (_anywhere, _near, _stacked, _beside)[rng.choice(len(_ODDS), p=_ODDS)]
     shown = arrange(rng, rng.uniform(_LOW_M, _HIGH_M))
     while len(shown) < count:

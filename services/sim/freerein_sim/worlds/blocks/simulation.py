@@ -57,7 +57,7 @@ class BlocksWorld:
         self.goal = goal
         self._draw_initial_state = draw_initial_state
         self._variation = variation
-        built = scene.build(colours, pad=variation.blocks < len(colours), light=variation.light)
+        built = scene.build(colours, pad=variation.fewest_blocks < len(colours), light=variation.light)
         self._simulation = simulation = MujocoSimulation(spec, built, _camera_move(variation))
         self.fingerprint = simulation.fingerprint
         self._data = simulation.data

@@ -37,7 +37,8 @@ class Variation:
     """How a world differs from the nominal one.
 
     Attributes:
-        blocks: Number of blocks on show.
+        blocks: Largest number of blocks on show.
+        fewest_blocks: Smallest one; the number is drawn for each episode.
         light: Factor of all lights.
         camera_shift_m: How far each camera is moved.
         camera_turn_deg: How far each camera is turned.
@@ -46,6 +47,7 @@ class Variation:
     """
 
     blocks: int
+    fewest_blocks: int
     light: float = 1.0
     camera_shift_m: float = 0.0
     camera_turn_deg: float = 0.0
@@ -53,10 +55,11 @@ class Variation:
     speed: float = 1.0
 
     @classmethod
-    def of(cls, conditions: Collection[str], *, blocks: int) -> "Variation":
-        """Returns the variation under conditions of a task with a number of blocks of its own."""
+    def of(cls, conditions: Collection[str], *, blocks: int, fewest_blocks: int) -> "Variation":
+        """Returns the variation under conditions of a task with numbers of blocks of its own."""
         return cls(
             blocks=_first(_COUNTS, conditions, blocks),
+            fewest_blocks=_first(_COUNTS, conditions, fewest_blocks),
             light=light_scale(conditions),
             camera_shift_m=_first(_SHIFTS_M, conditions, 0.0),
             camera_turn_deg=_first(_TURNS_DEG, conditions, 0.0),
