@@ -1,6 +1,5 @@
 """Loading of trained dual encoders."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from freerein.errors import InvalidInput
@@ -16,10 +15,7 @@ GROUNDING = "grounding"
 
 def load_reward_model(folder: Path, device: str) -> DualEncoderModel:
     """Returns the reward model in a folder; raises as `freerein.learning.model_files.load_model`."""
-    network = _load_network(folder, device)
-    if not network.spec.phrases:  # a card that was written before specs had phrases
-        network.spec = replace(network.spec, phrases=_configured_phrases(folder))
-    return DualEncoderModel(network)
+    return DualEncoderModel(_load_network(folder, device))
 
 
 def load_grounding(folder: Path, device: str) -> GradCamModel:
@@ -35,12 +31,6 @@ def load_grounding(folder: Path, device: str) -> GradCamModel:
 def is_grounding(folder: Path) -> bool:
     """Returns whether a folder holds a grounding model, by its card; raises as `model_files.read_card`."""
     return model_files.read_card(folder).get("method") == GROUNDING
-
-
-def _configured_phrases(folder: Path) -> tuple[str, ...]:
-    config = model_files.read_card(folder).get("config")
-    phrases = config.get("phrases") if isinstance(config, dict) else None
-    return tuple(phrase for phrase in phrases if isinstance(phrase, str)) if isinstance(phrases, list) else ()
 
 
 def _load_network(folder: Path, device: str) -> DualEncoder:

@@ -1,6 +1,5 @@
 """Word-level tokenizer; unknown words are hashed into a few buckets."""
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,13 +12,10 @@ from freerein_reward.goal_text import words
 MAX_TOKENS = 77
 """Longest token sequence, end-of-text token included, as in CLIP."""
 
-BUCKETS = 16
-"""Untrained tokens of unknown words. Rewards of such words are refused; the buckets stay for the shipped weights."""
+END, UNKNOWN = 1, 2
+"""Tokens of a text's end, and of every word that is not in the vocabulary, which no reward is given for."""
 
-END = 1
-_FIRST_BUCKET = 2
-_FIRST_WORD = _FIRST_BUCKET + BUCKETS
-_MAX_WORD = 64
+_FIRST_WORD = 3
 
 
 class Tokens(NamedTuple):
@@ -52,10 +48,6 @@ class Tokenizer:
         kept = [each[: MAX_TOKENS - 1] for each in split]
         ids = np.zeros((len(texts), 1 + max(map(len, kept))), np.int64)
         for row, each in zip(ids, kept, strict=True):
-            row[: len(each)] = [index.get(word) or _bucket(word) for word in each]
+            row[: len(each)] = [index.get(word, UNKNOWN) for word in each]
             row[len(each)] = END
         return Tokens(ids, np.array([len(each) >= MAX_TOKENS for each in split]))
-
-
-def _bucket(word: str) -> int:
-    return _FIRST_BUCKET + zlib.crc32(word[:_MAX_WORD].encode(errors="replace")) % BUCKETS
