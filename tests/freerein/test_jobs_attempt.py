@@ -1,5 +1,6 @@
 """Attempts at jobs, each with a real child process: what ends them, and what only interrupts them."""
 
+import os
 import resource
 import time
 from pathlib import Path
