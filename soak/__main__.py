@@ -53,9 +53,11 @@ class Findings:
     def all_failures(self) -> list[str]:
         """Returns what is wrong, leaks included."""
         leaks = [
-            f"{name}: memory grows by {self.growth(name):.2f} MiB per 10 000 calls"
-            for name in self.samples
-            if not self.growth(name) <= MOST_MIB_PER_10K_CALLS  # NaN is a failure, too
+            f"{name}: memory grows by {growth:.2f} MiB per 10 000 calls"
+            if math.isfinite(growth)
+            else f"{name}: too few samples to measure its memory"
+            for name, growth in ((name, self.growth(name)) for name in self.before)
+            if not growth <= MOST_MIB_PER_10K_CALLS  # NaN is a failure, too
         ]
         kept = [
             f"{name}: {before} before the load, {self.after.get(name)} after it"
@@ -129,8 +131,10 @@ async def sessions_left(running: Services) -> list[str]:
 def report(findings: Findings) -> int:
     """Prints what was found; returns the exit code."""
     table = Table("service", "calls", "MiB at first", "at the end", "MiB / 10 000 calls", "threads", "descriptors")
-    for name, some in findings.samples.items():
-        before, after = findings.before[name], findings.after.get(name, findings.before[name])
+    for name, before in findings.before.items():
+        some, after = findings.samples[name], findings.after.get(name, before)
+        if not some:
+            continue
         table.add_row(
             name,
             f"{some[-1].calls:.0f}",

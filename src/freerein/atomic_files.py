@@ -16,15 +16,10 @@ OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
 
 @contextmanager
 def storage_errors() -> Iterator[None]:
-    """Turns the errors of a full, broken or read-only disk into `OutOfStorage`, too many open files into `Unavailable`.
-
-    Other errors stay as they are.
-    """
+    """Turns the errors of a full, broken or read-only disk into `OutOfStorage`; other errors stay as they are."""
     try:
         yield
     except OSError as error:
-        if error.errno in OUT_OF_FILES:
-            raise out_of_files() from error
         if error.errno not in _REFUSALS:
             raise
         raise out_of_storage(os.strerror(error.errno)) from error

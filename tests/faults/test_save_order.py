@@ -48,7 +48,7 @@ def check(calls: Iterable[Call]) -> int:
 def by_strace(root: Path, tmp_path: Path) -> list[Call]:
     """Returns the system calls of the main thread that write below a folder."""
     if shutil.which("strace") is None:
-        pytest.skip("no strace here")
+        pytest.skip("needs strace")
     trace = tmp_path / "trace"
     command = ["strace", "-y", "-qq", "-e", "trace=openat,mkdir,fsync,rename", "-o", str(trace)]
     subprocess.run([*command, sys.executable, str(HOOKED), str(root)], check=True)

@@ -20,7 +20,7 @@ from freerein.cli.services import free_ports
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
 
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
-MANY = ("start", "collect", "--set", "task=grid", "--set", "count=400", "--watch")
+MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
 
 
 class Orchestrator:
@@ -137,7 +137,7 @@ def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None
         assert child.wait(30) == 0
 
     assert steps == sorted(steps)
-    assert steps[-1] == 400
+    assert steps[-1] == 150
 
 
 def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:

@@ -1,6 +1,7 @@
 """Attempts at jobs, each with a real child process: what ends them, and what only interrupts them."""
 
 import os
+import resource
 import time
 from pathlib import Path
 
@@ -96,6 +97,21 @@ def test_an_attempt_that_could_not_begin_is_tried_again(store, runner):
     (store.folder(run_id) / "log.txt").mkdir()
     attempt = runner.run(run_id, go_on)
     assert (attempt.outcome, attempt.error) == ("crashed", "The child process could not be started: Is a directory.")
+
+
+@pytest.mark.fault("C22")
+def test_an_attempt_without_files_to_begin_with_is_tried_again_after_a_pause(store, runner):
+    run_id = store.create(START, {"config": {"steps": 1}})
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (psutil.Process().num_fds(), before[1]))
+    try:
+        attempt = runner.run(run_id, go_on)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert (attempt.outcome, attempt.error) == (
+        "killed",
+        "The child process could not be started: Too many open files.",
+    )
 
 
 @pytest.mark.fault("O10")

@@ -3,6 +3,8 @@
 import asyncio
 import gc
 import itertools
+import threading
+import time
 import weakref
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -206,13 +208,21 @@ async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots
         assert (await stream.ask(said.get(refused) or robots.seen(seq + 1, fault=refused))).error is not None
 
 
-async def test_time_goes_on_for_those_that_were_not_answered_in_time(open_stream: Any, robots: Any) -> None:
-    busy, late = open_stream(), open_stream()
+async def test_time_goes_on_for_those_that_were_not_answered_in_time(core: Any, robots: Any, policies: Any) -> None:
+    is_busy = threading.Event()
+
+    def work(seconds: float) -> None:
+        if seconds:
+            is_busy.set()
+            time.sleep(seconds)
+
+    service = core.around(policies.FaultyPolicy(policies.SEEDS[0], sleep=work))
+    busy, late = robots.Stream(service.control), robots.Stream(service.control)
     await busy.ask(robots.hello())
     await late.ask(robots.hello(max_steps_per_goal=4, valid_for_s=0.6))
     assert (await late.ask(robots.seen(0))).chunk is not None
     working = asyncio.create_task(busy.ask(robots.seen(0, hundredths=100)))
-    await robots.turns()
+    assert await asyncio.to_thread(is_busy.wait, 10)
     executed = replace(robots.seen(3).observed, executed_actions=np.zeros((3, 2), np.float32))
     assert (await late.ask(ControlRequest(observed=executed))).error.code == "deadline_exceeded"
     await working

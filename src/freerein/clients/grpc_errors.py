@@ -22,7 +22,7 @@ _DETAILS_KEY = "grpc-status-details-bin"
 _TOO_LARGE = "larger than max"  # gRPC's message for one over the limit; its status is that of a full queue
 _BROKEN = "Internal error from Core"  # grpc.aio's message for a stream that ended during a write
 _BY_STATUS: dict[grpc.StatusCode, type[ServiceError]] = {
-    grpc.StatusCode.CANCELLED: errors.Cancelled,
+    grpc.StatusCode.CANCELLED: errors.Unavailable,  # gRPC's own, of a call that a server that stops has not begun
     grpc.StatusCode.DEADLINE_EXCEEDED: errors.DeadlineExceeded,
     grpc.StatusCode.INVALID_ARGUMENT: errors.InvalidInput,
     grpc.StatusCode.NOT_FOUND: errors.NotFound,

@@ -4,6 +4,7 @@ The child is `python -m <module> <folder> <argument>...`; `freerein.jobs.child` 
 and exits; if the job was cancelled, its folder then holds a file `cancelled`.
 """
 
+import errno
 import fcntl
 import logging
 import os
@@ -30,6 +31,8 @@ _SAVE_S = 5.0
 _CANCEL_S = 1.4  # with one poll of the database, at most 2 s from CancelRun to the child's end
 _SIGNALS = {number.value: number.name for number in signal.Signals}
 _KILLS = {-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, STOPPED}
+
+_SHORTAGES = {errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM}  # of files, processes or memory
 
 StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
@@ -81,9 +84,10 @@ class AttemptRunner:
         try:
             self._wait(job_id, should_stop, pause)
             return self._run(job_id, should_stop)
-        except OSError as error:  # a full disk, or no memory for a process: the next attempt may succeed
+        except OSError as error:  # the next attempt may succeed: after a pause, where the machine is short of something
             _log.exception("an attempt could not be started", extra={"job": job_id})
-            return AttemptResult("crashed", error=f"The child process could not be started: {error.strerror}.")
+            outcome: Literal["killed", "crashed"] = "killed" if error.errno in _SHORTAGES else "crashed"
+            return AttemptResult(outcome, error=f"The child process could not be started: {error.strerror}.")
 
     def _wait(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause) -> None:
         """Waits out a pause, which the job's events show."""

@@ -1,4 +1,4 @@
-"""When a job is attempted again: three crashes without progress end it, or ten kills, which delay the next attempt."""
+"""When a job is attempted again: three crashes without progress end it, or ten kills, each of which delays the next."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ class AttemptResult:
 
     Attributes:
         outcome: `succeeded` and `failed` end the job. After `crashed`, by a fault of its own, and `killed`, by a signal
-            from outside, it is attempted again.
+            from outside or before it began, by a machine short of memory or files, it is attempted again.
         progressed: Whether the attempt did steps that no attempt before it had done.
         error: Why it did not succeed, in sentences; empty when it did.
     """

@@ -9,15 +9,15 @@ streams are gRPC only.
 import functools
 import inspect
 import re
-from collections.abc import AsyncIterator, Sequence
-from contextlib import aclosing
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import aclosing, contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
 
 from freerein import wire
-from freerein.atomic_files import storage_errors
+from freerein.atomic_files import OUT_OF_FILES, out_of_files, storage_errors
 from freerein.errors import ServiceError
 
 _READ_PREFIXES = ("List", "Get", "Watch")
@@ -104,17 +104,29 @@ def _find(name: str, cores: Sequence[object]) -> Any:
     raise LookupError(f"no core has a method {name}")
 
 
+@contextmanager
+def _machine_errors() -> Iterator[None]:
+    """Turns the errors of a disk into `OutOfStorage`, and too many open files into `Unavailable`."""
+    with storage_errors():
+        try:
+            yield
+        except OSError as error:
+            if error.errno not in OUT_OF_FILES:
+                raise
+            raise out_of_files() from error
+
+
 def _guarded(call: Any) -> Any:
     """Returns a core's method whose errors of a disk, and of too many open files, are `ServiceError`s."""
 
     @functools.wraps(call)
     async def reply(request: Any) -> Any:
-        with storage_errors():
+        with _machine_errors():
             return await call(request)
 
     @functools.wraps(call)
     async def stream(request: Any) -> AsyncIterator[Any]:
-        with storage_errors():
+        with _machine_errors():
             async with aclosing(call(request)) as responses:
                 async for response in responses:
                     yield response

@@ -1,10 +1,11 @@
 """Why the database of the runs refuses, as errors that callers and operators can act on."""
 
+import os
 import sqlite3
 
 from psycopg.errors import DiskFull
 
-from freerein.atomic_files import out_of_storage
+from freerein.atomic_files import OUT_OF_FILES, out_of_files, out_of_storage
 from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 _ENCODING = "UTF8"
@@ -12,7 +13,7 @@ _SQLITE_STORAGE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_REA
 
 
 def database_error(error: Exception) -> ServiceError:
-    """Returns `OutOfStorage` when the disk of the database refuses to be written, else `Unavailable`.
+    """Returns `OutOfStorage` when the disk of the database refuses, else `Unavailable`.
 
     `error` is of a driver, or SQLAlchemy's around it.
     """
@@ -22,7 +23,9 @@ def database_error(error: Exception) -> ServiceError:
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF  # the last byte; the rest says more
     if code in _SQLITE_STORAGE:
         return out_of_storage(str(cause))
-    return _cannot_open() if code == sqlite3.SQLITE_CANTOPEN else unreachable()
+    if code == sqlite3.SQLITE_CANTOPEN:  # SQLite does not say why
+        return out_of_files() if _is_out_of_files() else out_of_storage(str(cause))
+    return unreachable()
 
 
 def unreachable() -> Unavailable:
@@ -34,12 +37,13 @@ def unreachable() -> Unavailable:
     )
 
 
-def _cannot_open() -> Unavailable:
-    return Unavailable(
-        "The process must be able to open the database of the runs; all file descriptors are in use, or its folder is "
-        "missing or refuses.",
-        hint="Raise its limit of open files, or give the service access to the data directory.",
-    )
+def _is_out_of_files() -> bool:
+    """Returns whether this process may open no more files."""
+    try:
+        os.close(os.open(os.devnull, os.O_RDONLY))
+    except OSError as error:
+        return error.errno in OUT_OF_FILES
+    return False
 
 
 def check_encoding(encoding: str | None) -> None:

@@ -214,9 +214,10 @@ class VectorEnv:
         try:
             for world, state in zip(self._worlds, states, strict=True):
                 world.restore(state.world)
-                if world.steps not in (None, state.steps):
+                steps = getattr(world, "steps", None)  # worlds of other packages may lack it
+                if steps not in (None, state.steps):
                     raise InvalidInput(
-                        f"`snapshot` must count the actions that it records; got {state.steps} for {world.steps}.",
+                        f"`snapshot` must count the actions that it records; got {state.steps} for {steps}.",
                         field="snapshot",
                         hint="Send it back unchanged.",
                     )
