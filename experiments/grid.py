@@ -31,7 +31,14 @@ EXPERIMENT = SegmentationExperiment(
     objectives=("lse", "lse_per_timestep", "mil"),
     contexts=("causal", "bidirectional"),
     seeds=3,
-    settings={"steps": _STEPS, "batch_size": _BATCH_SIZE, "lr": _LR, "evaluate_every": 25, "checkpoint_every": 25},
+    settings={
+        "steps": _STEPS,
+        "batch_size": _BATCH_SIZE,
+        "lr": _LR,
+        "augmentation": 0.0,
+        "evaluate_every": 25,
+        "checkpoint_every": 25,
+    },
     train_evaluated=_TRAIN_EVALUATED,
     report=Report(
         "grid",

@@ -40,9 +40,9 @@ def embed(reward: httpx.Client, text: str) -> httpx.Response:
     return reward.post("/v1/embed-goal", json={"goal_text": text})
 
 
-def is_finite_and_of_length_one(reply: httpx.Response) -> bool:
+def is_finite_and_no_longer_than_one(reply: httpx.Response) -> bool:
     vector = np.frombuffer(base64.b64decode(reply.json()["embedding"]["raw"]), np.float32)
-    return bool(np.isfinite(vector).all() and abs(float(np.linalg.norm(vector)) - 1) < 1e-4)
+    return bool(np.isfinite(vector).all() and 0 < float(np.linalg.norm(vector)) < 1 + 1e-4)
 
 
 @pytest.mark.fault("R1")
@@ -71,7 +71,7 @@ def test_a_text_of_more_tokens_than_the_model_takes_is_cut_and_the_reply_says_so
 
     assert reply.status_code == 200
     assert reply.json()["truncated"] == (words > MAX_TOKENS - 1)  # the text's end is a token, too
-    assert is_finite_and_of_length_one(reply)
+    assert is_finite_and_no_longer_than_one(reply)
 
 
 HOSTILE = {
@@ -107,7 +107,7 @@ def test_a_flood_of_signs_is_answered_with_finite_numbers(reward: httpx.Client, 
     reply = embed(reward, HOSTILE[name])
 
     assert reply.status_code == 200
-    assert is_finite_and_of_length_one(reply)
+    assert is_finite_and_no_longer_than_one(reply)
 
 
 @pytest.mark.fault("R2")
@@ -127,7 +127,7 @@ def test_any_text_is_answered_or_refused(reward: httpx.Client, refusal: Any, fuz
         if reply.status_code != 200:
             refusal(reply, 422)
         else:
-            assert is_finite_and_of_length_one(reply)
+            assert is_finite_and_no_longer_than_one(reply)
 
     check()
 

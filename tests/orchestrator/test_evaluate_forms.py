@@ -141,11 +141,11 @@ def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None
 
 @pytest.mark.e2e
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize(("task", "answers"), [("blocks.scatter", 2), ("blocks", 12)])
+@pytest.mark.parametrize(("conditions", "answers"), [(["blocks-2"], 2), ([], 12)])
 def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
-    evaluation: Callable[..., Any], task: str, answers: int
+    evaluation: Callable[..., Any], conditions: list[str], answers: int
 ) -> None:
-    run = evaluation(RELATIONS | {"task": task})
+    run = evaluation(RELATIONS | {"task": "blocks", "conditions": conditions})
     result = finish_after_a_stop(run)
     check_figures(result, "accuracy", "balanced_accuracy")
     assert result["counts"] == {"scenes": 8, "answers": 8 * answers}

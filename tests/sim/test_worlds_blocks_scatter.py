@@ -1,4 +1,4 @@
-"""Pictures for reward models: two of four blocks, anywhere, and the other two where nobody sees them."""
+"""Pictures for reward models: two to four blocks, anywhere, and the others where nobody sees them."""
 
 from collections import Counter
 from contextlib import closing
@@ -20,9 +20,9 @@ SEEDS = 300
 CAMERAS = [camera.name for camera in TASK.spec.cameras]
 
 
-def draw(states: int, *, count: int = 2) -> list[initial_states.InitialState]:
+def draw(states: int, *, count: int) -> list[initial_states.InitialState]:
     rng = np.random.default_rng(0)
-    return [initial_states.scatter(rng, count=count) for _ in range(states)]
+    return [initial_states.scatter(rng, fewest=count, most=count) for _ in range(states)]
 
 
 def on_show(blocks: np.ndarray) -> tuple[int, ...]:
@@ -56,8 +56,16 @@ def look_without_parked(state: np.ndarray, camera: str, *, height: int, width: i
         return renderer.render(data, camera, height=height, width=width)
 
 
+def test_two_three_and_four_blocks_are_on_show_equally_often() -> None:
+    rng = np.random.default_rng(0)
+    drawn = Counter(len(shown(initial_states.scatter(rng))) for _ in range(3000))
+
+    assert set(drawn) == {2, 3, 4}
+    assert all(0.9 < count / 1000 < 1.1 for count in drawn.values())
+
+
 def test_every_pair_of_colours_is_on_show_equally_often() -> None:
-    drawn = Counter(on_show(start.blocks) for start in draw(6000))
+    drawn = Counter(on_show(start.blocks) for start in draw(6000, count=2))
 
     assert set(drawn) == set(combinations(range(len(COLOURS)), 2))
     assert all(0.9 < count / 1000 < 1.1 for count in drawn.values())
@@ -65,7 +73,7 @@ def test_every_pair_of_colours_is_on_show_equally_often() -> None:
 
 @pytest.mark.parametrize(("height", "width"), [(256, 256), (8, 256)], ids=["square", "as wide as can be"])
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_pictures_are_those_of_the_two_blocks_alone_to_the_bit(camera: str, height: int, width: int) -> None:
+def test_pictures_are_those_of_the_blocks_on_show_alone_to_the_bit(camera: str, height: int, width: int) -> None:
     for seed in range(6):
         with closing(begin(seed)) as world:
             seen = world.render(camera, height=height, width=width)
@@ -75,7 +83,7 @@ def test_pictures_are_those_of_the_two_blocks_alone_to_the_bit(camera: str, heig
 
 
 def test_the_relations_of_the_goal_tasks_and_blocks_in_hand_occur_often() -> None:
-    drawn = draw(3000)
+    drawn = draw(3000, count=2)
     seen = Counter(
         relation
         for start in drawn
@@ -105,7 +113,7 @@ def test_nothing_begins_inside_anything_else(count: int) -> None:
 
 
 def test_blocks_are_where_the_gripper_works_and_half_are_near_one_another() -> None:
-    pairs = np.stack([shown(start) for start in draw(2000)])
+    pairs = np.stack([shown(start) for start in draw(2000, count=2)])
     distances = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
 
     assert (pairs[..., 0] == 0).all()

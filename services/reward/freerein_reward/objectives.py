@@ -1,6 +1,6 @@
 """Contrastive losses with several positives per image and per caption.
 
-Rows are images, columns are texts; `scores` are scaled cosine similarities, float (N, K), `positives` bool (N, K).
+Rows are images, columns are texts; `scores` are scaled similarities, float (N, K), `positives` bool (N, K).
 """
 
 from torch import Tensor
@@ -28,7 +28,7 @@ def relation_cross_entropy(scores: Tensor, relations: Tensor) -> Tensor:
 
     Args:
         scores: float (N, pairs, R), score of the caption with each relation.
-        relations: int64 (N, pairs), true relation; -1 where the image does not show the pair.
+        relations: int64 (N, pairs), true relation; -1 where the image has no caption of the pair.
     """
     loss = functional.cross_entropy(scores.flatten(end_dim=1), relations.flatten(), ignore_index=-1, reduction="sum")
     return loss / (relations >= 0).sum().clamp(min=1)

@@ -15,7 +15,8 @@ _TEMPERATURE, _TINT = 0.18, 0.05
 """Largest relative change of red against blue, and of green."""
 
 _HUE_TURN = 0.11
-"""Largest turn of all hues, as a share of the colour circle. Twice as much would make red of yellow."""
+"""Largest turn of all hues, as a share of the colour circle. The background turns with the objects, so that what was
+red can still be told from what was yellow; a turn of twice as much would make green of yellow."""
 
 _SHIFT = 0.11
 """Largest shift along each axis, as a share of the frame."""

@@ -21,7 +21,8 @@ class RewardRequest:
         images: Encoded images; those of one camera in temporal order, the same number for every camera.
         goal_text: Description of the goal. Sentences of two of the model's noun phrases and a relation are read by a
             grammar; other texts are compared as they are.
-        rivals: Texts that the goal text must beat, read as it is; empty for the goal text with every other relation.
+        rivals: Texts that the goal text must beat, read as it is; empty for the goal text with every other relation,
+            and that one of its objects is missing.
         mode: `binary`, 1 where the goal text beats all rivals, else 0; or `raw`, the similarity.
     """
 
@@ -39,7 +40,7 @@ class RewardResponse:
 
     Attributes:
         rewards: float32 (N,), in the requested mode; in the mode `binary` 0 where `unknown` is not empty.
-        similarities: float32 (N,), cosine similarity of frame and goal text.
+        similarities: float32 (N,), similarity of frame and goal text, in [-1, 1].
         winners: int64 (N,), index in `texts` of the most similar text; 0 is the goal text, which loses ties, and loses
             to every rival where `unknown` is not empty.
         texts: The goal text, then its rivals, as they were compared: what the grammar can read is in the words of the
@@ -148,7 +149,7 @@ class EmbedGoalResponse:
     """A text's embedding.
 
     Attributes:
-        embedding: float32 (D,), of unit length.
+        embedding: float32 (D,), of length 1 at most.
         truncated: Whether the text was too long for the model and was truncated.
         unknown: Words that the model does not know, as in `RewardResponse`.
     """

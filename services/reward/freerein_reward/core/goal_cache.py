@@ -21,7 +21,7 @@ class GoalEmbedding:
     """The embedding of a text.
 
     Attributes:
-        vector: float32 (D,), of unit length; not finite where the model overflowed.
+        vector: float32 (D,), of length 1 at most; not finite where the model overflowed.
         truncated: Whether the text was too long for the model and was truncated.
     """
 

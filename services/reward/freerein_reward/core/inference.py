@@ -27,7 +27,7 @@ class ScoreItem:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Embeddings of K texts, and their cosine similarities to frames, float32 (N, K) in [-1, 1]."""
+    """Embeddings of K texts, and their similarities to frames, float32 (N, K) in [-1, 1]."""
 
     goals: tuple[GoalEmbedding, ...]
     similarities: npt.NDArray[np.float32]

@@ -28,10 +28,13 @@ class RewardModel(Protocol):
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""
 
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
-        """Returns unit embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
+        """Returns embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """Returns unit embeddings, float32 (K, D), and whether each text was truncated, bool (K,)."""
+        """Returns embeddings, float32 (K, D), and whether each text was truncated, bool (K,).
+
+        Their products with embeddings of images are similarities in [-1, 1].
+        """
 
 
 @runtime_checkable

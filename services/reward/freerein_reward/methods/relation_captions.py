@@ -13,7 +13,7 @@ from freerein_reward.goal_text import bare_words, rival_captions, words
 from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
 from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
 
-_MAX_PHRASES = 32  # captions and time grow with the square
+_MAX_PHRASES = 16  # captions grow with the square, and the memory of their embeddings with the fourth power
 
 
 def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:

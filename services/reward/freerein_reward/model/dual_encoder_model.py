@@ -28,7 +28,7 @@ class DualEncoderModel:
 
     @torch.inference_mode()
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
-        """Returns unit embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
+        """Returns embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
         stacked = np.stack([views[camera] for camera in self.cameras], axis=1)  # (N, V, H, W, 3)
         parts = torch.split(torch.from_numpy(stacked), _IMAGES_AT_ONCE)
         embeddings = torch.cat([self.network.embed_images(part.to(self.network.device)) for part in parts])
@@ -37,7 +37,7 @@ class DualEncoderModel:
 
     @torch.inference_mode()
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """Returns unit embeddings, float32 (K, D), and whether each text was truncated, bool (K,)."""
+        """Returns embeddings, float32 (K, D), and whether each text was truncated, bool (K,)."""
         tokens = self.network.tokenizer(texts)
         embeddings = self.network.embed_texts(torch.from_numpy(tokens.ids).to(self.network.device))
         return embeddings.cpu().numpy(), tokens.truncated

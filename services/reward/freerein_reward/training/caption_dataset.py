@@ -87,19 +87,22 @@ class CaptionDataset:
         Raises InvalidInput when there is only one trajectory, or a side has no captions.
         """
         trajectories = np.repeat(np.arange(len(lengths)), lengths)  # (N,)
-        has_caption = _is_related(self.relations).any(axis=(1, 2))
-        training, validation = (
-            np.flatnonzero(has_caption & np.isin(trajectories, side))
+        has_caption = (self.relations != NO_CAPTION).any(axis=(1, 2))
+        is_related = ((self.relations != NO_CAPTION) & (self.relations != ABSENT)).any(axis=(1, 2))
+        sides = [
+            np.isin(trajectories, side)
             for side in train_validation_split(np.arange(len(lengths)), fraction=fraction, seed=seed)
-        )
-        if not len(training) or not len(validation):
+        ]
+        related = [int((is_related & side).sum()) for side in sides]
+        if not all(related):
             raise InvalidInput(
                 f"Training and validation images must show two of the {len(self.phrases)} phrases; "
-                f"{len(training)} and {len(validation)} images do.",
+                f"{related[0]} and {related[1]} images do.",
                 field="config.phrases",
                 hint="Try the phrases on one image with Ground; name objects by colour.",
             )
-        return self.subset(training), self.subset(validation)
+        training, validation = (self.subset(np.flatnonzero(has_caption & side)) for side in sides)
+        return training, validation
 
 
 def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConfig, path: Path) -> CaptionDataset:
@@ -141,9 +144,9 @@ def pairwise_relations(
 def pairwise_absences(presence: npt.NDArray[np.float64], *, least: float) -> npt.NDArray[np.bool_]:
     """Returns which ordered pairs are surely not both shown, bool (N, P, P), False for a phrase and itself.
 
-    `presence` are probabilities, float64 (N, P); one of at most 1 - `least` is sure.
+    `presence` are probabilities, float64 (N, P); one below 1 - `least` is sure.
     """
-    is_missing = presence <= 1 - least
+    is_missing = presence < 1 - least
     return (is_missing[:, :, None] | is_missing[:, None]) & ~np.eye(presence.shape[1], dtype=bool)
 
 
@@ -175,10 +178,6 @@ def _relations(
         relations.append(np.where(absent, ABSENT, shown).astype(np.int8))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
     return np.concatenate(relations)
-
-
-def _is_related(relations: npt.NDArray[np.int8]) -> npt.NDArray[np.bool_]:
-    return np.asarray((relations != NO_CAPTION) & (relations != ABSENT))
 
 
 def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:

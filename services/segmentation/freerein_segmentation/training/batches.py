@@ -29,7 +29,6 @@ class TrajectoryBatch:
     lengths: Tensor
     tags: Tensor
 
-
     def augmented(self, strength: float, *, generator: torch.Generator) -> "TrajectoryBatch":
         """Returns the trajectories as other cameras would have seen them, each by one camera; tags stay."""
         takes = torch.arange(len(self.lengths)).repeat_interleave(self.lengths.cpu())

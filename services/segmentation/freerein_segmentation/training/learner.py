@@ -63,8 +63,9 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        seen = batch.augmented(self.config.augmentation, generator=state.generator)
-        return fit_step(state, self._losses(state.network, seen).mean(), self.config)
+        if state.network.image.is_trained:
+            batch = batch.augmented(self.config.augmentation, generator=state.generator)
+        return fit_step(state, self._losses(state.network, batch).mean(), self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

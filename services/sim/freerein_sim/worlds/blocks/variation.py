@@ -23,7 +23,7 @@ _SEEN = (
 SCATTER_CONDITIONS = _SEEN
 FREE_CONDITIONS = (
     *_SEEN,
-    Condition("speed-0.5", "speed", "the expert travels at half its speed, in episodes twice as long"),
+    Condition("speed-0.5", "speed", "the expert travels at half its speed, in demonstrations twice as long"),
     Condition("speed-2", "speed", "the expert travels at twice its speed, as far as actions go"),
 )
 GOAL_CONDITIONS = (

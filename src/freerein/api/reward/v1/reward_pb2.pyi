@@ -37,7 +37,7 @@ class RewardRequest(_message.Message):
         MODE_BINARY: RewardRequest._Mode.ValueType  # 1
         """1 where the goal text is more similar to the frame than every rival, else 0. A tie is 0."""
         MODE_RAW: RewardRequest._Mode.ValueType  # 2
-        """The cosine similarity of frame and goal text."""
+        """The similarity of frame and goal text, in [-1, 1]."""
 
     class Mode(_Mode, metaclass=_ModeEnumTypeWrapper):
         """Kind of reward."""
@@ -47,7 +47,7 @@ class RewardRequest(_message.Message):
     MODE_BINARY: RewardRequest.Mode.ValueType  # 1
     """1 where the goal text is more similar to the frame than every rival, else 0. A tie is 0."""
     MODE_RAW: RewardRequest.Mode.ValueType  # 2
-    """The cosine similarity of frame and goal text."""
+    """The similarity of frame and goal text, in [-1, 1]."""
 
     @_typing.final
     class FramesEntry(_message.Message):
@@ -101,7 +101,8 @@ class RewardRequest(_message.Message):
     @_builtins.property
     def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Texts that the goal text must beat, at most 64 of at most 2 000 characters each, read as the goal text is. Empty for
-        the goal text with every other relation; a goal text without a relation needs rivals or mode raw.
+        the goal text with every other relation, and that one of its objects is missing; a goal text without a relation needs
+        rivals or mode raw.
         """
 
     def __init__(
@@ -463,7 +464,7 @@ class EmbedGoalResponse(_message.Message):
     """Whether the text was too long for the model and was truncated."""
     @_builtins.property
     def embedding(self) -> _common_pb2.Tensor:
-        """FP32 (D), of unit length."""
+        """FP32 (D), of length 1 at most."""
 
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
