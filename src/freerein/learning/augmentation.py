@@ -57,6 +57,15 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
     return (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
 
 
+def ramped(strength: float, *, step: int, steps: int) -> float:
+    """Returns the strength at an optimiser step: it rises over the first half of a fit.
+
+    What frames show is learned before what does not matter; at full strength from the start, weak supervision is not
+    enough to find anything.
+    """
+    return strength * min(1.0, 2 * step / steps)
+
+
 def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:
     """Returns RGB pixels, float (N, H, W, 3), with hues turned; HSV value and saturation stay.
 

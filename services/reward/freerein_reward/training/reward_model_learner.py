@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
+from freerein.learning.augmentation import ramped
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
@@ -58,7 +59,7 @@ class RewardModelLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
-        batch = self._augment(self.training.subset(items), state.generator)
+        batch = self._augment(self.training.subset(items), state)
         return fit_step(state, _loss(state.network, batch), self.config)
 
     def evaluate(self, state: State) -> float:
@@ -66,12 +67,13 @@ class RewardModelLearner:
         targets = torch.from_numpy(flatten_pairs(self.validation.relations))
         return relation_cross_entropy(caption_scores(state.network, self.validation), targets).item()
 
-    def _augment(self, batch: CaptionDataset, generator: torch.Generator) -> CaptionDataset:
+    def _augment(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns images as other cameras would have seen them; of one view, half of them are mirrored."""
-        seen = batch.augmented(self.config.augmentation, generator=generator)
+        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
+        seen = batch.augmented(strength, generator=state.generator)
         if len(batch.views) > 1:  # several views cannot be mirrored consistently
             return seen
-        return seen.mirrored(torch.randint(2, (len(batch),), generator=generator).bool().numpy())
+        return seen.mirrored(torch.randint(2, (len(batch),), generator=state.generator).bool().numpy())
 
 
 def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncoderSpec:

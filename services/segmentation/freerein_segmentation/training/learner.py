@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
+from freerein.learning.augmentation import ramped
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -64,7 +65,8 @@ class SegmentationLearner:
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
         if state.network.image.is_trained:
-            batch = batch.augmented(self.config.augmentation, generator=state.generator)
+            strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
+            batch = batch.augmented(strength, generator=state.generator)
         return fit_step(state, self._losses(state.network, batch).mean(), self.config)
 
     @torch.no_grad()
