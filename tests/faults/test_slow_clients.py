@@ -210,6 +210,11 @@ class Stream:
         self.sent = 0
         self.ended = asyncio.Event()
 
+    def ask_again(self, most: int) -> None:
+        """Prepares for another request on the connection."""
+        self._most, self.sent = most, 0
+        self.ended.clear()
+
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         await receive()
         gone = asyncio.create_task(receive())
@@ -256,6 +261,18 @@ async def test_a_client_that_reads_a_stream_gets_it_for_longer_than_it_may_pause
         while time.monotonic() - begun < 1.2:
             assert await asyncio.get_running_loop().sock_recv(client, 4096)
             await asyncio.sleep(0)  # the server sends faster than this reads
+
+
+async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:
+    app = Stream(0)
+    async with serving(app, 0.8) as (_, client), asyncio.timeout(5):
+        await asyncio.get_running_loop().sock_recv(client, 65536)
+        await asyncio.sleep(0.6)  # a deadline that began with the first reply would end soon
+        app.ask_again(2**40)
+        client.send(WHOLE)
+        begun = time.monotonic()
+        await app.ended.wait()
+        assert time.monotonic() - begun > 0.7
 
 
 async def test_a_connection_that_is_closed_is_forgotten_at_once() -> None:
