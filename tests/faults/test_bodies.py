@@ -430,3 +430,7 @@ def test_the_reply_carries_the_request_id_it_was_given_unless_that_is_none(fault
     assert faulty.http.get("/healthz", headers={"x-request-id": "mine-1"}).headers["x-request-id"] == "mine-1"
     given = httpx.Headers([("x-request-id", 'a"b <script>')])
     assert faulty.http.get("/healthz", headers=given).headers["x-request-id"].isalnum()
+
+
+def test_a_reply_names_no_server(faulty: Any) -> None:
+    assert "server" not in faulty.http.get("/healthz").headers

@@ -1,5 +1,6 @@
 """gRPC messages that cost much to parse or never end, and floods of HTTP/2 frames: others are answered meanwhile."""
 
+import math
 import re
 import struct
 import threading
@@ -54,14 +55,20 @@ def is_healthy(channel: grpc.Channel) -> bool:
 
 @contextmanager
 def longest_health_check(address: str) -> Iterator[list[float]]:
-    """Measures how long health checks take, in seconds; the longest is in the list when the block has ended."""
+    """Measures how long health checks take, in seconds; the longest is in the list when the block has ended.
+
+    One that is refused counts as if its caller had waited for ever.
+    """
     longest, done = [0.0], threading.Event()
 
     def check() -> None:
         with grpc.insecure_channel(address, OPTIONS) as channel:
             while not done.is_set():
                 begun = time.perf_counter()
-                is_healthy(channel)
+                try:
+                    is_healthy(channel)
+                except grpc.RpcError:
+                    longest[0] = math.inf
                 longest[0] = max(longest[0], time.perf_counter() - begun)
 
     checking = threading.Thread(target=check)

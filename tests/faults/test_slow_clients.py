@@ -1,17 +1,25 @@
 """Clients that send or read too slowly: their connections are closed, and nobody else waits for them."""
 
+import asyncio
 import contextlib
+import gc
 import selectors
 import socket
 import ssl
 import time
-from collections.abc import Callable, Iterator
+import weakref
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+from starlette.types import Receive, Scope, Send
+
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits
+from freerein.serving.rest.http_server import HttpServer, make_server
 
 pytestmark = pytest.mark.e2e
 RECEIPT_S = WRITE_S = 1.0
@@ -187,3 +195,91 @@ def test_a_client_that_reads_slowly_but_reads_gets_all(faulty: Any) -> None:
         while received.count(b"HTTP/1.1 200") < 3:
             received += connection.recv(512)
     assert received.count(b"HTTP/1.1 200") == 3
+
+
+class Stream:
+    """An app that sends a reply of many parts, until so many bytes are sent or the client is gone.
+
+    Attributes:
+        sent: Bytes sent so far.
+        ended: Set when it sends no more.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self.sent = 0
+        self.ended = asyncio.Event()
+
+    def ask_again(self, most: int) -> None:
+        """Prepares for another request on the connection."""
+        self._most, self.sent = most, 0
+        self.ended.clear()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await receive()
+        gone = asyncio.create_task(receive())
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        while self.sent < self._most and not gone.done():
+            await send({"type": "http.response.body", "body": bytes(16 * 1024), "more_body": True})
+            self.sent += 16 * 1024
+            await asyncio.sleep(0)
+        await send({"type": "http.response.body"})
+        self.ended.set()
+        await gone
+
+
+@contextlib.asynccontextmanager
+async def serving(app: Stream, write_s: float) -> AsyncIterator[tuple[HttpServer, socket.socket]]:
+    """The HTTP server with an app, and a client that has asked it for its reply."""
+    limits = Limits(write_s=write_s, drain_s=1.0)
+    server = make_server(app, limits=limits, health=Health(), cert=None, key=None)
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.socket() as client:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65536)  # the kernel shall hold little of a reply
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        running = asyncio.create_task(server.serve([listener]))
+        client.connect(listener.getsockname())
+        client.setblocking(False)
+        client.send(WHOLE)
+        try:
+            yield server, client
+        finally:
+            client.close()
+            server.should_exit = True
+            await running
+
+
+async def test_a_client_that_leaves_a_stream_unread_is_cut_off_and_fills_no_memory() -> None:
+    app = Stream(64 * 2**20)
+    async with serving(app, 0.3), asyncio.timeout(5):
+        await app.ended.wait()
+    assert app.sent < 16 * 2**20
+
+
+async def test_a_client_that_reads_a_stream_gets_it_for_longer_than_it_may_pause() -> None:
+    async with serving(Stream(2**40), 0.5) as (_, client):
+        begun = time.monotonic()
+        while time.monotonic() - begun < 1.2:
+            assert await asyncio.get_running_loop().sock_recv(client, 4096)
+            await asyncio.sleep(0)  # the server sends faster than this reads
+
+
+async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:
+    app = Stream(0)
+    async with serving(app, 0.8) as (_, client), asyncio.timeout(5):
+        await asyncio.get_running_loop().sock_recv(client, 65536)
+        await asyncio.sleep(0.6)  # a deadline that began with the first reply would end soon
+        app.ask_again(2**40)
+        client.send(WHOLE)
+        begun = time.monotonic()
+        await app.ended.wait()
+        assert time.monotonic() - begun > 0.7
+
+
+async def test_a_connection_that_is_closed_is_forgotten_at_once() -> None:
+    async with serving(Stream(0), 60.0) as (server, client), asyncio.timeout(5):
+        await asyncio.get_running_loop().sock_recv(client, 65536)
+        (connection,) = map(weakref.ref, server.server_state.connections)
+        client.close()
+        while connection():
+            await asyncio.sleep(0.01)
+            gc.collect()

@@ -231,6 +231,12 @@ async def test_small_values_that_would_fill_the_memory_are_not_parsed(data: byte
         await read(form(part("model", b"[%s[]]" % (b"[]," * 200_000))), SegmentRequest, MULTIPART)
 
 
+@pytest.mark.parametrize(("commas", "error"), [(199_998, "`images.0` is invalid"), (199_999, "at most 200000 values")])
+async def test_as_many_values_as_allowed_are_parsed_and_no_more(commas: int, error: str) -> None:
+    with pytest.raises(InvalidInput, match=error):
+        await read(b'{"images": [%s1]}' % (b"1," * commas), SegmentRequest)
+
+
 # --- media types
 
 

@@ -88,9 +88,11 @@ def test_exif_orientation_is_applied_once(orientation: int) -> None:
     assert np.abs(pixels[:, :, 0].astype(int) - UPRIGHT[orientation]).max() <= 2
 
 
-def test_a_turned_file_is_as_high_as_it_is_wide_on_disk() -> None:
-    tall = gray_jpeg(np.zeros((8, 24), np.uint8), 6)
-    assert images.decode(file("jpeg", tall)).shape == (24, 8, 1)
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_a_turned_file_is_as_high_as_it_is_wide_on_disk(orientation: int) -> None:
+    size = (24, 8) if orientation > 4 else (8, 24)
+    stored = gray_jpeg(np.zeros((8, 24), np.uint8), orientation)
+    assert images.decode(file("jpeg", stored), size=size).shape == (*size, 1)
 
 
 @pytest.mark.parametrize(
@@ -249,6 +251,16 @@ def test_a_size_that_is_not_the_files_is_refused() -> None:
     assert images.decode(Image("png", 3, 2, data)).shape == (3, 2, 1)
     with pytest.raises(InvalidInput, match="2 x 2"):
         images.decode(Image("png", 2, 2, data))
+    with pytest.raises(InvalidInput, match="2 x 2; got 3 x 2"):
+        images.decode(Image("raw_gray8", 3, 2, bytes(6)), size=(2, 2))
+
+
+@pytest.mark.parametrize(("is_given", "got"), [(False, "neither"), (True, "both")])
+def test_frames_and_images_are_not_given_together_nor_left_out(is_given: bool, got: str) -> None:
+    images.check_one_form(has_frames=is_given, has_images=not is_given)
+    with pytest.raises(InvalidInput, match=f"got {got}") as refusal:
+        images.check_one_form(has_frames=is_given, has_images=is_given)
+    assert refusal.value.field == "frames"
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.binary(max_size=12))
@@ -294,8 +306,28 @@ def test_a_file_may_have_so_many_parts_and_no_more(encoding: Encoding, size: int
     if encoding == "png" and size:  # pixels, too, come in chunks
         assert images.decode(more).shape == (8, 8, 3)
     else:
-        with pytest.raises(InvalidInput, match=f"at most {most} "):
+        with pytest.raises(InvalidInput, match=f"at most {most} (chunks|segments) in"):
             images.decode(more)
+
+
+def test_a_file_may_have_one_part_more_for_each_kib() -> None:
+    data = with_parts("jpeg", 65, 0)
+    assert isinstance(decoded("jpeg", data.ljust(1024, b"\0")), np.ndarray)
+    assert isinstance(decoded("jpeg", data.ljust(1023, b"\0")), InvalidInput)
+
+
+@pytest.mark.parametrize("encoding", ["png", "webp"])
+def test_a_chunk_that_is_only_begun_is_one(encoding: Encoding) -> None:
+    with pytest.raises(InvalidInput, match="at most 64 chunks"):
+        images.decode(file(encoding, with_parts(encoding, 64, 0) + bytes(8)))
+
+
+@pytest.mark.parametrize("marker", [0x01, 0xBF, 0xC8, 0xD0, 0xD8, 0xF0, 0xFD])
+def test_a_segment_whose_length_decoders_disagree_on_is_refused(marker: int) -> None:
+    image = file("jpeg", WHOLE["jpeg"][:2] + bytes([0xFF, marker, 0, 2]) + WHOLE["jpeg"][2:])
+    for read in (images.decode, images.pixel_count):
+        with pytest.raises(InvalidInput, match="corrupt"):
+            read(image)
 
 
 @pytest.mark.fault("F3")
@@ -310,6 +342,7 @@ def test_a_jpeg_may_have_so_many_scans_and_no_more() -> None:
             for comment in (b"", b"\xff\xfe\0\4\xff\xd9"):  # which looks like the end
                 outcome = decoded("jpeg", data[:-2] + comment + last * more + b"\xff\xd9" + b"\xff\xda" * 100)
                 assert isinstance(outcome, np.ndarray) is allowed
+                assert allowed or "at most 32 scans in" in str(outcome)
 
 
 def test_a_jpeg_may_have_some_bytes_of_fill_before_a_marker() -> None:

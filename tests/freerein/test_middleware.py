@@ -1,6 +1,8 @@
-"""The limits that a request meets before its route: headers, and the memory for all bodies together."""
+"""What a request meets around its route: limits of headers and of memory for all bodies, metrics and a log line."""
 
 import asyncio
+import logging
+import time
 
 import httpx
 import pytest
@@ -35,9 +37,14 @@ def reader() -> Reader:
 
 
 @pytest.fixture
-def client(reader: Reader) -> httpx.AsyncClient:
+def metrics() -> Metrics:
+    return Metrics()
+
+
+@pytest.fixture
+def client(reader: Reader, metrics: Metrics) -> httpx.AsyncClient:
     limits = Limits(buffered_bytes=BUDGET)
-    app = RequestMiddleware(reader, metrics=Metrics(), limits=limits, token="", paths=set())
+    app = RequestMiddleware(reader, metrics=metrics, limits=limits, token="", paths={"/"})
     return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x")
 
 
@@ -60,6 +67,50 @@ async def test_as_many_bytes_of_headers_and_path_as_allowed_and_no_more(
     async with client:
         for size, status in ((16 * 1024, 200), (16 * 1024 + 1, 400)):
             assert (await client.get("/", headers={"x-long": "x" * (size - own)})).status_code == status
+
+
+@pytest.mark.parametrize("length", ["", "ten", "-1", "+2", "1e3", "0x10", "\xb2"])
+async def test_a_length_that_is_no_number_is_malformed(client: httpx.AsyncClient, length: str) -> None:
+    async with client:
+        reply = await client.post("/", headers={"content-length": length.encode("latin-1")})
+    assert (reply.status_code, reply.json()["code"]) == (400, "malformed_request")
+
+
+@pytest.mark.parametrize(("size", "status", "code"), [(1, 200, "ok"), (101, 429, "overloaded")])
+async def test_a_request_is_counted_timed_and_logged(
+    client: httpx.AsyncClient,
+    reader: Reader,
+    metrics: Metrics,
+    caplog: pytest.LogCaptureFixture,
+    size: int,
+    status: int,
+    code: str,
+) -> None:
+    reader.answer.set()
+    begun = time.perf_counter()
+    with caplog.at_level(logging.INFO, "freerein"):
+        async with client:
+            await client.post("/", content=bytes(size))
+    most_s, labels = time.perf_counter() - begun, {"protocol": "rest", "method": "/"}
+    value = metrics.registry.get_sample_value
+    assert value("freerein_calls_total", {**labels, "code": code}) == 1
+    assert value("freerein_call_seconds_count", labels) == 1
+    assert 0 < (value("freerein_call_seconds_sum", labels) or 0) < most_s
+    (line,) = (vars(record) for record in caplog.records if record.message == "request")
+    assert (line["method"], line["route"], line["status"]) == ("POST", "/", status)
+    assert 0 < line["ms"] < most_s * 1e3
+
+
+async def test_a_request_is_in_flight_until_its_reply(
+    client: httpx.AsyncClient, reader: Reader, metrics: Metrics
+) -> None:
+    async with client, asyncio.TaskGroup() as tasks:
+        request = tasks.create_task(client.get("/"))
+        await reader.reading.acquire()
+        assert metrics.registry.get_sample_value("freerein_calls_in_flight", {"protocol": "rest"}) == 1
+        reader.answer.set()
+        await request
+        assert metrics.registry.get_sample_value("freerein_calls_in_flight", {"protocol": "rest"}) == 0
 
 
 @pytest.mark.fault("F6")

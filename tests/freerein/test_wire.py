@@ -114,6 +114,13 @@ def test_an_unspecified_enum_is_refused() -> None:
     assert error.value.field == "images.0.encoding"
 
 
+@pytest.mark.parametrize(("path", "field"), [("", "goal"), ("hello", "hello.goal")])
+def test_a_required_field_that_is_missing_is_refused_and_named(path: str, field: str) -> None:
+    with pytest.raises(InvalidInput, match=f"`{field}` is required") as error:
+        wire.unpack(wire.message_type(imitation.Hello)(), imitation.Hello, path=path)
+    assert error.value.field == field
+
+
 @pytest.mark.parametrize(
     ("cls", "hints", "values"),
     [

@@ -23,19 +23,23 @@ from freerein.errors import (
     WorkerLost,
 )
 from freerein.types.sim import (
+    CheckRequest,
     CloseSessionRequest,
     CloseSessionResponse,
     CreateSessionRequest,
     DemonstrateRequest,
+    ExpertActionsRequest,
     ListTasksRequest,
     RenderRequest,
     ResetRequest,
     RestoreRequest,
     SnapshotRequest,
+    SnapshotResponse,
     StepRequest,
     StepResponse,
 )
 from freerein_sim.core import SimCore
+from freerein_sim.workers import protocol
 from freerein_sim.workers.pool import WorkerPool
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import grid
@@ -70,9 +74,11 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
     """A function that starts sessions of the test's own, closed with it, and returns their workers too."""
     started: list[SimCore] = []
 
-    async def start_sessions(*, workers: int = 1, max_sessions: int = 64) -> tuple[SimCore, Workers]:
+    async def start_sessions(
+        *, workers: int = 1, max_sessions: int = 64, pool: WorkerPool | None = None
+    ) -> tuple[SimCore, Workers]:
         others = children()
-        started.append(SimCore(WorkerPool(workers=workers), max_sessions=max_sessions, clock=clock))
+        started.append(SimCore(pool or WorkerPool(workers=workers), max_sessions=max_sessions, clock=clock))
         await started[-1].start()
         return started[-1], [child for child in children() if child not in others]
 
@@ -137,6 +143,11 @@ async def test_the_seed_that_the_service_drew_makes_the_same_session_again(sessi
     assert first.frames["top"].tobytes() == second.frames["top"].tobytes()
 
 
+@pytest.mark.parametrize("lease_s", [0.5, 3600.0])
+async def test_a_lease_may_be_short_or_an_hour(sessions: SimCore, lease_s: float) -> None:
+    assert (await sessions.create_session(replace(ONE, lease_s=lease_s))).lease_s == lease_s
+
+
 @pytest.mark.fault("M2")
 @pytest.mark.parametrize(
     ("change", "error"),
@@ -172,6 +183,16 @@ async def test_a_reply_that_could_outgrow_a_message_is_refused_before_the_step(s
     await sessions.close_session(CloseSessionRequest(session))
 
 
+async def test_a_reset_whose_reply_could_outgrow_a_message_is_refused(
+    sessions: SimCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = await begun(sessions)
+    monkeypatch.setattr(protocol, "MAX_FRAME_BYTES", 1)  # a world may have more cameras than ours, which fit
+
+    with pytest.raises(InvalidInput, match="at most 1 bytes"):
+        await sessions.reset(ResetRequest(session, cameras=TOP))
+
+
 @pytest.mark.fault("M7")
 async def test_a_step_before_the_reset_is_refused(sessions: SimCore) -> None:
     session = (await sessions.create_session(ONE)).session
@@ -187,9 +208,10 @@ async def test_a_step_out_of_turn_is_refused_and_says_which_was_expected(session
     for turn in (1, 2):
         await sessions.step(StepRequest(session, turn, UP))
 
-    with pytest.raises(StepOutOfOrder, match=f"must be 3, one more than the last; got {step_id}"):
+    with pytest.raises(StepOutOfOrder, match=f"must be 3, one more than the last; got {step_id}") as refusal:
         await sessions.step(StepRequest(session, step_id, UP))
 
+    assert refusal.value.field == "step_id"
     assert (await sessions.step(StepRequest(session, 3, UP))).step_id == 3
 
 
@@ -227,8 +249,10 @@ async def test_the_last_step_repeated_with_something_else_is_refused(
     step = StepRequest(session, 1, UP)
     await sessions.step(step)
 
-    with pytest.raises(StepOutOfOrder, match="with other actions or cameras"):
+    with pytest.raises(StepOutOfOrder, match="with other actions or cameras") as refusal:
         await sessions.step(replace(step, **change))
+
+    assert refusal.value.field == "step_id"
 
 
 @pytest.mark.fault("M7")
@@ -310,10 +334,12 @@ async def test_an_ended_session_is_not_there_and_can_be_ended_again(sessions: Si
 @pytest.mark.fault("M7")
 async def test_a_call_that_waits_while_the_session_ends_finds_it_gone(sessions: SimCore) -> None:
     session = await begun(sessions)
+    step = StepRequest(session, 1, UP)
+    await sessions.step(step)
 
     closed, late = await asyncio.gather(
         sessions.close_session(CloseSessionRequest(session)),
-        sessions.step(StepRequest(session, 1, UP)),
+        sessions.step(step),
         return_exceptions=True,
     )
 
@@ -329,6 +355,16 @@ async def test_the_truth_is_for_the_privileged(sessions: SimCore) -> None:
     assert told.truth is not None
     assert told.truth.state.shape == (1, len(GRID.spec.state_names))
     assert not told.reward.any()
+    completed = CheckRequest(privileged, "completed/pick-red", told.truth.state[None])
+    assert (await sessions.check(completed)).holds.tolist() == [[False]]
+    assert (await sessions.expert_actions(ExpertActionsRequest(privileged))).finished.tolist() == [False]
+    for call in (
+        sessions.check(replace(completed, session=plain)),
+        sessions.expert_actions(ExpertActionsRequest(plain)),
+    ):
+        with pytest.raises(FailedPrecondition, match="needs a privileged session") as refusal:
+            await call
+        assert refusal.value.field == "session"
 
 
 async def test_rendering_shows_what_the_last_step_left(sessions: SimCore) -> None:
@@ -535,6 +571,27 @@ async def test_a_session_that_has_expired_makes_room_at_once(start: StartSession
     assert len(sessions) == 1
 
 
+async def test_a_session_that_ended_or_was_never_made_takes_nothing_of_its_worker(
+    start: StartSessions, clock: Clock
+) -> None:
+    pool = WorkerPool(workers=1)
+    sessions, _ = await start(pool=pool)
+    closed, expired = await begun(sessions), await begun(sessions)
+
+    with pytest.raises(InvalidInput):
+        await sessions.create_session(replace(ONE, height=40))  # the grid's frames are smaller
+    await sessions.close_session(CloseSessionRequest(closed))
+    clock.now_s += 3600
+    sessions.reap()
+    await sessions.drain()
+
+    worker = await pool.place(0)
+    assert worker.load == 0
+    for session in (closed, expired):
+        with pytest.raises(SessionNotFound):
+            await worker.call(SnapshotRequest(session), SnapshotResponse)
+
+
 @pytest.mark.fault("M8")
 @pytest.mark.fault("G3")
 async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions) -> None:
@@ -595,7 +652,7 @@ async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothin
 
 
 async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
-    files, processes = psutil.Process().num_fds(), set(children())
+    files, processes, tasks = psutil.Process().num_fds(), set(children()), asyncio.all_tasks()
     sessions = SimCore(WorkerPool(workers=2))
     await sessions.start()
     await begun(sessions)
@@ -603,5 +660,6 @@ async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
     await sessions.close()
 
     assert set(children()) == processes
+    assert asyncio.all_tasks() <= tasks
     assert psutil.Process().num_fds() == files
     assert len(sessions) == 0

@@ -70,8 +70,9 @@ class DeadlineProtocol(H11Protocol):
             self._stop_receive_timer()
 
     def pause_writing(self) -> None:
-        """Starts the write deadline."""
+        """Starts the write deadline anew: what was left of an earlier reply has been read, or is waited for still."""
         super().pause_writing()
+        self._stop_write_timer()
         self._start_write_timer()
 
     def resume_writing(self) -> None:
@@ -82,7 +83,8 @@ class DeadlineProtocol(H11Protocol):
     def on_response_complete(self) -> None:
         """Starts the write deadline for what is still in the transport's buffer."""
         super().on_response_complete()
-        self._start_write_timer()
+        if self.transport.get_write_buffer_size():
+            self._start_write_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stops both deadlines."""
