@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from freerein.atomic_files import storage_errors
-from freerein.errors import OutOfStorage, Unavailable
+from freerein.errors import OutOfStorage
 
 
 @pytest.mark.fault("C21")
@@ -18,14 +18,6 @@ def test_a_disk_that_refuses_is_out_of_storage_with_the_reason_and_without_a_pat
     assert os.strerror(number) in refused.value.detail
     assert str(tmp_path) not in refused.value.detail
     assert "idempotency key" in refused.value.hint
-
-
-@pytest.mark.fault("C22")
-@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
-def test_too_many_open_files_are_unavailable_and_the_hint_names_the_limit(number: int) -> None:
-    with pytest.raises(Unavailable) as refused, storage_errors():
-        raise OSError(number, os.strerror(number))
-    assert "limit of open files" in refused.value.hint
 
 
 def test_a_file_that_is_missing_stays_a_bug(tmp_path: Path) -> None:
