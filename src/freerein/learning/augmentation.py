@@ -7,6 +7,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 _LIGHT = 1.6
 """Largest factor of the brightness, and of its inverse."""
@@ -64,6 +65,17 @@ def ramped(strength: float, *, step: int, steps: int) -> float:
     enough to find anything.
     """
     return strength * min(1.0, 2 * step / steps)
+
+
+def agreement(scores: Tensor, teacher: Tensor) -> Tensor:
+    """Returns the mean cross-entropy of scores (..., K) against what a teacher's scores (..., K) say of the same scenes.
+
+    The teacher saw the frames as they are, and is not trained by this: what is seen badly learns from what is seen well
+    (Xie et al., "Unsupervised data augmentation for consistency training", 2020).
+    """
+    classes = scores.shape[-1]
+    probabilities = teacher.detach().reshape(-1, classes).softmax(dim=1)
+    return functional.cross_entropy(scores.reshape(-1, classes), probabilities)
 
 
 def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:

@@ -35,13 +35,19 @@ class PhraseLocations:
         heatmaps: float32 (N, P, h, w) in [0, 1], Grad-CAM divided by its peak.
         x: float64 (N, P), distance from the left edge as a fraction of the width.
         y: float64 (N, P), distance from the upper edge as a fraction of the height.
-        presence: float64 (N, P) in [0, 1], probability that the image shows the phrase.
+        heat: float64 (N, P), peak of the heat where the phrase's exceeds all others', in units of the heat at which
+            presence is 1/2.
     """
 
     heatmaps: npt.NDArray[np.float32]
     x: npt.NDArray[np.float64]
     y: npt.NDArray[np.float64]
-    presence: npt.NDArray[np.float64]
+    heat: npt.NDArray[np.float64]
+
+    @property
+    def presence(self) -> npt.NDArray[np.float64]:
+        """Probability that the image shows the phrase, float64 (N, P) in [0, 1]."""
+        return 1 / (1 + np.exp(-_STEEPNESS * (self.heat - 1.0)))
 
 
 class GradCamModel(DualEncoderModel):
@@ -58,9 +64,9 @@ class GradCamModel(DualEncoderModel):
         for start in range(0, len(images), _IMAGES_AT_ONCE):
             part = torch.tensor(images[start : start + _IMAGES_AT_ONCE], device=self.network.device)  # may be read-only
             parts.append(self._locate(part, channels))
-        heatmaps, centroids, presence = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
+        heatmaps, centroids, peaks = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
         x, y = centroids.double().unbind(dim=2)
-        return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), presence.double().numpy())
+        return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), peaks.double().numpy())
 
     @torch.no_grad()
     def channel_weights(self, phrases: Sequence[str]) -> Tensor:
@@ -71,12 +77,12 @@ class GradCamModel(DualEncoderModel):
         return weights
 
     def _locate(self, images: Tensor, channels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns heatmaps (N, P, h, w), centroids (N, P, 2) and presence (N, P) of images (N, H, W, 3)."""
+        """Returns heatmaps (N, P, h, w), centroids (N, P, 2) and peaks (N, P) of images (N, H, W, 3)."""
         maps = self.network.image.feature_maps(images)
         heat = torch.einsum("pc,nchw->nphw", channels, maps).relu()
         own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # phrases compete
-        presence = torch.sigmoid(_STEEPNESS * (own.amax(dim=(2, 3)) / self.network.spec.presence_heat - 1.0))
-        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), _centroids(own), presence
+        peaks = own.amax(dim=(2, 3)) / self.network.spec.presence_heat
+        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), _centroids(own), peaks
 
 
 def contrast_texts(texts: Tensor) -> Tensor:

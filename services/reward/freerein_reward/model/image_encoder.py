@@ -16,6 +16,8 @@ from freerein_reward.model.spec import DualEncoderSpec
 
 _EXPANSION = 4
 _HEAD_CHANNELS = 16
+_HALF_MASS = 0.5
+"""Sum of a phrase's squared heat at which its presence is 1/2."""
 
 
 class ClipImageEncoder(nn.Module):
@@ -94,15 +96,16 @@ class AttentionPool(nn.Module):
 class RelationPool(nn.Module):
     """A keypoint for every phrase, then one vector for every ordered pair of phrases, by an MLP that all pairs share.
 
-    A keypoint is a spatial soft-argmax with a presence probability: its softmax runs over all cells and one "absent"
-    class whose logit is 0. The MLP has two hidden layers, because relations are not linear in positions. Whoever stands
-    in a relation, it looks the same: what is learned of one pair holds for all, however many objects are shown.
+    A keypoint is the centroid of a phrase's squared heat, with a presence that saturates where there is much of it: it
+    resolves fractions of a cell, where a softmax over the cells mostly chooses one. The MLP has two hidden layers,
+    because relations are not linear in positions. Whoever stands in a relation, it looks the same: what is learned of
+    one pair holds for all, however many objects are shown.
     """
 
     def __init__(self, channels: int, phrases: int, *, hidden_size: int, embedding_dim: int) -> None:
         super().__init__()
         self._pairs = (phrases, embedding_dim)
-        self.logits = nn.Linear(channels, phrases)
+        self.heat = nn.Linear(channels, phrases)
         layers = (nn.Linear(6, hidden_size), nn.ReLU(), nn.Linear(hidden_size, hidden_size), nn.ReLU())
         self.mlp = nn.Sequential(*layers, nn.Linear(hidden_size, embedding_dim))
 
@@ -121,8 +124,8 @@ class RelationPool(nn.Module):
 
     def keypoints(self, maps: Tensor) -> Tensor:
         """Returns row and column in [-1, 1], both times the presence, and presence in [0, 1]: (N, P, 3)."""
-        scores = self.logits(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2)  # (N, P, S)
-        share = functional.pad(scores, (0, 1)).softmax(dim=2)[:, :, :-1]
+        heat = self.heat(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2).relu().square()  # (N, P, S)
+        share = heat / (heat.sum(dim=2, keepdim=True) + _HALF_MASS)
         rows, columns = ((torch.arange(cells, device=maps.device) + 0.5) / cells * 2 - 1 for cells in maps.shape[2:])
         return share @ functional.pad(torch.cartesian_prod(rows, columns), (0, 1), value=1.0)
 

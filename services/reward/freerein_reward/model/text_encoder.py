@@ -28,12 +28,24 @@ class ClipTextEncoder(nn.Module):
 
     def forward(self, ids: Tensor) -> Tensor:
         """Returns unnormalised embeddings (K, D) of tokens int64 (K, L), L at most 77."""
+        embeddings: Tensor = self.head(self.states(ids))  # (K, D)
+        return embeddings
+
+    def states(self, ids: Tensor) -> Tensor:
+        """Returns the state at the end-of-text token, (K, C), of tokens int64 (K, L)."""
         x = self.token_embedding(ids) + self.position_embedding.weight[: ids.shape[1]]  # (K, L, C)
         for layer in self.layers:
             x = layer(x)
         last = (ids == END).to(torch.int64).argmax(dim=1)  # (K,)
-        embeddings: Tensor = self.head(self.norm(x[torch.arange(len(ids), device=ids.device), last]))  # (K, D)
-        return embeddings
+        states: Tensor = self.norm(x[torch.arange(len(ids), device=ids.device), last])
+        return states
+
+    @property
+    def relation_head(self) -> "RelationHead":
+        """The head of a model of relations; a TypeError without."""
+        if not isinstance(self.head, RelationHead):
+            raise TypeError("This text encoder has a linear head; expected a relation head.")
+        return self.head
 
 
 class RelationHead(nn.Module):

@@ -1,7 +1,7 @@
 """The caption dataset of a reward model: images, and the spatial relations that the grounding model found in them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from freerein.learning.split import train_validation_split
 from freerein_reward.model import GradCamModel, preprocess
 from freerein_reward.relations import SpatialRelation, absence_caption, caption, classify_relation
 from freerein_reward.training.config import RewardConfig
+from freerein_reward.training.presence import alone_in_place, presence_in_dataset
 
 NO_CAPTION = -1
 """Instead of a relation: no caption mentions this pair, because it is not sure that the image shows both."""
@@ -40,6 +41,7 @@ _MIRRORED = np.array(
     ]
 )
 _IMAGES_AT_ONCE = 256
+_UNSURE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +52,14 @@ class CaptionDataset:
         views: uint8 (N, H, W, 3) per camera.
         phrases: P noun phrases.
         relations: int8 (N, P, P), relation of the row's phrase to the column's, `ABSENT` or `NO_CAPTION`.
+        half_heat: float64 (P,), peak heat from which a phrase is rather shown than not, in units of the grounding
+            model's.
     """
 
     views: tuple[npt.NDArray[np.uint8], ...]
     phrases: tuple[str, ...]
     relations: npt.NDArray[np.int8]
+    half_heat: npt.NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.relations)
@@ -62,21 +67,21 @@ class CaptionDataset:
     def subset(self, items: npt.NDArray[np.int64]) -> "CaptionDataset":
         """Returns the images at some indices, int64 (n,)."""
         views = tuple(view[items] for view in self.views)
-        return CaptionDataset(views, self.phrases, self.relations[items])
+        return replace(self, views=views, relations=self.relations[items])
 
     def mirrored(self, flips: npt.NDArray[np.bool_]) -> "CaptionDataset":
         """Returns the dataset with the images where `flips`, bool (N,), mirrored left to right, captions included."""
         views = tuple(np.where(flips[:, None, None, None], view[:, :, ::-1], view) for view in self.views)
         is_turned = flips[:, None, None] & (self.relations != NO_CAPTION)
         relations = np.where(is_turned, _MIRRORED[self.relations], self.relations).astype(np.int8)
-        return CaptionDataset(views, self.phrases, relations)
+        return replace(self, views=views, relations=relations)
 
     def augmented(self, strength: float, *, generator: torch.Generator) -> "CaptionDataset":
         """Returns the dataset as other cameras would have seen it, the views of an image alike; captions stay."""
         takes = torch.arange(len(self)).repeat(len(self.views))
         frames = torch.from_numpy(np.concatenate(self.views))
         seen = augment_camera(frames, takes, strength=strength, generator=generator).numpy()
-        return CaptionDataset(tuple(np.split(seen, len(self.views))), self.phrases, self.relations)
+        return replace(self, views=tuple(np.split(seen, len(self.views))))
 
     def split(
         self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
@@ -115,12 +120,13 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
     views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
-        relations = cached["relations"].numpy()
+        relations, half_heat = cached["relations"].numpy(), cached["half_heat"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        relations = _relations(views[0], grounding, config, rows)
-        write_atomic(path, tensor_files.dump({"relations": torch.from_numpy(relations)}))
-    return CaptionDataset(views, config.phrases, relations)
+        relations, half_heat = image_relations(*_located(views[0], grounding, config, rows), config)
+        tensors = {"relations": torch.from_numpy(relations), "half_heat": torch.from_numpy(half_heat)}
+        write_atomic(path, tensor_files.dump(tensors))
+    return CaptionDataset(views, config.phrases, relations, half_heat)
 
 
 def ordered_pairs(count: int) -> npt.NDArray[np.int64]:
@@ -165,19 +171,35 @@ def pair_captions(phrases: Sequence[str], pairs: npt.NDArray[np.int64]) -> tuple
     )
 
 
-def _relations(
+def image_relations(
+    x: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
+    heat: npt.NDArray[np.float64],
+    presence: npt.NDArray[np.float64],
+    config: RewardConfig,
+) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float64]]:
+    """Returns the relations, int8 (N, P, P), of phrases that were located in N images, float64 (N, P), and `half_heat`.
+
+    `heat` and `presence` are those of `PhraseLocations`.
+    """
+    judged = presence_in_dataset(heat, presence)
+    is_alone = alone_in_place(x, y, judged.probability, heat, epsilon=config.epsilon)
+    probability = np.where(is_alone, judged.probability, _UNSURE)
+    shown = pairwise_relations(x, y, probability >= config.min_presence, epsilon=config.epsilon)
+    absent = pairwise_absences(probability, least=config.min_presence)
+    return np.where(absent, ABSENT, shown).astype(np.int8), judged.half_heat
+
+
+def _located(
     frames: npt.NDArray[np.uint8], grounding: GradCamModel, config: RewardConfig, rows: MetricsWriter
-) -> npt.NDArray[np.int8]:
-    """Returns the relations, int8 (N, P, P), of frames (N, H, W, 3)."""
-    relations = []
+) -> npt.NDArray[np.float64]:
+    """Returns x, y, heat and presence of each phrase in frames (N, H, W, 3), float64 (4, N, P)."""
+    parts = []
     for start in range(0, len(frames), _IMAGES_AT_ONCE):
         found = grounding.ground(frames[start : start + _IMAGES_AT_ONCE], config.phrases)
-        is_shown = found.presence >= config.min_presence
-        shown = pairwise_relations(found.x, found.y, is_shown, epsilon=config.epsilon)
-        absent = pairwise_absences(found.presence, least=config.min_presence)
-        relations.append(np.where(absent, ABSENT, shown).astype(np.int8))
+        parts.append(np.stack([found.x, found.y, found.heat, found.presence]))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
-    return np.concatenate(relations)
+    return np.concatenate(parts, axis=1)
 
 
 def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:

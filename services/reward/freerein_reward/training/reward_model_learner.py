@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from freerein.learning import weights
-from freerein.learning.augmentation import ramped
+from freerein.learning.augmentation import agreement, ramped
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
@@ -27,9 +28,8 @@ from freerein_reward.training.config import RewardConfig
 State = TrainState[DualEncoder]
 
 _IMAGES_AT_ONCE = 256
-_STEEPNESS = 16.0
-_HALF_HEAT = 0.75
-"""Fraction of the presence heat at which an initialised keypoint is as likely present as absent."""
+_HEAT_FLOOR = 0.5
+"""Heat from which a keypoint counts a cell at first, as a fraction of the peak heat of a phrase that is just shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,26 +54,29 @@ class RewardModelLearner:
         """Returns the initial state, with the image encoder of the grounding model."""
         network = DualEncoder(self.spec)
         weights.initialise(network, generator=generator)
-        init_from_grounding(network, self.grounding, self.config.phrases)
+        init_from_grounding(network, self.grounding, self.training)
         return TrainState.with_adam(channels_last(network.to(self.device)), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
-        batch = self._augment(self.training.subset(items), state)
-        return fit_step(state, _loss(state.network, batch), self.config)
+        batch = self._mirror(self.training.subset(items), state)
+        scores = _scores(state.network, _stacked_views(batch), batch.phrases)
+        loss = relation_cross_entropy(scores, _targets(batch).to(self.device)) + naming_loss(state.network, batch.phrases)
+        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
+        if strength:
+            seen = batch.augmented(strength, generator=state.generator)
+            loss = loss + agreement(_scores(state.network, _stacked_views(seen), batch.phrases), scores)
+        return fit_step(state, loss, self.config)
 
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of the captions of the validation images."""
-        targets = torch.from_numpy(flatten_pairs(self.validation.relations))
-        return relation_cross_entropy(caption_scores(state.network, self.validation), targets).item()
+        return relation_cross_entropy(caption_scores(state.network, self.validation), _targets(self.validation)).item()
 
-    def _augment(self, batch: CaptionDataset, state: State) -> CaptionDataset:
-        """Returns images as other cameras would have seen them; of one view, half of them are mirrored."""
-        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
-        seen = batch.augmented(strength, generator=state.generator)
-        if len(batch.views) > 1:  # several views cannot be mirrored consistently
-            return seen
-        return seen.mirrored(torch.randint(2, (len(batch),), generator=state.generator).bool().numpy())
+    def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
+        """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""
+        if len(batch.views) > 1:
+            return batch
+        return batch.mirrored(torch.randint(2, (len(batch),), generator=state.generator).bool().numpy())
 
 
 def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncoderSpec:
@@ -91,7 +94,7 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
 
 
 @torch.no_grad()
-def init_from_grounding(network: DualEncoder, grounding: GradCamModel, phrases: Sequence[str]) -> None:
+def init_from_grounding(network: DualEncoder, grounding: GradCamModel, dataset: CaptionDataset) -> None:
     """Copies the grounding model's convolutions, and gives each phrase a keypoint with its Grad-CAM weights.
 
     Batch normalisation keeps the statistics of the grounding model: the network stays in evaluation mode.
@@ -100,10 +103,10 @@ def init_from_grounding(network: DualEncoder, grounding: GradCamModel, phrases: 
     for module, source in ((ours.stem, theirs.stem), (ours.layer1, theirs.layer1), (ours.layer2, theirs.layer2)):
         module.load_state_dict(source.state_dict())
     network.eval()
-    scale = _STEEPNESS / grounding.network.spec.presence_heat
-    logits = ours.relation_pool.logits
-    logits.weight.copy_(scale * grounding.channel_weights(phrases))
-    logits.bias.fill_(-_HALF_HEAT * _STEEPNESS)
+    half_heat = torch.from_numpy(dataset.half_heat).float() * grounding.network.spec.presence_heat
+    heat = ours.relation_pool.heat
+    heat.weight.copy_(grounding.channel_weights(dataset.phrases) / half_heat[:, None])
+    heat.bias.fill_(-_HEAT_FLOOR)
 
 
 @torch.no_grad()
@@ -113,10 +116,23 @@ def caption_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
     return torch.cat([_scores(network, part, dataset.phrases).cpu() for part in parts])
 
 
-def _loss(network: DualEncoder, batch: CaptionDataset) -> Tensor:
-    """Returns the cross-entropy of each pair's caption among its rivals: what the reward decides."""
-    targets = torch.from_numpy(flatten_pairs(batch.relations)).to(network.device)  # (N, pairs)
-    return relation_cross_entropy(_scores(network, _stacked_views(batch), batch.phrases), targets)
+def naming_loss(network: DualEncoder, phrases: Sequence[str]) -> Tensor:
+    """Returns the cross-entropy of the phrases that each caption names first and second; they are known from its text.
+
+    Without it, captions of a pair have to be told apart by images before any relation can be learned.
+    """
+    pairs = ordered_pairs(len(phrases))
+    states = network.text.states(network.tokenize(pair_captions(phrases, pairs)))  # (pairs * CAPTIONS, C)
+    named = torch.from_numpy(pairs).repeat_interleave(CAPTIONS, dim=0).to(network.device)  # (pairs * CAPTIONS, 2)
+    head = network.text.relation_head
+    return functional.cross_entropy(head.first(states), named[:, 0]) + functional.cross_entropy(
+        head.second(states), named[:, 1]
+    )
+
+
+def _targets(dataset: CaptionDataset) -> Tensor:
+    """Returns the caption of each pair, int64 (N, pairs)."""
+    return torch.from_numpy(flatten_pairs(dataset.relations))
 
 
 def _scores(network: DualEncoder, views: Tensor, phrases: Sequence[str]) -> Tensor:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.augmentation import ramped
+from freerein.learning.augmentation import agreement, ramped
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -16,7 +15,7 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
-from freerein_segmentation.training.batches import TrajectoryBatch, gather
+from freerein_segmentation.training.batches import gather
 from freerein_segmentation.training.config import SegmentationConfig
 
 State = TrainState[SegmentationNetwork]
@@ -64,10 +63,14 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
-        if state.network.image.is_trained:
-            strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
-            batch = batch.augmented(strength, generator=state.generator)
-        return fit_step(state, self._losses(state.network, batch).mean(), self.config)
+        scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
+        loss = OBJECTIVES[self.config.objective](scores, mask, batch.tags).mean()
+        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
+        if strength and state.network.image.is_trained:
+            seen = batch.augmented(strength, generator=state.generator)
+            again, _ = state.network(seen.frames, seen.actions, seen.lengths)
+            loss = loss + agreement(again[mask], scores[mask])
+        return fit_step(state, loss, self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
@@ -76,9 +79,6 @@ class SegmentationLearner:
         for start in range(0, len(self.validation), self.config.batch_size):
             items = range(start, min(start + self.config.batch_size, len(self.validation)))
             batch = gather(self.validation, items, [0] * len(items), spec=self.spec, device=self.device)
-            losses.append(self._losses(state.network, batch))
+            scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
+            losses.append(OBJECTIVES[self.config.objective](scores, mask, batch.tags))
         return torch.cat(losses).mean().item()
-
-    def _losses(self, network: SegmentationNetwork, batch: TrajectoryBatch) -> Tensor:
-        scores, mask = network(batch.frames, batch.actions, batch.lengths)
-        return OBJECTIVES[self.config.objective](scores, mask, batch.tags)
