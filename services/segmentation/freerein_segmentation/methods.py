@@ -62,5 +62,11 @@ def _card(
 
 METHODS: Methods[SegmentationModel] = Methods(
     "segmentation",
-    MappingProxyType({"set_supervised": Method(SegmentationConfig, _resolve, _prepare, _card, model.load)}),
+    MappingProxyType(
+        {
+            "set_supervised": Method(
+                SegmentationConfig, _resolve, _prepare, _card, model.load, calibrate=SegmentationLearner.calibrate
+            )
+        }
+    ),
 )

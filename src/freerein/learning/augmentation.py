@@ -68,7 +68,7 @@ def ramped(strength: float, *, step: int, steps: int) -> float:
 
 
 def agreement(scores: Tensor, teacher: Tensor) -> Tensor:
-    """Returns the mean cross-entropy of scores (..., K) against what a teacher's scores (..., K) say of the same scenes.
+    """Returns the mean cross-entropy of scores (..., K) against a teacher's scores (..., K) of the same scenes.
 
     The teacher saw the frames as they are, and is not trained by this: what is seen badly learns from what is seen well
     (Xie et al., "Unsupervised data augmentation for consistency training", 2020).

@@ -43,6 +43,7 @@ class Method(Generic[C, L, N, M_co]):
             same name.
         load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
             missing or malformed.
+        calibrate: Sets what a trained network takes from held-out data, before it is saved.
         files: Returns files of the model beside weights and card, by name.
     """
 
@@ -51,6 +52,7 @@ class Method(Generic[C, L, N, M_co]):
     prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
     load: Callable[[Path, str], M_co]
+    calibrate: Callable[[L, N], None] = lambda _learner, _network: None
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
 
 
@@ -94,6 +96,7 @@ class Methods(Generic[M_co]):
             learner = method.prepare(source, config, choose_device(device), **resources)
 
             def save(fitted: FitResult[Any], model: Path) -> None:
+                method.calibrate(learner, fitted.network)
                 for file, data in method.files(learner).items():
                     write_atomic(model / file, data)
                 own = method.card(source, learner, fitted)

@@ -74,6 +74,8 @@ class ActResponse:
         goal_index: Number of goals that are over, reached or abandoned: the index of the current one. It never
             decreases.
         goal_abandoned: Whether a goal was abandoned, now or before.
+        in_distribution: How much the observation is like held-out ones, in [0, 1]; see
+            `freerein.learning.in_distribution`.
         state: The policy state, for the next call. Opaque; at most 64 KiB.
         goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
     """
@@ -82,6 +84,7 @@ class ActResponse:
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
+    in_distribution: float
     state: bytes
     model: ModelRef
     timing: Timing
@@ -149,6 +152,7 @@ class Chunk:
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
+    in_distribution: float
     state: bytes
     observation_time_ns: int
     valid_until_ns: int

@@ -46,6 +46,8 @@ class RewardResponse:
         texts: The goal text, then its rivals, as they were compared: what the grammar can read is in the words of the
             model's training.
         truncated: Whether any text was too long for the model and was truncated.
+        in_distribution: float32 (N,) in [0, 1], how much each answer is like those on held-out data; see
+            `freerein.learning.in_distribution`. Empty for a grounding model.
         unknown: Words of the goal text that the model does not know, distinct and in order; at most 16 of at most 32
             characters each, longer ones cut.
     """
@@ -55,6 +57,7 @@ class RewardResponse:
     winners: npt.NDArray[np.int64]
     texts: tuple[str, ...]
     truncated: bool
+    in_distribution: npt.NDArray[np.float32]
     unknown: tuple[str, ...]
     model: ModelRef
     timing: Timing

@@ -52,11 +52,14 @@ class SegmentResponse:
     Attributes:
         labels: int64 (T,), indices into `skills`.
         confidence: float32 (T,), probability of each label.
+        in_distribution: float32 (T,) in [0, 1], how much each prediction, before smoothing, is like those on held-out
+            data; see `freerein.learning.in_distribution`.
         segments: In order; together they cover [0, T) without gap or overlap.
     """
 
     labels: npt.NDArray[np.int64]
     confidence: npt.NDArray[np.float32]
+    in_distribution: npt.NDArray[np.float32]
     segments: tuple[Segment, ...]
     skills: tuple[str, ...]
     model: ModelRef

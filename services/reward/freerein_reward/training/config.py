@@ -36,7 +36,7 @@ class RewardConfig(DatasetFitConfig):
     """Configuration of a reward model's fit.
 
     Attributes:
-        phrases: Noun phrases of the goal texts, 2 to 32, which must be given; located in frames of the first camera.
+        phrases: Noun phrases of the goal texts, 2 to 16, which must be given; located in frames of the first camera.
         epsilon: Object width as a fraction of the image width: eps of table 4.1.
         min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
         batch_size: Images per optimiser step.
@@ -48,6 +48,7 @@ class RewardConfig(DatasetFitConfig):
     phrases: tuple[str, ...] = ()
     epsilon: float = bounded(0.1, least=0.001, most=0.5)
     min_presence: float = bounded(0.95, least=0.5, most=1.0)
+    steps: int = bounded(600, least=1, most=10_000_000)
     batch_size: int = bounded(128, least=2, most=4096)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)
     warmup_steps: int = bounded(50, least=1, most=1_000_000)

@@ -16,6 +16,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation.core import decoding
+from freerein_segmentation.model import Prediction
 
 MAX_TIMESTEPS = 20_000
 MAX_MIN_SEGMENT = 1_000
@@ -35,8 +36,8 @@ class SkillModel(Protocol):
     camera: Camera
     action: ActionSpec | None
 
-    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1, float32 (T, K), of frames (T, H, W, C) and actions (T, A), in bounded memory."""
+    def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
+        """Returns the prediction for frames (T, H, W, C) and actions (T, A), in bounded memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +47,9 @@ class _Item:
     actions: npt.NDArray[Any] | None
 
 
-Probabilities = npt.NDArray[np.float32]
-
-
-def segment_batch(items: Sequence[_Item]) -> list[Probabilities | ServiceError]:
-    """Returns the skill probabilities of each trajectory, or its error."""
-    return [_check_output(item, item.model.probabilities(item.frames, item.actions)) for item in items]
+def segment_batch(items: Sequence[_Item]) -> list[Prediction | ServiceError]:
+    """Returns the prediction for each trajectory, or its error."""
+    return [_check_output(item, item.model.predict(item.frames, item.actions)) for item in items]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class Segmenter:
     """The core of the segmentation service."""
 
     models: ModelCache[SkillModel]
-    batcher: Batcher[_Item, Probabilities]
+    batcher: Batcher[_Item, Prediction]
     timeout_s: float
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
@@ -86,15 +84,17 @@ class Segmenter:
         timer = CallTimer()
         ref, model, frames = await timer.decode(self._inputs(request))
         item = _Item(model, frames, request.actions if model.action else None)
-        probabilities = await timer.infer(self.batcher.submit(item, key=ref, timeout_s=self.timeout_s))
+        prediction = await timer.infer(self.batcher.submit(item, key=ref, timeout_s=self.timeout_s))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
-            probabilities,
+            prediction.probabilities,
             skills=model.skills,
             smoothing=request.smoothing,
             min_segment=request.min_segment,
         )
-        return SegmentResponse(labels, confidence, segments, model.skills, ref, timer.timing())
+        return SegmentResponse(
+            labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing()
+        )
 
     async def _inputs(self, request: SegmentRequest) -> tuple[ModelRef, SkillModel, npt.NDArray[np.uint8]]:
         _check_options(request)
@@ -104,12 +104,12 @@ class Segmenter:
         return ref, model, frames
 
 
-def _check_output(item: _Item, probabilities: Probabilities) -> Probabilities | ServiceError:
-    expected = (len(item.frames), len(item.model.skills))
-    if probabilities.shape != expected:
-        raise ValueError(f"the model returned {probabilities.shape}, expected {expected}")
-    if np.isfinite(probabilities).all():
-        return probabilities
+def _check_output(item: _Item, prediction: Prediction) -> Prediction | ServiceError:
+    timesteps, skills = len(item.frames), len(item.model.skills)
+    if prediction.probabilities.shape != (timesteps, skills) or prediction.in_distribution.shape != (timesteps,):
+        raise ValueError(f"the model returned {prediction.probabilities.shape}, expected {(timesteps, skills)}")
+    if np.isfinite(prediction.probabilities).all() and np.isfinite(prediction.in_distribution).all():
+        return prediction
     return OutputNotFinite(
         "The model's output must be finite; it overflowed.",
         field="actions",

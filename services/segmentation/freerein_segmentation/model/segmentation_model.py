@@ -1,5 +1,6 @@
 """Inference with a trained segmentation network: numpy in, numpy out."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,20 @@ from freerein.learning import model_files
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 
 _FRAMES_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says of T timesteps.
+
+    Attributes:
+        probabilities: P(y_t = k), eq. 2.1, float32 (T, K).
+        in_distribution: How much each is like those on held-out data, float32 (T,) in [0, 1]; see
+            `freerein.learning.in_distribution`.
+    """
+
+    probabilities: npt.NDArray[np.float32]
+    in_distribution: npt.NDArray[np.float32]
 
 
 class SegmentationModel:
@@ -26,24 +41,26 @@ class SegmentationModel:
         self._device = next(network.parameters()).device
 
     @torch.inference_mode()
-    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
-        """Returns P(y_t = k), eq. 2.1: float32 (T, K), in bounded working memory; see `SkillModel`."""
+    def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
+        """Returns the prediction for a trajectory, in bounded working memory; see `SkillModel`."""
         if actions is None:
             actions = np.zeros((len(frames), 0), np.float32)
         probabilities = np.empty((len(frames), len(self.skills)), np.float32)
+        in_distribution = np.empty(len(frames), np.float32)
         for phase in range(min(self._stride, len(frames))):
-            timesteps = slice(phase, None, self._stride)
-            probabilities[timesteps] = self._strided_probabilities(frames[timesteps], actions[timesteps])
-        return probabilities
+            at = slice(phase, None, self._stride)
+            probabilities[at], in_distribution[at] = self._strided(frames[at], actions[at])
+        return Prediction(probabilities, in_distribution)
 
-    def _strided_probabilities(
+    def _strided(
         self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]
-    ) -> npt.NDArray[np.float32]:
-        """Returns the probabilities of timesteps that are one stride apart, as in training."""
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Returns probabilities and scores of timesteps that are one stride apart, as in training."""
         windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
         features = torch.cat([self._features(frames[at], actions[at]) for at in windows])  # (T, D)
-        probabilities: npt.NDArray[np.float32] = self._network.score(features).softmax(dim=1).cpu().numpy()
-        return probabilities
+        probabilities = self._network.score(features).softmax(dim=1)  # (T, K)
+        scores = self._network.in_distribution(self._network.distance(features), probabilities.amax(dim=1))
+        return probabilities.cpu().numpy(), scores.cpu().numpy()
 
     def _features(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> torch.Tensor:
         """Returns the LSTM's inputs; copies the arrays, because those from the wire are read-only."""

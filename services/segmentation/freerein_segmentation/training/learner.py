@@ -1,5 +1,6 @@
 """The learner of the segmentation network."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy.typing as npt
 import torch
 
 from freerein.learning import weights
-from freerein.learning.augmentation import agreement, ramped
+from freerein.learning.augmentation import agreement, augment_camera, ramped
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -15,12 +16,12 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
-from freerein_segmentation.training.batches import gather
+from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.config import SegmentationConfig
 
 State = TrainState[SegmentationNetwork]
 
-_NORMALISATION_FRAMES = 2000
+_SAMPLED_FRAMES = 2000
 
 
 def network_spec(
@@ -54,7 +55,7 @@ class SegmentationLearner:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
+        sampled = self.training.sample_frames(_SAMPLED_FRAMES)
         frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
         network.image.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
@@ -76,9 +77,30 @@ class SegmentationLearner:
     def evaluate(self, state: State) -> float:
         """Returns the mean loss of the validation trajectories' tags."""
         losses = []
-        for start in range(0, len(self.validation), self.config.batch_size):
-            items = range(start, min(start + self.config.batch_size, len(self.validation)))
-            batch = gather(self.validation, items, [0] * len(items), spec=self.spec, device=self.device)
+        for batch in self._validation_batches():
             scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
             losses.append(OBJECTIVES[self.config.objective](scores, mask, batch.tags))
         return torch.cat(losses).mean().item()
+
+    @torch.no_grad()
+    def calibrate(self, network: SegmentationNetwork) -> None:
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
+        generator = torch.Generator().manual_seed(self.config.seed)
+        sampled = self.training.sample_frames(_SAMPLED_FRAMES)
+        strength = self.config.augmentation if network.image.is_trained else 0.0
+        takes = torch.arange(len(next(iter(sampled.values()))))
+        frames = {
+            camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(self.device)
+            for camera, each in sampled.items()
+        }
+        features, confidence = [], []
+        for batch in self._validation_batches():
+            scores, mask = network(batch.frames, batch.actions, batch.lengths)
+            features.append(network.image(batch.frames))
+            confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
+        network.in_distribution.fit(network.image(frames), torch.cat(features), torch.cat(confidence))
+
+    def _validation_batches(self) -> Iterator[TrajectoryBatch]:
+        for start in range(0, len(self.validation), self.config.batch_size):
+            items = range(start, min(start + self.config.batch_size, len(self.validation)))
+            yield gather(self.validation, items, [0] * len(items), spec=self.spec, device=self.device)

@@ -200,6 +200,7 @@ class ActResponse(_message.Message):
     STATE_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """Whether every goal was reached. Unset where the policy does not predict it: language policies."""
     goal_confidence: _builtins.float
@@ -210,6 +211,10 @@ class ActResponse(_message.Message):
     """Whether a goal was abandoned, now or before."""
     state: _builtins.bytes
     """The policy state, for the next call. Opaque; at most 64 KiB."""
+    in_distribution: _builtins.float
+    """How much the observation is like held-out ones, in [0, 1]: the share of these that were no more familiar. Below 0.05
+    it is probably unlike what the model was fitted on.
+    """
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """FP32 (K, A) in [-1, 1] or INT64 (K, 1); K = 0 when all goals are over: hold."""
@@ -233,10 +238,11 @@ class ActResponse(_message.Message):
         state: _builtins.bytes = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        in_distribution: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "model", b"model", "state", b"state", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "state", b"state", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
@@ -432,6 +438,7 @@ class Chunk(_message.Message):
     VALID_UNTIL_NS_FIELD_NUMBER: _builtins.int
     DROPPED_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """As in ActResponse."""
     goal_confidence: _builtins.float
@@ -448,6 +455,8 @@ class Chunk(_message.Message):
     """Time on the robot's clock after which the chunk must not be executed; the robot holds."""
     dropped: _builtins.int
     """Observations of this stream so far that a newer one replaced."""
+    in_distribution: _builtins.float
+    """As in ActResponse."""
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """As in ActResponse."""
@@ -469,10 +478,11 @@ class Chunk(_message.Message):
         valid_until_ns: _builtins.int = ...,
         dropped: _builtins.int = ...,
         timing: _common_pb2.Timing | None = ...,
+        in_distribution: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "observation_time_ns", b"observation_time_ns", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015

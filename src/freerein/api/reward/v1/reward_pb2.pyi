@@ -139,6 +139,7 @@ class RewardResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     UNKNOWN_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
     """Whether any text was too long for the model and was truncated."""
     @_builtins.property
@@ -175,6 +176,13 @@ class RewardResponse(_message.Message):
         longer ones cut.
         """
 
+    @_builtins.property
+    def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """How much each of N answers is like those on held-out data, in [0, 1]: the share of these that were no more familiar.
+        Below 0.05, the frame is probably unlike what the model was fitted on, or the texts are hard to tell apart in it.
+        Empty for a grounding model.
+        """
+
     def __init__(
         self,
         *,
@@ -186,10 +194,11 @@ class RewardResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         unknown: _abc.Iterable[_builtins.str] | None = ...,
+        in_distribution: _abc.Iterable[_builtins.float] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown", "winners", b"winners"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["in_distribution", b"in_distribution", "model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown", "winners", b"winners"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -115,6 +115,7 @@ class SegmentResponse(_message.Message):
     SKILLS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
         """Index into `skills` of each of T timesteps."""
@@ -139,6 +140,12 @@ class SegmentResponse(_message.Message):
     def timing(self) -> _common_pb2.Timing:
         """Time spent in each stage."""
 
+    @_builtins.property
+    def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """How much each of T predictions, before smoothing, is like those on held-out data, in [0, 1]: the share of these that
+        were no more familiar. Below 0.05, frames or trajectory are probably unlike what the model was fitted on.
+        """
+
     def __init__(
         self,
         *,
@@ -148,10 +155,11 @@ class SegmentResponse(_message.Message):
         skills: _abc.Iterable[_builtins.str] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
+        in_distribution: _abc.Iterable[_builtins.float] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "in_distribution", b"in_distribution", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

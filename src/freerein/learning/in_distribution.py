@@ -1,0 +1,89 @@
+"""How much an answer is like those on held-out data: a score that falls where a model does not know what it sees.
+
+Two things make an answer doubtful: features far from those of held-out frames (Mahalanobis distance; Lee et al., "A
+simple unified framework for detecting out-of-distribution samples", 2018), and little confidence (Hendrycks and Gimpel,
+2017). Both are ranked among held-out answers, so that the score needs no scale and no threshold of its own: it is the
+share of held-out answers that were no less doubtful.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+FLAGGED = 0.05
+"""Answers with a lower score are to be taken as outside of what a model was fitted on: one in twenty held-out ones."""
+
+_QUANTILES = 1001
+_RARE = 0.05
+"""Share of held-out frames beyond whose distance the distance makes an answer doubtful."""
+
+_SHRINKAGE = 0.01
+"""Share of the mean variance that is added to every direction, so that few frames give a usable covariance."""
+
+
+class InDistribution(nn.Module):
+    """Scores answers by the distance of their features and by their confidence; it is fitted, not trained.
+
+    Args:
+        features: D, number of features.
+
+    Until `fit` every score is 1.
+    """
+
+    mean: Tensor
+    whitening: Tensor
+    distances: Tensor
+    confidences: Tensor
+    familiarities: Tensor
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("whitening", torch.zeros(features, features))
+        for name in ("distances", "confidences", "familiarities"):
+            self.register_buffer(name, torch.zeros(_QUANTILES))
+
+    @torch.no_grad()
+    def fit(self, known: Tensor, features: Tensor, confidence: Tensor) -> None:
+        """Sets what scores are relative to.
+
+        Args:
+            known: Features of frames that the network was fitted on, augmented as in the fit, float32 (M, D).
+            features: Features of held-out answers, the frames as they are, float32 (N, D).
+            confidence: Confidence of these answers, float32 (N,); all 1 for a model without.
+        """
+        self.mean.copy_(known.mean(dim=0))
+        covariance = torch.cov(known.double().T, correction=0).reshape(len(self.mean), -1)
+        ridge = _SHRINKAGE * covariance.diagonal().mean().clamp(min=1e-12)
+        ridged = covariance + ridge * torch.eye(len(self.mean), dtype=torch.float64, device=covariance.device)
+        self.whitening.copy_(torch.linalg.inv(torch.linalg.cholesky(ridged)).T / math.sqrt(len(self.mean)))
+        self.distances.copy_(_quantiles(self.distance(known)))
+        self.confidences.copy_(_quantiles(confidence))
+        self.familiarities.copy_(_quantiles(self._familiarity(self.distance(features), confidence)))
+
+    def distance(self, features: Tensor) -> Tensor:
+        """Returns the root mean square of whitened features, float32 (N,), of features (N, D); typically near 1."""
+        distance: Tensor = ((features - self.mean) @ self.whitening).norm(dim=1)
+        return distance
+
+    def forward(self, distance: Tensor, confidence: Tensor) -> Tensor:
+        """Returns scores in [0, 1], float32 (N,), of answers with some distances and confidences, float32 (N,) each."""
+        return _share_up_to(self.familiarities, self._familiarity(distance, confidence))
+
+    def _familiarity(self, distance: Tensor, confidence: Tensor) -> Tensor:
+        """Returns the smaller of two ranks, float32 (N,): of the confidence, and of a distance among the rare ones."""
+        nearness = _share_up_to(-self.distances.flip(0), -distance) / _RARE
+        return torch.minimum(nearness, _share_up_to(self.confidences, confidence))
+
+
+def _quantiles(values: Tensor) -> Tensor:
+    """Returns `_QUANTILES` evenly spaced quantiles of values (N,), ascending; without the limits of torch's own."""
+    ordered = values.float().sort().values
+    places = torch.linspace(0, len(ordered) - 1, _QUANTILES, device=values.device).round().long()
+    return ordered[places]
+
+
+def _share_up_to(quantiles: Tensor, values: Tensor) -> Tensor:
+    """Returns the share of quantiles that are at most each value, float32 (N,)."""
+    return torch.searchsorted(quantiles, values.float().contiguous(), right=True) / len(quantiles)
