@@ -12,6 +12,7 @@ from PIL import Image
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.sim import DemonstrateRequest, Recipe
+from freerein_sim.workers import snapshots
 from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.workers.handler import RequestHandler
 from freerein_sim.workers.vector_env import VectorEnv
@@ -19,6 +20,8 @@ from freerein_sim.worlds import blocks, camera_effects, grid, pendulum
 from freerein_sim.worlds.blocks import scene
 from freerein_sim.worlds.blocks.relations import is_visible
 from freerein_sim.worlds.camera_effects import EFFECTS
+from freerein_sim.worlds.grid import GridWorld
+from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import TaskDefinition, World
 
@@ -151,6 +154,18 @@ def test_the_expert_travels_at_its_speed(speed: str, steps: tuple[float, float])
     assert steps[0] < lengths[1] / lengths[0] < steps[1]
 
 
+def test_at_half_the_speed_demonstrations_may_take_twice_as_long_and_sessions_may_not() -> None:
+    slow, nominal = ("speed-0.5",), TASKS["blocks"].spec.max_episode_steps
+    envs = VectorEnv(TASKS["blocks"], num_envs=1, seed=0, conditions=slow)
+    with closing(build(TASKS["blocks"], slow)) as world, closing(envs):
+        made = make_demonstration(world, DemonstrateRequest("blocks", "expert", min_skills=4, count=1))
+        envs.reset()
+        truncated = [envs.step(np.zeros((1, 3), np.float32)).truncated[0] for _ in range(nominal)]
+
+    assert nominal < len(made.trajectory.actions) <= world.spec.max_episode_steps == 2 * nominal
+    assert truncated == [False] * (nominal - 1) + [True]
+
+
 def test_a_recipe_that_names_a_hidden_block_is_refused_and_makes_no_expert() -> None:
     envs = VectorEnv(TASKS["blocks"], num_envs=2, seed=0, privileged=True, conditions=("blocks-2",))
     states = envs.reset().truth.state[:, 3:].reshape(2, len(blocks.COLOURS), 7)
@@ -219,6 +234,25 @@ def test_a_snapshot_restores_only_under_its_conditions_in_any_order() -> None:
     for other in (envs(), envs("blur"), envs("blur", "cool")):
         with pytest.raises(FailedPrecondition, match="conditions"):
             other.restore(snapshot)
+
+
+def test_a_restored_session_under_conditions_counts_on_and_a_miscounted_one_is_refused() -> None:
+    task = replace(TASKS["grid"], make=lambda: ReplayedWorld(GridWorld(indicator=True)))
+    envs, other = (VectorEnv(task, num_envs=1, seed=seed, conditions=("blur",)) for seed in (0, 1))
+    still, longest = np.array([[grid.PICK_UP]]), task.spec.max_episode_steps
+    for each, steps in ((envs, 3), (other, 1)):
+        each.reset()
+        for _ in range(steps):
+            each.step(still)
+
+    snapshot = envs.snapshot()
+    other.restore(snapshot)
+    decoded = snapshots.decode(snapshot)
+    miscounted = replace(decoded, envs=(replace(decoded.envs[0], steps=2),))
+
+    assert [other.step(still).truncated[0] for _ in range(longest - 3)] == [False] * (longest - 4) + [True]
+    with pytest.raises(InvalidInput, match="got 2 for 3"):
+        other.restore(snapshots.encode(miscounted))
 
 
 def test_a_task_whose_cameras_see_no_rgb_declares_no_effects() -> None:
