@@ -67,7 +67,7 @@ async def _measure_case(case: _Case, model: SegmentationModel, address: str, url
         png_request = replace(request, frames=None, images=tuple(map(images.encode, case.frames)))
 
         async def bare() -> Labels:
-            labels: Labels = model.probabilities(case.frames, case.actions).argmax(axis=1)
+            labels: Labels = model.predict(case.frames, case.actions).probabilities.argmax(axis=1)
             return labels
 
         async def grpc() -> Labels:

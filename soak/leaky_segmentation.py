@@ -14,6 +14,7 @@ from freerein.serving.metrics import Metrics
 from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.core import SkillModel
 from freerein_segmentation.methods import METHODS
+from freerein_segmentation.model import Prediction
 
 LEAKED_BYTES = 16 * 2**10
 
@@ -30,10 +31,10 @@ class LeakyModel:
         self.skills, self.camera, self.action = model.skills, model.camera, model.action
         self._kept: list[bytearray] = []
 
-    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
+    def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
         """Returns the model's answer."""
         self._kept.append(bytearray(b"x" * LEAKED_BYTES))
-        return self._model.probabilities(frames, actions)
+        return self._model.predict(frames, actions)
 
 
 def build_leaky(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:

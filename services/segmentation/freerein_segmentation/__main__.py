@@ -46,7 +46,7 @@ def _warm(loaded: SkillModel) -> SkillModel:
     """Returns a model after its first, slow call."""
     camera, action = loaded.camera, loaded.action
     frames = np.zeros((1, camera.height, camera.width, camera.channels), np.uint8)
-    loaded.probabilities(frames, np.zeros((1, action.size), action.dtype) if action else None)
+    loaded.predict(frames, np.zeros((1, action.size), action.dtype) if action else None)
     return loaded
 
 

@@ -12,7 +12,7 @@ from freerein.errors import OutputNotFinite, ServiceError
 from freerein.types.common import ModelRef
 from freerein_reward.core.goal_cache import GoalCache, GoalEmbedding
 from freerein_reward.core.models import GroundingModel, RewardModel
-from freerein_reward.model import PhraseLocations
+from freerein_reward.model import ImageEmbeddings, PhraseLocations
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,11 @@ class ScoreItem:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Embeddings of K texts, and their similarities to frames, float32 (N, K) in [-1, 1]."""
+    """Embeddings of K texts, their similarities to frames, float32 (N, K) in [-1, 1], and the answers' scores (N,)."""
 
     goals: tuple[GoalEmbedding, ...]
     similarities: npt.NDArray[np.float32]
+    in_distribution: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,32 +66,35 @@ class Inference:
         outputs: list[InferenceOutput | ServiceError] = []
         for item in items:
             embeddings = next(frames) if item.views is not None else None
-            outputs.append(_scores(tuple(goals[text] for text in item.texts), embeddings))
+            outputs.append(_scores(model, tuple(goals[text] for text in item.texts), embeddings))
         return outputs
 
 
-def _embed_images(
-    model: RewardModel, groups: Sequence[Mapping[str, npt.NDArray[np.uint8]]]
-) -> list[npt.NDArray[np.float32]]:
-    """Returns the embeddings (N, D) of each group of views, computed in one batch."""
+def _embed_images(model: RewardModel, groups: Sequence[Mapping[str, npt.NDArray[np.uint8]]]) -> list[ImageEmbeddings]:
+    """Returns the embeddings of each group of views, computed in one batch."""
     if not groups:
         return []
     counts = [len(next(iter(views.values()))) for views in groups]
     embeddings = model.embed_images({name: np.concatenate([views[name] for views in groups]) for name in groups[0]})
-    if embeddings.ndim != 2 or len(embeddings) != sum(counts):
-        raise ValueError(f"the model returned {embeddings.shape} for {sum(counts)} frames")
-    return np.split(embeddings, np.cumsum(counts)[:-1])
+    vectors, distances = embeddings.vectors, embeddings.distances
+    if vectors.ndim != 2 or not len(vectors) == len(distances) == sum(counts):
+        raise ValueError(f"the model returned {vectors.shape} and {distances.shape} for {sum(counts)} frames")
+    ends = np.cumsum(counts)[:-1]
+    return [ImageEmbeddings(*each) for each in zip(np.split(vectors, ends), np.split(distances, ends), strict=True)]
 
 
-def _scores(goals: tuple[GoalEmbedding, ...], frames: npt.NDArray[np.float32] | None) -> Scores | OutputNotFinite:
+def _scores(
+    model: RewardModel, goals: tuple[GoalEmbedding, ...], frames: ImageEmbeddings | None
+) -> Scores | OutputNotFinite:
     if not all(np.isfinite(goal.vector).all() for goal in goals):
         return _overflowed("goal_text", "Rephrase the text.")
     if frames is None:
-        return Scores(goals, np.empty((0, len(goals)), np.float32))
-    if not np.isfinite(frames).all():
+        return Scores(goals, np.empty((0, len(goals)), np.float32), np.empty(0, np.float32))
+    if not (np.isfinite(frames.vectors).all() and np.isfinite(frames.distances).all()):
         return _overflowed("frames", "Send frames like the training data.")
     texts = np.stack([goal.vector for goal in goals])  # (K, D)
-    return Scores(goals, np.clip(frames.astype(np.float32) @ texts.T, -1.0, 1.0))
+    similarities = np.clip(frames.vectors.astype(np.float32) @ texts.T, -1.0, 1.0)
+    return Scores(goals, similarities, model.in_distribution(frames.distances, similarities))
 
 
 def _ground(item: GroundItem) -> InferenceOutput | ServiceError:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.types.common import ModelRef
 from freerein_reward.goal_text import Grammar
-from freerein_reward.model import PhraseLocations
+from freerein_reward.model import ImageEmbeddings, PhraseLocations
 
 
 @runtime_checkable
@@ -27,13 +27,23 @@ class RewardModel(Protocol):
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""
 
-    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
-        """Returns embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
+    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:
+        """Returns what the model keeps of frames by camera, uint8 (N, H, W, 3)."""
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Returns embeddings, float32 (K, D), and whether each text was truncated, bool (K,).
 
         Their products with embeddings of images are similarities in [-1, 1].
+        """
+
+    def in_distribution(
+        self, distances: npt.NDArray[np.float32], similarities: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Returns how much each answer is like held-out ones, float32 (N,), or (0,) for a model without the score.
+
+        Args:
+            distances: Those of `ImageEmbeddings`, float32 (N,).
+            similarities: Of each image with each of K rival texts, float32 (N, K).
         """
 
 

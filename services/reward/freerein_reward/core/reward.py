@@ -69,6 +69,7 @@ class RewardCore:
             winners=winners,
             texts=texts,
             truncated=any(text.truncated for text in parts[0].goals),
+            in_distribution=np.concatenate([part.in_distribution for part in parts]),
             unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),

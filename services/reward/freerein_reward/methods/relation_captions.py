@@ -58,4 +58,6 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
     }
 
 
-RELATION_CAPTIONS = Method(RewardConfig, _resolve, _prepare, _card, load_reward_model)
+RELATION_CAPTIONS = Method(
+    RewardConfig, _resolve, _prepare, _card, load_reward_model, calibrate=RewardModelLearner.calibrate
+)

@@ -3,6 +3,7 @@
 from freerein_reward.model.dual_encoder import DualEncoder as DualEncoder
 from freerein_reward.model.dual_encoder import channels_last as channels_last
 from freerein_reward.model.dual_encoder_model import DualEncoderModel as DualEncoderModel
+from freerein_reward.model.dual_encoder_model import ImageEmbeddings as ImageEmbeddings
 from freerein_reward.model.dual_encoder_model import preprocess as preprocess
 from freerein_reward.model.grounding import GradCamModel as GradCamModel
 from freerein_reward.model.grounding import PhraseLocations as PhraseLocations

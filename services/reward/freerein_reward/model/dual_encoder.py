@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.learning.in_distribution import InDistribution
 from freerein_reward.model.image_encoder import ClipImageEncoder
 from freerein_reward.model.spec import DualEncoderSpec
 from freerein_reward.model.text_encoder import ClipTextEncoder
@@ -29,11 +30,19 @@ class DualEncoder(nn.Module):
         self.image = ClipImageEncoder(spec)
         self.text = ClipTextEncoder(spec, tokens=self.tokenizer.size)
         self.temperature = Temperature()
+        self.in_distribution = InDistribution(self.image.channels) if spec.phrases else None
 
     def embed_images(self, views: Tensor) -> Tensor:
         """Returns the embeddings, float32 (N, D), of V camera views, uint8 (N, V, image_size, image_size, 3)."""
-        embeddings = self.image(views.flatten(end_dim=1)).unflatten(0, views.shape[:2]).mean(dim=1)  # (N, D)
-        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1)
+        return self.see(views)[0]
+
+    def see(self, views: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the embeddings (N, D) of views as `embed_images` does, and mean image features, float32 (N, C)."""
+        maps = self.image.feature_maps(views.flatten(end_dim=1))  # (N * V, C, h, w)
+        embeddings, features = (
+            each.unflatten(0, views.shape[:2]).mean(dim=1) for each in (self.image.pool(maps), maps.mean(dim=(2, 3)))
+        )
+        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1), features
 
     def embed_texts(self, ids: Tensor) -> Tensor:
         """Returns the embeddings, float32 (K, D), of tokens int64 (K, L). Similarities with images are in [-1, 1]."""

@@ -1,6 +1,7 @@
 """Inference with a trained dual encoder: numpy in, numpy out."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,19 @@ from freerein_reward.model.dual_encoder import DualEncoder, channels_last
 
 _IMAGES_AT_ONCE = 16
 """Their feature maps fit a core's cache; larger batches take longer per image."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageEmbeddings:
+    """What a model keeps of N moments.
+
+    Attributes:
+        vectors: Embeddings, float32 (N, D).
+        distances: How far the images' features are from those of the fit, float32 (N,); 0 for a grounding model.
+    """
+
+    vectors: npt.NDArray[np.float32]
+    distances: npt.NDArray[np.float32]
 
 
 class DualEncoderModel:
@@ -27,13 +41,31 @@ class DualEncoderModel:
         return preprocess(image, size=self.network.spec.image_size)
 
     @torch.inference_mode()
-    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
-        """Returns embeddings, float32 (N, D), of frames by camera, uint8 (N, H, W, 3)."""
+    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:
+        """Returns what a model keeps of frames by camera, uint8 (N, H, W, 3)."""
         stacked = np.stack([views[camera] for camera in self.cameras], axis=1)  # (N, V, H, W, 3)
         parts = torch.split(torch.from_numpy(stacked), _IMAGES_AT_ONCE)
-        embeddings = torch.cat([self.network.embed_images(part.to(self.network.device)) for part in parts])
-        array: npt.NDArray[np.float32] = embeddings.cpu().numpy()
-        return array
+        seen = [self.network.see(part.to(self.network.device)) for part in parts]
+        vectors, features = (torch.cat(each) for each in zip(*seen, strict=True))
+        score = self.network.in_distribution
+        distances = score.distance(features) if score else features.new_zeros(len(features))
+        return ImageEmbeddings(vectors.cpu().numpy(), distances.cpu().numpy())
+
+    @torch.inference_mode()
+    def in_distribution(
+        self, distances: npt.NDArray[np.float32], similarities: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Returns how much each answer is like held-out ones, float32 (N,), or (0,) for a grounding model.
+
+        `distances` are those of `ImageEmbeddings`, (N,); `similarities` those of the K texts that rival, (N, K).
+        """
+        score = self.network.in_distribution
+        if score is None:
+            return np.empty(0, np.float32)
+        scores = self.network.temperature(torch.from_numpy(similarities).to(self.network.device))
+        distance = torch.from_numpy(distances).to(self.network.device)
+        found: npt.NDArray[np.float32] = score(distance, scores.softmax(dim=1).amax(dim=1)).cpu().numpy()
+        return found
 
     @torch.inference_mode()
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:

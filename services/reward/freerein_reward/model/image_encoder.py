@@ -21,18 +21,24 @@ _HALF_MASS = 0.5
 
 
 class ClipImageEncoder(nn.Module):
-    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
+    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution.
+
+    Attributes:
+        channels: C, the feature map's.
+    """
 
     def __init__(self, spec: DualEncoderSpec) -> None:
         super().__init__()
-        width, channels = spec.width, 2 * _EXPANSION * spec.width
+        width, self.channels = spec.width, 2 * _EXPANSION * spec.width
         self.stem = _stem(width)
         self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
         self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
         self.pool: AttentionPool | RelationPool = (
-            RelationPool(channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
+            RelationPool(
+                self.channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim
+            )
             if spec.phrases
-            else AttentionPool(channels, embedding_dim=spec.embedding_dim)
+            else AttentionPool(self.channels, embedding_dim=spec.embedding_dim)
         )
 
     def forward(self, images: Tensor) -> Tensor:
@@ -127,7 +133,8 @@ class RelationPool(nn.Module):
         heat = self.heat(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2).relu().square()  # (N, P, S)
         share = heat / (heat.sum(dim=2, keepdim=True) + _HALF_MASS)
         rows, columns = ((torch.arange(cells, device=maps.device) + 0.5) / cells * 2 - 1 for cells in maps.shape[2:])
-        return share @ functional.pad(torch.cartesian_prod(rows, columns), (0, 1), value=1.0)
+        keypoints: Tensor = share @ functional.pad(torch.cartesian_prod(rows, columns), (0, 1), value=1.0)
+        return keypoints
 
 
 class Bottleneck(nn.Module):

@@ -123,7 +123,8 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
         relations, half_heat = cached["relations"].numpy(), cached["half_heat"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        relations, half_heat = image_relations(*_located(views[0], grounding, config, rows), config)
+        x, y, heat, presence = _located(views[0], grounding, config, rows)
+        relations, half_heat = image_relations(x, y, heat, presence, config)
         tensors = {"relations": torch.from_numpy(relations), "half_heat": torch.from_numpy(half_heat)}
         write_atomic(path, tensor_files.dump(tensors))
     return CaptionDataset(views, config.phrases, relations, half_heat)

@@ -14,6 +14,7 @@ _GROUPS_SPREAD = 0.2
 0.25: those are no groups."""
 
 _MIN_STD = 0.05
+"""Least standard deviation of a group, and of all images: one that is the same everywhere is no group."""
 
 Array = npt.NDArray[np.float64]
 
@@ -43,9 +44,7 @@ def presence_in_dataset(heat: Array, presence: Array) -> Presence:
     return Presence(np.stack(probability, axis=1), np.square(half))
 
 
-def alone_in_place(
-    x: Array, y: Array, presence: Array, heat: Array, *, epsilon: float
-) -> npt.NDArray[np.bool_]:
+def alone_in_place(x: Array, y: Array, presence: Array, heat: Array, *, epsilon: float) -> npt.NDArray[np.bool_]:
     """Returns whether no other phrase is present less than an object's width away with more heat, bool (N, P).
 
     Two objects are not in one place: the weaker of two phrases there may be a part of the other's object.
@@ -76,7 +75,7 @@ def _judge(values: Array, presence: Array) -> tuple[Array, float]:
     below = squares[:-1] - sums[:-1] ** 2 / sizes
     above = squares[-1] - squares[:-1] - (sums[-1] - sums[:-1]) ** 2 / sizes[::-1]
     spread = below + above  # (N - 1,), sum of squares within the groups
-    if not len(spread) or spread.min() > _GROUPS_SPREAD * len(values) * values.var():
+    if values.std() < _MIN_STD or spread.min() > _GROUPS_SPREAD * len(values) * values.var():
         return presence, max(1.0, float(np.median(values)) / 2)
     at = int(spread.argmin()) + 1
     low, high = ordered[:at], ordered[at:]

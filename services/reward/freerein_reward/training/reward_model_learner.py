@@ -28,6 +28,7 @@ from freerein_reward.training.config import RewardConfig
 State = TrainState[DualEncoder]
 
 _IMAGES_AT_ONCE = 256
+_SAMPLED_IMAGES = 2000
 _HEAT_FLOOR = 0.5
 """Heat from which a keypoint counts a cell at first, as a fraction of the peak heat of a phrase that is just shown."""
 
@@ -61,7 +62,8 @@ class RewardModelLearner:
         """Returns the state after one optimiser step on some images, and its `train_loss`."""
         batch = self._mirror(self.training.subset(items), state)
         scores = _scores(state.network, _stacked_views(batch), batch.phrases)
-        loss = relation_cross_entropy(scores, _targets(batch).to(self.device)) + naming_loss(state.network, batch.phrases)
+        loss = relation_cross_entropy(scores, _targets(batch).to(self.device))
+        loss = loss + naming_loss(state.network, batch.phrases)
         strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
@@ -71,6 +73,18 @@ class RewardModelLearner:
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of the captions of the validation images."""
         return relation_cross_entropy(caption_scores(state.network, self.validation), _targets(self.validation)).item()
+
+    @torch.no_grad()
+    def calibrate(self, network: DualEncoder) -> None:
+        """Fits the network's in-distribution score, to training images as they were seen and to held-out ones."""
+        generator = torch.Generator().manual_seed(self.config.seed)
+        sampled = np.linspace(0, self.size - 1, min(self.size, _SAMPLED_IMAGES)).round().astype(np.int64)
+        known = self.training.subset(sampled).augmented(self.config.augmentation, generator=generator)
+        confidence = caption_scores(network, self.validation).softmax(dim=2).amax(dim=2)  # (N, pairs), an answer each
+        features = _features(network, self.validation).repeat_interleave(confidence.shape[1], dim=0)
+        if network.in_distribution is None:
+            raise TypeError("This network has no in-distribution score; expected a model of relations.")
+        network.in_distribution.fit(_features(network, known), features, confidence.flatten().to(self.device))
 
     def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""
@@ -114,6 +128,12 @@ def caption_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
     """Returns the scaled similarity of images and the captions of each pair, float32 (N, pairs, `CAPTIONS`)."""
     parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
     return torch.cat([_scores(network, part, dataset.phrases).cpu() for part in parts])
+
+
+def _features(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
+    """Returns the mean image features, float32 (N, C)."""
+    parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
+    return torch.cat([network.see(part.to(network.device))[1] for part in parts])
 
 
 def naming_loss(network: DualEncoder, phrases: Sequence[str]) -> Tensor:

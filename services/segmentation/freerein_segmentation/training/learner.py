@@ -90,7 +90,9 @@ class SegmentationLearner:
         strength = self.config.augmentation if network.image.is_trained else 0.0
         takes = torch.arange(len(next(iter(sampled.values()))))
         frames = {
-            camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(self.device)
+            camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(
+                self.device
+            )
             for camera, each in sampled.items()
         }
         features, confidence = [], []
