@@ -44,7 +44,10 @@ class Waving:
         after = recurrent + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
         actions = after[:, :, None] * np.ones((1, 2, 2), np.float32)
         return PolicyOutput(
-            actions.astype(np.float32), (seen == goals).all(axis=1).astype(np.float32), after.astype(np.float32)
+            actions.astype(np.float32),
+            (seen == goals).all(axis=1).astype(np.float32),
+            after.astype(np.float32),
+            (1 / (1 + seen[:, 0])).astype(np.float32),
         )
 
 

@@ -74,6 +74,7 @@ class ActService:
             goal_confidence=result.confidence,
             goal_index=result.state.goal_index,
             goal_abandoned=result.state.abandoned,
+            in_distribution=result.in_distribution,
             state=context.encode_state(result.state),
             model=model,
             timing=timing(start_ns, decode_ns, done),

@@ -118,6 +118,7 @@ class _ControlSession:
             goal_confidence=result.confidence,
             goal_index=result.state.goal_index,
             goal_abandoned=result.state.abandoned,
+            in_distribution=result.in_distribution,
             state=self._context.encode_state(result.state),
             observation_time_ns=observed.observation_time_ns,
             valid_until_ns=min(observed.observation_time_ns + round(self._valid_for_s * 1e9), _LAST_NS),

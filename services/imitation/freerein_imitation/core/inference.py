@@ -59,21 +59,24 @@ class InferenceResult:
         actions: float32 (K, A) or int64 (K, 1); K = 0 when all goals are over.
         reached: Whether all goals were reached; None where the policy does not predict it.
         confidence: Probability that the observation reaches the goal that was current.
+        in_distribution: How much the observation, with that goal, is like held-out ones, in [0, 1].
         state: Policy state after the observation.
     """
 
     actions: npt.NDArray[Any]
     reached: bool | None
     confidence: float
+    in_distribution: float
     state: PolicyState
 
 
 class _Row(NamedTuple):
-    """A policy's output for one request: actions (K, A), probability, recurrent state (R,)."""
+    """A policy's output for one request: actions (K, A), probability, recurrent state (R,), in-distribution score."""
 
     actions: npt.NDArray[Any]
     reached: float
     recurrent: npt.NDArray[np.float32]
+    in_distribution: float
 
 
 class PolicyRunner:
@@ -111,7 +114,9 @@ class PolicyRunner:
         _check_shapes(policy, output, len(requests))
         finite = _finite(output)
         return [
-            _Row(output.actions[i], float(output.reached[i]), output.recurrent[i]) if finite[i] else _not_finite()
+            _Row(output.actions[i], float(output.reached[i]), output.recurrent[i], float(output.in_distribution[i]))
+            if finite[i]
+            else _not_finite()
             for i in range(len(requests))
         ]
 
@@ -144,19 +149,23 @@ def _stack_frames(frames: Sequence[CameraFrames]) -> CameraFrames:
 
 def _check_shapes(policy: Policy, output: PolicyOutput, batch: int) -> None:
     spec = policy.spec
-    expected = ((batch, spec.horizon, spec.action.size), (batch,), (batch, spec.recurrent_size))
-    got = (output.actions.shape, output.reached.shape, output.recurrent.shape)
+    expected = ((batch, spec.horizon, spec.action.size), (batch,), (batch, spec.recurrent_size), (batch,))
+    got = tuple(array.shape for array in _arrays(output))
     if got != expected:
         raise ValueError(f"the policy's output must have shapes {expected}; got {got}")
 
 
 def _finite(output: PolicyOutput) -> Sequence[bool]:
     """Tells for each request whether the policy's output is finite."""
-    arrays = (output.actions, output.reached, output.recurrent)
+    arrays = _arrays(output)
     if math.isfinite(sum(np.vdot(array, array) for array in arrays)):
         return [True] * len(output.reached)  # a sum of squares takes a third of the time of testing each number
     finite = [np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in arrays]
     return [bool(each) for each in np.logical_and.reduce(finite)]
+
+
+def _arrays(output: PolicyOutput) -> tuple[npt.NDArray[Any], ...]:
+    return output.actions, output.reached, output.recurrent, output.in_distribution
 
 
 def _not_finite() -> OutputNotFinite:
@@ -194,7 +203,7 @@ def _result(
     is_over = state.goal_index == len(request.goals)
     reached = is_over and not state.abandoned if request.policy.spec.predicts_reached else None
     if is_over:
-        return InferenceResult(last.actions[:0], reached, first.reached, state)
+        return InferenceResult(last.actions[:0], reached, first.reached, first.in_distribution, state)
     if last is not first:
         state = replace(state, recurrent=last.recurrent)
-    return InferenceResult(last.actions, reached, first.reached, state)
+    return InferenceResult(last.actions, reached, first.reached, first.in_distribution, state)

@@ -56,4 +56,4 @@ def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:
     )
 
 
-METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load)
+METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load, SkillsLearner.calibrate)

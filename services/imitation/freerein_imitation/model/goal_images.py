@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
+from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
 
 _MAX_LOGIT = 5.0  # the recognizer's, of two equal images
 _ENCODE_BATCH = 256
@@ -89,6 +90,7 @@ class GoalImagesNetwork(nn.Module):
         self.spec = spec
         self.policy = policy
         self.recognizer = GoalRecognizer(spec)
+        self.in_distribution = InDistribution(policy.encoder.size)
 
     def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
@@ -148,17 +150,17 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
-        """Returns actions and the probability that the goal is reached; arguments as in `Policy.step`."""
-        policy = self._network.policy
-        goal, seen, features = self._tensor(goals), self._encode(frames), policy.encoder.size
-        logits, state = policy.step(
-            seen[:, :features], goal[:, :features], self._tensor(previous), self._tensor(recurrent)
-        )
-        reached = proximity_logit(seen[:, features:], goal[:, features:]).sigmoid()
+        """Returns the output for B observations; arguments as in `Policy.step`."""
+        policy, score = self._network.policy, self._network.in_distribution
+        goal, seen, size = self._tensor(goals), self._encode(frames), policy.encoder.size
+        features = seen[:, :size]
+        logits, state = policy.step(features, goal[:, :size], self._tensor(previous), self._tensor(recurrent))
+        reached = proximity_logit(seen[:, size:], goal[:, size:]).sigmoid()
         return PolicyOutput(
             actions=action_bins.decode(logits, choices=self.spec.action.choices).cpu().numpy(),
             reached=reached.cpu().numpy(),
             recurrent=state.cpu().numpy(),
+            in_distribution=score(score.distance(features), confidence(reached)).cpu().numpy(),
         )
 
     def _encode(self, frames: CameraFrames) -> Tensor:

@@ -21,6 +21,7 @@ from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
 from freerein_imitation.model.text_encoder import TextEncoder
@@ -75,6 +76,7 @@ class LanguageNetwork(nn.Module):
         self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
+        self.in_distribution = InDistribution(self.encoder.size)
         self.register_buffer("text_mean", torch.zeros(spec.text_size))
         self.register_buffer("text_basis", torch.zeros(spec.text_size, spec.text_components))
 
@@ -98,10 +100,14 @@ class LanguageNetwork(nn.Module):
             frames: By camera, uint8 (B, H, W, C).
             texts: Text embeddings, float32 (B, text_size).
         """
+        return self.act(self.encoder(frames), texts)
+
+    def act(self, features: Tensor, texts: Tensor) -> Tensor:
+        """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
         text = functional.relu(self.text_layer((texts - self.text_mean) @ self.text_basis))  # (B, text_features)
         scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
-        features = self.encoder(frames) * (1 + scale) + shift  # (B, D)
-        hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(features))))  # (B, hidden_size)
+        modulated = features * (1 + scale) + shift  # (B, D)
+        hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
         action: Tensor = self.action_head(hidden)  # (B, A or choices)
         return action[:, None] if self.spec.action.choices else action
 
@@ -170,10 +176,17 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
-        """Returns actions; arguments as in `Policy.step`. `previous` is not used."""
-        actions = self._network(self._tensors(frames), self._tensor(goals))
+        """Returns the output for B observations; arguments as in `Policy.step`. `previous` is not used."""
+        features, score = self._network.encoder(self._tensors(frames)), self._network.in_distribution
+        actions = self._network.act(features, self._tensor(goals))
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
-        return PolicyOutput(chosen[:, None].cpu().numpy(), np.zeros(len(previous), np.float32), recurrent)
+        distance = score.distance(features)
+        return PolicyOutput(
+            actions=chosen[:, None].cpu().numpy(),
+            reached=np.zeros(len(previous), np.float32),
+            recurrent=recurrent,
+            in_distribution=score(distance, torch.ones_like(distance)).cpu().numpy(),
+        )
 
 
 def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:

@@ -104,11 +104,14 @@ class PolicyOutput:
         actions: The next actions, float32 (B, K, A) in [-1, 1], or int64 (B, K, 1) when discrete.
         reached: Probability that each observation is at its goal, float32 (B,).
         recurrent: Recurrent state after this step, float32 (B, R).
+        in_distribution: How much each observation is like held-out ones, float32 (B,) in [0, 1]; see
+            `freerein.learning.in_distribution`.
     """
 
     actions: npt.NDArray[Any]
     reached: npt.NDArray[np.float32]
     recurrent: npt.NDArray[np.float32]
+    in_distribution: npt.NDArray[np.float32]
 
 
 class Policy(Protocol):
@@ -128,7 +131,7 @@ class Policy(Protocol):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
-        """Returns actions and the probability that the goal is reached.
+        """Returns actions, the probability that the goal is reached, and the in-distribution score.
 
         Args:
             frames: By camera, uint8 (B, H, W, C).
@@ -170,6 +173,11 @@ class TorchPolicy(Generic[N]):
 
     def _tensors(self, frames: CameraFrames) -> Frames:
         return {camera: self._tensor(each) for camera, each in frames.items()}
+
+
+def confidence(reached: Tensor) -> Tensor:
+    """Returns the probability of the likelier of reached and not reached, float32 (N,), of that of reached (N,)."""
+    return torch.maximum(reached, 1 - reached)
 
 
 def lstm_state(recurrent: Tensor) -> LSTMState:

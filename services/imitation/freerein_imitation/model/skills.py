@@ -15,6 +15,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.colour_attention import ColourAttention
@@ -24,6 +25,7 @@ from freerein_imitation.model.policy import (
     LSTMState,
     PolicyOutput,
     TorchPolicy,
+    confidence,
     flat_lstm_state,
     lstm_state,
 )
@@ -84,6 +86,7 @@ class SkillsNetwork(nn.Module):
         self.action_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.termination_head = nn.Linear(spec.hidden_size, 1)
+        self.in_distribution = InDistribution(size)
         self.register_buffer("feature_mean", torch.zeros(size))
         self.register_buffer("feature_std", torch.ones(size))
 
@@ -170,16 +173,19 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
-        """Returns actions and termination probabilities; arguments as in `Policy.step`."""
+        """Returns the output for B observations; arguments as in `Policy.step`."""
+        features, score = self._network.encoder(self._tensors(frames)), self._network.in_distribution
         actions, termination, state = self._network(
-            self._network.encoder(self._tensors(frames))[:, None],
+            features[:, None],
             self._tensor(goals),
             self._tensor(previous)[:, None],
             lstm_state(self._tensor(recurrent)),
         )
+        reached = termination[:, 0].sigmoid()
         chosen = actions.argmax(dim=3) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, 1, A)
         return PolicyOutput(
             actions=chosen.cpu().numpy(),
-            reached=termination[:, 0].sigmoid().cpu().numpy(),
+            reached=reached.cpu().numpy(),
             recurrent=flat_lstm_state(state).cpu().numpy(),
+            in_distribution=score(score.distance(features), confidence(reached)).cpu().numpy(),
         )

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS
+from freerein.learning.encoders import ENCODERS, Frames
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
@@ -23,6 +23,7 @@ from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
 from freerein_imitation.model.text_encoder import TextEncoder
+from freerein_imitation.training.frame_features import KNOWN_FRAMES, encode_frames, encode_trajectory
 from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
 
 State = TrainState[LanguageNetwork]
@@ -143,13 +144,10 @@ class LanguageLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some timesteps, and its metrics."""
-        config = self.config
         batch = self.training.collate(items, device=self.device)
-        if config.min_crop_scale < 1:
-            crop = partial(random_crop, min_scale=config.min_crop_scale, generator=state.generator)
-            batch = replace(batch, frames={camera: crop(each) for camera, each in batch.frames.items()})
+        batch = replace(batch, frames=self._cropped(batch.frames, state.generator))
         loss = action_loss(state.network, batch).mean()
-        return fit_step(state, loss, config)
+        return fit_step(state, loss, self.config)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
@@ -159,6 +157,23 @@ class LanguageLearner:
         parts = np.split(timesteps, range(_EVALUATION_BATCH, len(timesteps), _EVALUATION_BATCH))
         batches = (self.validation.collate(part, device=self.device) for part in parts)
         return torch.cat([action_loss(state.network, batch) for batch in batches]).mean().item()
+
+    def calibrate(self, network: LanguageNetwork) -> None:
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
+        generator = torch.Generator().manual_seed(self.config.seed)
+        sampled = self.training.trajectories.sample_frames(KNOWN_FRAMES)
+        cropped = self._cropped({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
+        known = encode_frames(network.encoder, {camera: each.numpy() for camera, each in cropped.items()})
+        held_out = self.validation.trajectories
+        features = torch.cat([encode_trajectory(network.encoder, held_out, item) for item in range(len(held_out))])
+        network.in_distribution.fit(known, features, features.new_ones(len(features)))
+
+    def _cropped(self, frames: Frames, generator: torch.Generator) -> Frames:
+        """Returns random crops of frames, as the configuration says."""
+        if self.config.min_crop_scale == 1:
+            return frames
+        crop = partial(random_crop, min_scale=self.config.min_crop_scale, generator=generator)
+        return {camera: crop(each) for camera, each in frames.items()}
 
 
 def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:

@@ -56,6 +56,11 @@ class SegmentDataset:
         """Returns the timesteps of each segment, int64 (n,)."""
         return np.array([each.stop - each.start for each in self.segments], np.int64)
 
+    @property
+    def shown(self) -> list[int]:
+        """Trajectories that the segments are of, ascending."""
+        return sorted({each.trajectory for each in self.segments})
+
     def only(self, skills: Sequence[int]) -> "SegmentDataset":
         """Returns the segments of some skills, relabelled by their indices in `skills`."""
         kept = [replace(each, skill=skills.index(each.skill)) for each in self.segments if each.skill in skills]

@@ -1,7 +1,7 @@
 """Behavioural cloning of skills from frames, executed actions and predicted skill labels."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,9 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
+from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
+from freerein_imitation.training.frame_features import KNOWN_FRAMES, encode_frames, encode_trajectory
 from freerein_imitation.training.skill_segments import (
     SegmentBatch,
     SegmentDataset,
@@ -39,7 +41,6 @@ TERMINATION_THRESHOLD = 0.5
 """Probability from which on a skill has terminated; the loss gives both classes equal weight."""
 
 _NORMALISATION_FRAMES = 500
-_ENCODE_BATCH = 256
 _LEAST_STEPS_LEFT = 5
 _STEP_LIMIT_FACTOR = 1.5
 _STEP_LIMIT_PERCENTILE = 95
@@ -198,10 +199,7 @@ class SkillsLearner:
         segments = [self.training.segments[item] for item in items.tolist()]
         starts = [_sample_start(each, rng, config) for each in segments]
         batch = collate(self.training, segments, starts, steps_after=config.termination_steps, device=self.device)
-        features = padded_features(network, batch)
-        if network.attention is not None:
-            shift = config.random_shift * torch.tensor(rng.uniform(-1, 1, len(items)), dtype=torch.float32)
-            features = network.attention.shift(features, shift.to(self.device))
+        features = self._shifted(network, padded_features(network, batch), rng)
         losses = skill_losses(network, features, batch)
         loss = losses.action + config.termination_weight * losses.termination
         state, metrics = fit_step(state, loss, config)
@@ -218,34 +216,41 @@ class SkillsLearner:
     @torch.no_grad()
     def validation_losses(self, network: SkillsNetwork) -> SkillsLosses:
         """Returns the losses on validation segments, each from its labelled start."""
-        dataset = self.validation
-        if network.encoder.is_trained:
-            shown = sorted({each.trajectory for each in dataset.segments})
-            dataset = replace(dataset, features=encode(network.encoder, dataset.trajectories, shown))
-        starts = [each.start for each in dataset.segments]
-        steps_after = self.config.termination_steps
-        batch = collate(dataset, dataset.segments, starts, steps_after=steps_after, device=self.device)
+        batch = self._validation_batch(network)
         return skill_losses(network, padded_features(network, batch), batch)
 
+    @torch.no_grad()
+    def calibrate(self, network: SkillsNetwork) -> None:
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out segments."""
+        shown, rng = self.training.shown, np.random.default_rng(self.config.seed)
+        known = encode_frames(network.encoder, self.training.trajectories.subset(shown).sample_frames(KNOWN_FRAMES))
+        known = self._shifted(network, known[:, None], rng)[:, 0]  # (M, D)
+        batch = self._validation_batch(network)
+        features = padded_features(network, batch)  # (B, T, D)
+        _, terminations = _predict(network, features, batch)
+        reached = terminations[batch.inside].sigmoid()  # (N,)
+        network.in_distribution.fit(known, features[batch.inside], confidence(reached))
 
-@torch.no_grad()
-def encode(encoder: CameraEncoders, trajectories: Trajectories, items: Iterable[int]) -> dict[int, Tensor]:
+    def _shifted(self, network: SkillsNetwork, features: Tensor, rng: np.random.Generator) -> Tensor:
+        """Returns features, float32 (B, T, D), with a random shift each, as the configuration says."""
+        if network.attention is None:
+            return features
+        shift = self.config.random_shift * torch.tensor(rng.uniform(-1, 1, len(features)), dtype=torch.float32)
+        return network.attention.shift(features, shift.to(self.device))
+
+    def _validation_batch(self, network: SkillsNetwork) -> SegmentBatch:
+        """Returns the validation segments, each from its labelled start, with features."""
+        dataset = self.validation
+        if network.encoder.is_trained:
+            dataset = replace(dataset, features=encode(network.encoder, dataset.trajectories, dataset.shown))
+        starts = [each.start for each in dataset.segments]
+        steps_after = self.config.termination_steps
+        return collate(dataset, dataset.segments, starts, steps_after=steps_after, device=self.device)
+
+
+def encode(encoder: CameraEncoders, trajectories: Trajectories, items: Sequence[int]) -> dict[int, Tensor]:
     """Returns the features of each frame of some trajectories, float32 (T, D) each, on the CPU."""
-    device = next(encoder.buffers()).device
-
-    def encode_one(item: int) -> Tensor:
-        parts = [
-            encoder(
-                {
-                    camera: torch.tensor(each[item][start : start + _ENCODE_BATCH], device=device)
-                    for camera, each in trajectories.frames.items()
-                }
-            ).cpu()
-            for start in range(0, len(trajectories.actions[item]), _ENCODE_BATCH)
-        ]
-        return torch.cat(parts)  # (T, D)
-
-    return {item: encode_one(item) for item in items}
+    return {item: encode_trajectory(encoder, trajectories, item).cpu() for item in items}
 
 
 def padded_features(network: SkillsNetwork, batch: SegmentBatch) -> Tensor:
@@ -257,8 +262,7 @@ def padded_features(network: SkillsNetwork, batch: SegmentBatch) -> Tensor:
 def skill_losses(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) -> SkillsLosses:
     """Returns the losses on a batch with features (B, T, D)."""
     choices = network.spec.action.choices
-    skill = functional.one_hot(batch.skills, len(network.spec.skills)).float()  # (B, skills)
-    predicted, terminations, _ = network(features, skill, batch.previous)
+    predicted, terminations = _predict(network, features, batch)
     if choices:
         error = objectives.action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
     else:
@@ -266,6 +270,13 @@ def skill_losses(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) 
     continues = batch.inside & ~batch.terminates
     termination = objectives.termination_loss(terminations, batch.terminates, continues)
     return SkillsLosses(objectives.masked_mean(error, batch.inside), termination)
+
+
+def _predict(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) -> tuple[Tensor, Tensor]:
+    """Returns actions and termination logits of a batch with features (B, T, D); see `SkillsNetwork.forward`."""
+    skill = functional.one_hot(batch.skills, len(network.spec.skills)).float()  # (B, skills)
+    predicted, terminations, _ = network(features, skill, batch.previous)
+    return predicted, terminations
 
 
 def _normalised_encoder(spec: SkillsSpec, demonstrations: Trajectories, *, seed: int) -> CameraEncoders:
