@@ -183,4 +183,4 @@ def _draw_captions(config: RewardConfig, *, size: int) -> CaptionDataset:
             image[row : row + _BLOCK, column : column + _BLOCK] = colour
     y, x = corners[:, :, 0] / size, corners[:, :, 1] / size
     relations = pairwise_relations(x, y, np.ones(x.shape, bool), epsilon=config.epsilon)
-    return CaptionDataset((frames,), config.phrases, relations)
+    return CaptionDataset((frames,), config.phrases, relations, np.ones(len(_COLOURS)))
