@@ -212,7 +212,7 @@ class ActResponse(_message.Message):
     state: _builtins.bytes
     """The policy state, for the next call. Opaque; at most 64 KiB."""
     in_distribution: _builtins.float
-    """How much the observation is like held-out ones, in [0, 1]: the share of these that were no more familiar. Below 0.05
+    """How much the observation is like held-out ones, in [0, 1]: the share of these that were no more familiar. Below 0.03
     it is probably unlike what the model was fitted on.
     """
     @_builtins.property

@@ -179,7 +179,7 @@ class RewardResponse(_message.Message):
     @_builtins.property
     def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
         """How much each of N answers is like those on held-out data, in [0, 1]: the share of these that were no more familiar.
-        Below 0.05, the frame is probably unlike what the model was fitted on, or the texts are hard to tell apart in it.
+        Below 0.03, the frame is probably unlike what the model was fitted on, or the texts are hard to tell apart in it.
         Empty for a grounding model.
         """
 

@@ -143,7 +143,7 @@ class SegmentResponse(_message.Message):
     @_builtins.property
     def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
         """How much each of T predictions, before smoothing, is like those on held-out data, in [0, 1]: the share of these that
-        were no more familiar. Below 0.05, frames or trajectory are probably unlike what the model was fitted on.
+        were no more familiar. Below 0.03, frames or trajectory are probably unlike what the model was fitted on.
         """
 
     def __init__(
