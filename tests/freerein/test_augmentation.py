@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.learning.augmentation import augment_camera, turn_hue
+from freerein.learning.augmentation import agreement, augment_camera, ramped, turn_hue
 
 
 def frames(count: int, channels: int = 3) -> torch.Tensor:
@@ -47,3 +47,23 @@ def test_hues_turn_as_in_the_hsv_model() -> None:
     for before, after in zip(pixels.view(-1, 3).tolist(), turned.view(-1, 3).tolist(), strict=True):
         hue, saturation, value = colorsys.rgb_to_hsv(*before)
         assert after == pytest.approx(colorsys.hsv_to_rgb((hue + 0.1) % 1, saturation, value), abs=1e-5)
+
+
+def test_strength_rises_over_the_first_half_of_a_fit() -> None:
+    assert [ramped(0.8, step=step, steps=40) for step in (0, 10, 20, 39)] == pytest.approx([0.0, 0.4, 0.8, 0.8])
+
+
+def test_agreement_is_a_cross_entropy_that_does_not_train_the_teacher() -> None:
+    scores = torch.tensor([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 2.0]]], requires_grad=True)
+    teacher = torch.tensor([[[0.0, 0.0], [0.0, 50.0]], [[50.0, 0.0], [0.0, 2.0]]], requires_grad=True)
+    probability = 1 / (1 + np.exp(-2.0))
+    entropy = -probability * np.log(probability) - (1 - probability) * np.log(1 - probability)
+
+    loss = agreement(scores, teacher)
+    loss.backward()  # type: ignore[no-untyped-call]  # torch's stub
+
+    assert loss.item() == pytest.approx((3 * np.log(2) + entropy) / 4)
+    assert teacher.grad is None
+    assert scores.grad is not None
+    assert scores.grad[0, 1].tolist() == pytest.approx([0.5 / 4, -0.5 / 4])
+    assert scores.grad[1, 1].tolist() == pytest.approx([0.0, 0.0], abs=1e-7)

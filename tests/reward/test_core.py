@@ -20,6 +20,7 @@ from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, RewardCore
 from freerein_reward.goal_text import Grammar
+from freerein_reward.model import ImageEmbeddings
 
 COLOURS = ("red", "green", "blue")
 CACHE_BYTES = 2**20
@@ -37,10 +38,16 @@ class Colours:
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         return np.broadcast_to(image.mean(axis=(0, 1)).astype(np.uint8), (2, 2, 3))
 
-    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
+    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:
         colours = np.mean([views[camera].mean(axis=(1, 2)) for camera in self.cameras], axis=0) + 1e-3
         self.frames_per_call.append(len(colours))
-        return np.float32(colours / np.linalg.norm(colours, axis=1, keepdims=True))
+        vectors = np.float32(colours / np.linalg.norm(colours, axis=1, keepdims=True))
+        return ImageEmbeddings(vectors, np.arange(len(vectors), dtype=np.float32))
+
+    def in_distribution(
+        self, distances: npt.NDArray[np.float32], similarities: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        return np.float32(1 / (1 + distances) / similarities.shape[1])
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         self.read += texts

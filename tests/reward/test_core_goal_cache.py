@@ -9,6 +9,7 @@ import pytest
 from freerein.types.common import ModelRef
 from freerein_reward.core import GoalCache
 from freerein_reward.goal_text import Grammar
+from freerein_reward.model import ImageEmbeddings
 
 REF = ModelRef("default", "0" * 12)
 FEATURES = 64
@@ -26,7 +27,10 @@ class Lengths:
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         raise NotImplementedError
 
-    def embed_images(self, _views: object) -> npt.NDArray[np.float32]:
+    def embed_images(self, _views: object) -> ImageEmbeddings:
+        raise NotImplementedError
+
+    def in_distribution(self, _distances: object, _similarities: object) -> npt.NDArray[np.float32]:
         raise NotImplementedError
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:

@@ -92,6 +92,6 @@ def test_a_card_that_names_no_method_is_refused(tmp_path: Path) -> None:
 
 def test_as_a_reward_model_it_knows_which_things_are_there(model: GradCamModel) -> None:
     red, blue = (picture((32, 32, colour)) for colour in (RED, BLUE))
-    images = model.embed_images({"": np.stack([red, blue])})
+    images = model.embed_images({"": np.stack([red, blue])}).vectors
     texts, _ = model.embed_texts(PHRASES[:2])
     assert (images @ texts.T).argmax(axis=1).tolist() == [0, 1]

@@ -82,7 +82,7 @@ def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path)
 
 
 def test_a_fit_without_phrases_is_told_what_to_give(data_dir: Path) -> None:
-    with pytest.raises(InvalidInput, match="2 to 32 distinct noun phrases") as refused:
+    with pytest.raises(InvalidInput, match="2 to 16 distinct noun phrases") as refused:
         METHODS.resolve(data_dir, "squares", {}, threads=1)
     assert refused.value.field == "config.phrases"
     assert "--set 'phrases=" in refused.value.hint

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -8,20 +9,25 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.serving.model_store import ModelStore
+from freerein.types.common import ModelRef
 from freerein_reward import objectives
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
-from freerein_reward.relations import SpatialRelation
+from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec, GradCamModel, load_grounding
+from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, evaluate_reward, network_spec
 from freerein_reward.training.caption_dataset import (
     ABSENT,
     CAPTIONS,
     NO_CAPTION,
+    image_relations,
     pair_captions,
     pairwise_absences,
     pairwise_relations,
 )
+from freerein_reward.training.reward_model_learner import naming_loss
 
 CPU = torch.device("cpu")
+SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 PHRASES = ("a red block", "a blue block")
 FAST = RewardConfig(
     cameras=("front",),
@@ -35,18 +41,18 @@ FAST = RewardConfig(
 )
 
 
-def blocks(count: int, *, seed: int) -> CaptionDataset:
-    """Returns images of a red and a blue square, and how they truly lie to one another."""
+def blocks(count: int, *, seed: int, missing: float = 0.0) -> CaptionDataset:
+    """Returns images of a red and a blue square, how they truly lie to one another, and if the blue one is missing."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(0.1, 0.9, size=(count, 2, 2))
+    shown = np.stack([np.ones(count, bool), rng.random(count) >= missing], axis=1)
     frames = np.full((count, 64, 64, 3), 90, np.uint8)
-    for frame, pair in zip(frames, places, strict=True):
-        for (x, y), colour in zip((64 * pair).astype(int), ((220, 20, 20), (20, 20, 220)), strict=True):
+    for frame, pair, drawn in zip(frames, (64 * places).astype(int), shown, strict=True):
+        for (x, y), colour in zip(pair[drawn], ((220, 20, 20), (20, 20, 220)), strict=False):
             frame[max(0, y - 3) : y + 3, max(0, x - 3) : x + 3] = colour
-    shown = np.ones((count, 2), bool)
-    x, y = places[..., 0], places[..., 1]
-    relations = pairwise_relations(x, y, shown, epsilon=0.1)
-    return CaptionDataset((frames,), PHRASES, relations)
+    relations = pairwise_relations(places[..., 0], places[..., 1], shown, epsilon=0.1)
+    absences = pairwise_absences(shown.astype(float), least=0.95)
+    return CaptionDataset((frames,), PHRASES, np.where(absences, ABSENT, relations).astype(np.int8), np.ones(2))
 
 
 @pytest.fixture(scope="module")
@@ -69,19 +75,40 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardModelLear
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_before_the_first_update_each_phrase_has_a_keypoint_with_its_heatmap(learner: RewardModelLearner) -> None:
-    begun = learner.init(torch.Generator().manual_seed(5)).network.image
-    frames = learner.training.views[0][:4]
+def test_a_fitted_model_rewards_no_goal_in_a_frame_that_shows_nothing(tmp_path: Path) -> None:
+    store = ModelStore(SHIPPED)
+    grounding = load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    config = replace(FAST, steps=40, batch_size=16, evaluate_every=20, checkpoint_every=40, augmentation=0.0)
+    training, validation = blocks(200, seed=0, missing=0.3), blocks(40, seed=1, missing=0.3)
+    spec = network_spec(grounding.network.spec, config)
+    fitted = fit(RewardModelLearner(config, spec, training, validation, grounding, "", "", CPU), tmp_path)
+    assert fitted is not None
+    model = DualEncoderModel(fitted.network)
+    blank = np.stack([np.full((64, 64, 3), grey, np.uint8) for grey in (0, 90, 255)])
+    seen = model.embed_images({"front": blank}).vectors
+    for (first, second), relation in product(permutations(PHRASES), SpatialRelation):
+        goal = model.grammar.read(caption(first, relation, second))
+        texts, _ = model.embed_texts((goal.text, *goal.rivals))
+        assert ((seen @ texts.T).argmax(axis=1) == len(goal.rivals)).all()  # the last rival: one is missing
+
+
+def test_before_the_first_update_each_phrase_has_its_heatmap_in_units_of_its_half_heat(
+    learner: RewardModelLearner,
+) -> None:
+    frames, half_heat = learner.training.views[0][:4], np.array([2.0, 0.25])
+    scaled = replace(learner, training=replace(learner.training, half_heat=half_heat))
+    begun = scaled.init(torch.Generator().manual_seed(5)).network.image
 
     with torch.no_grad():
         maps = begun.feature_maps(torch.from_numpy(frames)).permute(0, 2, 3, 1)
-        asked = begun.relation_pool.logits(maps).permute(0, 3, 1, 2)
-        heat = (asked - begun.relation_pool.logits.bias[:, None, None]).relu()  # (N, P, h, w)
-        heat /= heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6)
+        heat = (begun.relation_pool.heat(maps) + 0.5).relu().permute(0, 3, 1, 2).numpy()  # (N, P, h, w)
 
-    heatmaps = learner.grounding.ground(frames, PHRASES).heatmaps
-    assert heatmaps.max() == 1.0
-    np.testing.assert_allclose(heat, heatmaps, atol=1e-3)
+    found = learner.grounding.ground(frames, PHRASES)
+    peaks = heat.max(axis=(2, 3), keepdims=True)
+    wins = found.heat == found.heat.max(axis=1, keepdims=True)  # elsewhere a phrase may yield to the other at its peak
+    assert found.heatmaps.max() == 1.0
+    np.testing.assert_allclose(heat / peaks.clip(1e-6), found.heatmaps, atol=1e-3)
+    np.testing.assert_allclose(peaks[..., 0, 0][wins], (found.heat / half_heat)[wins], rtol=1e-3)
 
 
 def test_statistics_of_the_grounding_model_stay(learner: RewardModelLearner) -> None:
@@ -90,6 +117,32 @@ def test_statistics_of_the_grounding_model_stay(learner: RewardModelLearner) -> 
     statistics = {name: each for name, each in after.network.image.state_dict().items() if "running" in name}
     assert statistics
     assert all(torch.equal(tensor, known[name]) for name, tensor in statistics.items())
+
+
+def test_an_update_with_agreement_is_one_without_while_augmentation_has_not_begun(learner: RewardModelLearner) -> None:
+    plain = replace(learner, config=replace(FAST, augmentation=0.0))
+    digests = []
+    for each in (learner, plain):
+        state, items = each.init(torch.Generator().manual_seed(5)), np.arange(8)
+        for _ in range(2):
+            state, _ = each.update(state, items)
+            digests.append(weights.sha256(state.network))
+    assert digests[0] == digests[2]
+    assert digests[1] != digests[3]
+
+
+def test_the_text_encoder_learns_to_name_phrases_and_images_have_no_part_in_it(learner: RewardModelLearner) -> None:
+    network = learner.init(torch.Generator().manual_seed(5)).network
+    optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
+    losses = []
+    for _ in range(60):
+        optimiser.zero_grad()
+        loss = naming_loss(network, PHRASES)
+        loss.backward()  # type: ignore[no-untyped-call]  # torch's stub
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[0] > 0.5 > 0.02 > losses[-1]
+    assert all(each.grad is None for each in network.image.parameters())
 
 
 def test_evaluation_has_accuracy_precision_and_recall(learner: RewardModelLearner) -> None:
@@ -101,13 +154,29 @@ def test_evaluation_has_accuracy_precision_and_recall(learner: RewardModelLearne
 
 
 def test_in_a_mirror_left_is_right_and_top_is_top() -> None:
-    dataset = blocks(200, seed=2)
+    dataset = blocks(200, seed=2, missing=0.3)
     mirrored = dataset.mirrored(np.ones(200, bool))
     there, back = dataset.relations[:, 0, 1], mirrored.relations[:, 0, 1]
     assert np.array_equal(there == SpatialRelation.LEFT_OF, back == SpatialRelation.RIGHT_OF)
     assert np.array_equal(there == SpatialRelation.ON_TOP_OF, back == SpatialRelation.ON_TOP_OF)
+    assert np.array_equal(there == ABSENT, back == ABSENT)
+    assert 0 < (there == ABSENT).sum() < 200
     assert (mirrored.relations[:, 0, 0] == NO_CAPTION).all()
     assert np.array_equal(mirrored.views[0][:, :, ::-1], dataset.views[0])
+
+
+def test_the_views_of_an_image_are_augmented_alike_and_captions_stay() -> None:
+    one = blocks(20, seed=3)
+    twins = replace(one, views=one.views * 2)
+    first, second = (
+        view.astype(float) for view in twins.augmented(1.0, generator=torch.Generator().manual_seed(0)).views
+    )
+    brightness = first.mean(axis=(1, 2, 3))
+    assert np.abs((first - second).mean(axis=(1, 2, 3))).max() < 2  # noise is each view's own
+    assert brightness.std() > 10
+    same = twins.augmented(0.0, generator=torch.Generator())
+    assert all(np.array_equal(*pair) for pair in zip(twins.views, same.views, strict=True))
+    assert same.relations is twins.relations
 
 
 def test_no_caption_mentions_an_object_that_is_not_shown() -> None:
@@ -121,6 +190,21 @@ def test_no_caption_mentions_an_object_that_is_not_shown() -> None:
 def test_what_is_surely_missing_is_told_from_what_may_be_there() -> None:
     absences = pairwise_absences(np.array([[1.0, 0.5, 0.01]]), least=0.95)
     assert absences[0].tolist() == [[False, False, True], [False, False, True], [True, True, False]]
+
+
+def test_the_weaker_of_two_phrases_in_one_place_is_in_no_caption_but_what_is_missing_is() -> None:
+    x, y = np.array([[0.5, 0.52, 0.8, 0.1]]), np.full((1, 4), 0.3)
+    heat, presence = np.array([[4.0, 2.0, 3.0, 0.0]]), np.array([[0.99, 0.99, 0.99, 0.01]])
+    config = RewardConfig(phrases=("a", "b", "c", "d"), epsilon=0.1)
+    relations, half_heat = image_relations(x, y, heat, presence, config)
+    apart = SpatialRelation.APART_FROM
+    assert relations[0].tolist() == [
+        [NO_CAPTION, NO_CAPTION, apart, ABSENT],
+        [NO_CAPTION, NO_CAPTION, NO_CAPTION, ABSENT],
+        [apart, NO_CAPTION, NO_CAPTION, ABSENT],
+        [ABSENT, ABSENT, ABSENT, NO_CAPTION],
+    ]
+    assert half_heat.tolist() == pytest.approx([1.0] * 4)
 
 
 def test_captions_come_in_the_order_of_the_relations() -> None:
@@ -159,8 +243,10 @@ def test_equal_captions_are_never_each_others_negatives() -> None:
 
 
 def test_relation_cross_entropy_counts_only_pairs_with_captions() -> None:
-    scores = torch.zeros(2, 1, 5)
-    scores[0, 0, SpatialRelation.BELOW] = 50.0
-    told = torch.tensor([[int(SpatialRelation.BELOW)], [NO_CAPTION]])
+    scores = torch.zeros(3, 1, CAPTIONS)
+    scores[0, 0, SpatialRelation.BELOW] = scores[1, 0, ABSENT] = 50.0
+    told = torch.tensor([[int(SpatialRelation.BELOW)], [ABSENT], [NO_CAPTION]])
     assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
-    assert objectives.relation_cross_entropy(scores, torch.full((2, 1), NO_CAPTION)).item() == 0.0
+    told[2] = ABSENT
+    assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(np.log(CAPTIONS) / 3, abs=1e-6)
+    assert objectives.relation_cross_entropy(scores, torch.full((3, 1), NO_CAPTION)).item() == 0.0

@@ -63,14 +63,16 @@ def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, mon
     network = make(spec)
     whole = score(network, 23)[0].softmax(dim=1).detach().numpy()
     monkeypatch.setattr(network_module, "_TIMESTEPS_AT_ONCE", 5)
-    np.testing.assert_allclose(SegmentationModel(network).probabilities(*trajectory(spec, 23)), whole, atol=1e-6)
+    np.testing.assert_allclose(
+        SegmentationModel(network).predict(*trajectory(spec, 23)).probabilities, whole, atol=1e-6
+    )
 
 
 @pytest.mark.fault("S9")
 def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with_a_trajectory() -> None:
     network, encoded = make(CONTINUOUS), list[int]()
     network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0]["front"])))
-    SegmentationModel(network).probabilities(*trajectory(CONTINUOUS, 600))
+    SegmentationModel(network).predict(*trajectory(CONTINUOUS, 600)).probabilities
     assert encoded == [256, 256, 88]
 
 
@@ -80,13 +82,16 @@ def test_a_causal_network_does_not_see_the_future_and_a_bidirectional_one_does()
         frames, actions = trajectory(spec, 12)
         later = frames.copy()
         later[8:] = 255 - later[8:]
-        before, after = model.probabilities(frames, actions)[:8], model.probabilities(later, actions)[:8]
+        before, after = (
+            model.predict(frames, actions).probabilities[:8],
+            model.predict(later, actions).probabilities[:8],
+        )
         assert (not np.allclose(before, after)) == sees
 
 
 @SPECS
 def test_probabilities_are_float32_and_sum_to_one(spec: ModelSpec) -> None:
-    probabilities = SegmentationModel(make(spec)).probabilities(*trajectory(spec, 1))
+    probabilities = SegmentationModel(make(spec)).predict(*trajectory(spec, 1)).probabilities
     assert probabilities.shape == (1, 3)
     assert probabilities.dtype == np.float32
     assert probabilities.sum() == pytest.approx(1.0)
@@ -96,22 +101,26 @@ def test_with_a_stride_every_timestep_is_labelled_in_the_pass_that_it_belongs_to
     strided = make(replace(CONTINUOUS, stride=3))
     every = SegmentationModel(make(CONTINUOUS))
     frames, actions = trajectory(CONTINUOUS, 11)
-    probabilities = SegmentationModel(strided).probabilities(frames, actions)
+    probabilities = SegmentationModel(strided).predict(frames, actions).probabilities
     for phase in range(3):
-        np.testing.assert_array_equal(probabilities[phase::3], every.probabilities(frames[phase::3], actions[phase::3]))
-    assert SegmentationModel(strided).probabilities(frames[:2], actions[:2]).shape == (2, 3)
+        np.testing.assert_array_equal(
+            probabilities[phase::3], every.predict(frames[phase::3], actions[phase::3]).probabilities
+        )
+    assert SegmentationModel(strided).predict(frames[:2], actions[:2]).probabilities.shape == (2, 3)
 
 
 def test_a_model_without_actions_needs_none() -> None:
     model = SegmentationModel(make(BLIND))
     frames, actions = trajectory(BLIND, 6)
-    np.testing.assert_array_equal(model.probabilities(frames, None), model.probabilities(frames, actions))
+    np.testing.assert_array_equal(
+        model.predict(frames, None).probabilities, model.predict(frames, actions).probabilities
+    )
 
 
 def test_read_only_frames_are_labelled_as_they_come_from_the_wire() -> None:
     frames, actions = trajectory(CONTINUOUS, 3)
     frames.flags.writeable = actions.flags.writeable = False
-    SegmentationModel(make(CONTINUOUS)).probabilities(frames, actions)
+    SegmentationModel(make(CONTINUOUS)).predict(frames, actions)
 
 
 @SPECS
@@ -120,7 +129,9 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
     save_model(network, tmp_path / "model", card={"seed": 3, "figures": {"validation_loss": 0.9}})
     model = load(tmp_path / "model", "cpu")
     seen = trajectory(spec, 7)
-    np.testing.assert_array_equal(model.probabilities(*seen), SegmentationModel(network).probabilities(*seen))
+    np.testing.assert_array_equal(
+        model.predict(*seen).probabilities, SegmentationModel(network).predict(*seen).probabilities
+    )
     assert (model.skills, model.camera) == (spec.skills, spec.cameras[0])
     assert model.action == (spec.action if spec.use_actions else None)
     card = json.loads((tmp_path / "model" / "card.json").read_text())

@@ -61,7 +61,7 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     assert fitted is not None
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
     predicted = [
-        model.probabilities(frames, actions).argmax(axis=1)
+        model.predict(frames, actions).probabilities.argmax(axis=1)
         for frames, actions in zip(unseen.frames["front"], unseen.actions, strict=True)
     ]
     accuracy = np.mean([metrics.frame_accuracy(*pair) for pair in zip(predicted, labels, strict=True)])
@@ -78,8 +78,11 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
     assert digest("first", 0) == digest("again", 0) != digest("other", 1)
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path) -> None:
-    config = replace(FAST, steps=12, evaluate_every=4, checkpoint_every=5, log_every=3, stride=2)
+@pytest.mark.parametrize(("stride", "augmentation"), [(1, 0.0), (3, 1.0)])
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, stride: int, augmentation: float) -> None:
+    config = replace(
+        FAST, steps=12, evaluate_every=4, checkpoint_every=5, log_every=3, stride=stride, augmentation=augmentation
+    )
     asked = iter(range(8))
     whole = fit(learner(config), tmp_path / "whole")
     assert fit(learner(config), tmp_path / "parts", stop=lambda: next(asked) == 7) is None
