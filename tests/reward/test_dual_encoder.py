@@ -110,6 +110,7 @@ def test_a_pair_is_embedded_alike_whichever_phrases_it_is_of() -> None:
     weights.initialise(pool, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         pool.heat.weight.copy_(torch.eye(3))
+        pool.heat.bias.fill_(-0.8)
     maps = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(1))
     there = pool(maps).view(3, 3, 8)
     exchanged = pool(maps[:, [1, 0, 2]]).view(3, 3, 8)
