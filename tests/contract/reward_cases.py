@@ -18,6 +18,7 @@ from freerein.serving.metrics import Metrics
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import DescribeRequest, EmbedGoalRequest, GroundRequest, RewardRequest
 from freerein_reward.goal_text import Grammar
+from freerein_reward.model import ImageEmbeddings
 
 LESS, MORE = "less", "more"  # texts that fit a frame less and more, the brighter it is
 
@@ -33,9 +34,16 @@ class Bright(_MeanPixel):
     cameras = ("top",)
     grammar = Grammar((LESS, MORE), ("raise", "nan"))
 
-    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> npt.NDArray[np.float32]:
-        angles = views["top"].mean(axis=(1, 2, 3)) * (math.pi / 510)
-        return np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
+    def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:
+        brightness = views["top"].mean(axis=(1, 2, 3)) / 255
+        angles = brightness * (math.pi / 2)
+        vectors = np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
+        return ImageEmbeddings(vectors, brightness.astype(np.float32))
+
+    def in_distribution(
+        self, distances: npt.NDArray[np.float32], _similarities: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        return 1 - distances
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         if "raise" in texts:
@@ -56,7 +64,7 @@ class Corner(_MeanPixel):
         places = np.broadcast_to(np.arange(len(phrases)) / 8, shape)
         heatmaps = np.full((*shape, 4, 4), np.nan if "nan" in phrases else 0.5, np.float32)
         presence = np.broadcast_to([float(phrase != "no") for phrase in phrases], shape)
-        return SimpleNamespace(heatmaps=heatmaps, x=places, y=places, presence=presence)
+        return SimpleNamespace(heatmaps=heatmaps, x=places, y=places, presence=presence, heat=presence)
 
 
 def build(data_dir: Path, health: Health, publish: Callable[..., Any]) -> Service:

@@ -41,6 +41,7 @@ from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
 from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.learning import StartFitRequest
+from freerein_segmentation.model import Prediction
 
 Build = Callable[[Path, Health], Service]
 Connect = Callable[[Build, Path], AbstractAsyncContextManager[Any]]
@@ -156,12 +157,13 @@ class Halves:
     skills = ("close", "open")
     camera, action = Camera("front", 2, 3, 3), ActionSpec(2, 0, ("dy", "dz"))
 
-    def probabilities(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> npt.NDArray[np.float32]:
+    def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
         if frames[0, 0, 0, 0] == 1:
             raise ZeroDivisionError
         likely = np.full((len(frames), 2), (0.75, 0.25), np.float32)
         likely[len(frames) // 2 :] = (0.25, 0.75)
-        return likely * np.float32("nan") if frames[0, 0, 0, 0] == 2 else likely
+        likely *= np.float32("nan" if frames[0, 0, 0, 0] == 2 else 1)
+        return Prediction(likely, np.linspace(0, 1, len(frames), dtype=np.float32))
 
 
 def build_segmentation(data_dir: Path, health: Health) -> Service:

@@ -24,6 +24,7 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import Camera
 from freerein_segmentation.__main__ import NAME, build
+from freerein_segmentation.model import Prediction
 
 SIDE = int(os.environ.get("FAULTY_SIDE", "4"))
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HANGS = range(6)
@@ -35,9 +36,7 @@ class FaultyModel:
     skills: tuple[str, ...] = ("even", "odd")
     camera, action = Camera("front", SIDE, SIDE, 3), None
 
-    def probabilities(
-        self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None
-    ) -> npt.NDArray[np.float32]:
+    def predict(self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None) -> Prediction:
         fault, hundredths, _ = frames[0, 0, 0]
         time.sleep(hundredths / 100)
         if fault == HANGS:
@@ -49,7 +48,7 @@ class FaultyModel:
             likely[-1] = np.nan
         if fault == INFINITE:
             likely[-1] = np.inf
-        return likely[:-1] if fault == WRONG_SHAPE else likely
+        return Prediction(likely[:-1] if fault == WRONG_SHAPE else likely, np.ones(len(frames), np.float32))
 
 
 def publish_model(data_dir: Path) -> None:

@@ -42,6 +42,12 @@ def trajectory(spec: ModelSpec, timesteps: int, *, seed: int = 0) -> tuple[npt.N
     return frames, rng.uniform(-1, 1, (timesteps, 2)).astype(np.float32)
 
 
+def probabilities(
+    model: SegmentationModel, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None
+) -> npt.NDArray[np.float32]:
+    return model.predict(frames, actions).probabilities
+
+
 def score(network: SegmentationNetwork, *lengths: int) -> torch.Tensor:
     """Returns the scores (B, T, K) of random trajectories of these lengths."""
     parts = [trajectory(network.spec, length, seed=seed) for seed, length in enumerate(lengths)]
@@ -63,16 +69,14 @@ def test_long_trajectories_in_windows_score_as_in_one_piece(spec: ModelSpec, mon
     network = make(spec)
     whole = score(network, 23)[0].softmax(dim=1).detach().numpy()
     monkeypatch.setattr(network_module, "_TIMESTEPS_AT_ONCE", 5)
-    np.testing.assert_allclose(
-        SegmentationModel(network).predict(*trajectory(spec, 23)).probabilities, whole, atol=1e-6
-    )
+    np.testing.assert_allclose(probabilities(SegmentationModel(network), *trajectory(spec, 23)), whole, atol=1e-6)
 
 
 @pytest.mark.fault("S9")
 def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with_a_trajectory() -> None:
     network, encoded = make(CONTINUOUS), list[int]()
     network.image.register_forward_pre_hook(lambda _, inputs: encoded.append(len(inputs[0]["front"])))
-    SegmentationModel(network).predict(*trajectory(CONTINUOUS, 600)).probabilities
+    probabilities(SegmentationModel(network), *trajectory(CONTINUOUS, 600))
     assert encoded == [256, 256, 88]
 
 
@@ -83,38 +87,34 @@ def test_a_causal_network_does_not_see_the_future_and_a_bidirectional_one_does()
         later = frames.copy()
         later[8:] = 255 - later[8:]
         before, after = (
-            model.predict(frames, actions).probabilities[:8],
-            model.predict(later, actions).probabilities[:8],
+            probabilities(model, frames, actions)[:8],
+            probabilities(model, later, actions)[:8],
         )
         assert (not np.allclose(before, after)) == sees
 
 
 @SPECS
 def test_probabilities_are_float32_and_sum_to_one(spec: ModelSpec) -> None:
-    probabilities = SegmentationModel(make(spec)).predict(*trajectory(spec, 1)).probabilities
-    assert probabilities.shape == (1, 3)
-    assert probabilities.dtype == np.float32
-    assert probabilities.sum() == pytest.approx(1.0)
+    likely = probabilities(SegmentationModel(make(spec)), *trajectory(spec, 1))
+    assert likely.shape == (1, 3)
+    assert likely.dtype == np.float32
+    assert likely.sum() == pytest.approx(1.0)
 
 
 def test_with_a_stride_every_timestep_is_labelled_in_the_pass_that_it_belongs_to() -> None:
     strided = make(replace(CONTINUOUS, stride=3))
     every = SegmentationModel(make(CONTINUOUS))
     frames, actions = trajectory(CONTINUOUS, 11)
-    probabilities = SegmentationModel(strided).predict(frames, actions).probabilities
+    together = probabilities(SegmentationModel(strided), frames, actions)
     for phase in range(3):
-        np.testing.assert_array_equal(
-            probabilities[phase::3], every.predict(frames[phase::3], actions[phase::3]).probabilities
-        )
-    assert SegmentationModel(strided).predict(frames[:2], actions[:2]).probabilities.shape == (2, 3)
+        np.testing.assert_array_equal(together[phase::3], probabilities(every, frames[phase::3], actions[phase::3]))
+    assert probabilities(SegmentationModel(strided), frames[:2], actions[:2]).shape == (2, 3)
 
 
 def test_a_model_without_actions_needs_none() -> None:
     model = SegmentationModel(make(BLIND))
     frames, actions = trajectory(BLIND, 6)
-    np.testing.assert_array_equal(
-        model.predict(frames, None).probabilities, model.predict(frames, actions).probabilities
-    )
+    np.testing.assert_array_equal(probabilities(model, frames, None), probabilities(model, frames, actions))
 
 
 def test_read_only_frames_are_labelled_as_they_come_from_the_wire() -> None:
@@ -129,9 +129,7 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
     save_model(network, tmp_path / "model", card={"seed": 3, "figures": {"validation_loss": 0.9}})
     model = load(tmp_path / "model", "cpu")
     seen = trajectory(spec, 7)
-    np.testing.assert_array_equal(
-        model.predict(*seen).probabilities, SegmentationModel(network).predict(*seen).probabilities
-    )
+    np.testing.assert_array_equal(probabilities(model, *seen), probabilities(SegmentationModel(network), *seen))
     assert (model.skills, model.camera) == (spec.skills, spec.cameras[0])
     assert model.action == (spec.action if spec.use_actions else None)
     card = json.loads((tmp_path / "model" / "card.json").read_text())
