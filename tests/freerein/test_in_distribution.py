@@ -41,7 +41,7 @@ def test_the_less_sure_of_two_equal_frames_scores_less() -> None:
 
 def test_distances_are_in_units_of_the_known_spread_in_every_direction() -> None:
     score, features, _ = fitted()
-    assert score.distance(features).square().mean().item() == pytest.approx(1.0, abs=0.05)
+    assert score.distance(features).square().mean().item() == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_model_without_confidence_and_features_that_never_change_are_scored() -> None:
