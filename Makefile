@@ -2,11 +2,11 @@
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo check test bench tables fuzz soak mutants compat stubs stubs-fresh fmt
+.PHONY: help setup dev demo check test bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt
 
 help: ## List what can be made
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
-	  printf '  make %-8s %s\n' "$$name" "$$text"; done
+	  printf '  make %-10s %s\n' "$$name" "$$text"; done
 
 setup: ## Install what freerein needs to run; TORCH_INDEX= for a machine with a CUDA device
 	@tools/setup
@@ -36,6 +36,10 @@ bench: dev ## Compare speed with that of peers
 
 tables: dev ## Make the tables of all experiments from the committed results
 	$(BIN)/python -m experiments table
+
+robustness: dev ## Every model under every condition: runs what lacks a result, then makes the table; all anew takes about an hour
+	$(BIN)/python -m experiments run robustness
+	$(BIN)/python -m experiments table robustness
 
 fuzz: dev ## The fault tests with their large counts (20 000 generated requests per REST API, 20 kills), and the long tests
 	FREEREIN_FUZZ=1 $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 1200 tests/faults \

@@ -7,6 +7,7 @@ from freerein.errors import NotFound
 
 EXPERIMENTS = (
     "grid",
+    "robustness",
     "smoke",
 )
 """Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""

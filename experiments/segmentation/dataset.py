@@ -7,15 +7,13 @@
 `split` is train, validation or test. A hash covers the spec and what the world's generator draws.
 """
 
-import fcntl
 import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.segmentation import draw
+from experiments.workbench.locks import locked
 from freerein.data.cache import D, StepCache
 from freerein.errors import FailedPrecondition
 from freerein.learning.trajectories import Trajectories
@@ -82,7 +81,7 @@ class DatasetSpec:
 def open_or_draw(spec: DatasetSpec, work: Path) -> Path:
     """Returns the folder of a dataset; draws it first, in parallel processes, where it does not exist."""
     folder = work / "datasets" / spec.hash
-    with _lock(work / "datasets" / f"{spec.hash}.lock"):
+    with locked(work / "datasets" / f"{spec.hash}.lock"):
         if not folder.is_dir():
             unfinished = folder.with_suffix(".unfinished")
             shutil.rmtree(unfinished, ignore_errors=True)
@@ -141,12 +140,3 @@ def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
                 with (path / file).open("rb") as piece:
                     shutil.copyfileobj(piece, joined)
     shutil.rmtree(folder / "parts")
-
-
-@contextmanager
-def _lock(path: Path) -> Iterator[None]:
-    """Holds a lock between processes; it is released when the process ends."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

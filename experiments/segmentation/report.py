@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,9 @@ from experiments.segmentation.dataset import SPLITS, SplitName
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim, Scale
+from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult
-from experiments.workbench.table import Table
+from experiments.workbench.table import Picture, Section, Table
 
 SUPERVISED = "supervised"
 """Method of the ceiling: cross-entropy on true labels."""
@@ -72,14 +74,18 @@ def table(report: Report, results: Sequence[ArmResult], *, trajectories_seen: in
         rows.setdefault(_row(result), []).append(result)
     scale = _scale(report, trajectories_seen)
     made = {row: [_claim(report, scale, rows, row, split) for split in SPLITS] for row in rows}
+    draw = partial(
+        interval_plot,
+        [each[-1] for each in made.values()],
+        title=report.title,
+        unit="frame accuracy on test trajectories, per cent",
+    )
     return Table(
         title=report.title,
         text=f"{report.text}\n\n{_scale_text(report, scale, trajectories_seen)}",
-        header=_HEADER,
-        rows=tuple(_cells(row, rows[row], made[row]) for row in rows),
+        sections=(Section(_HEADER, tuple(_cells(row, rows[row], made[row]) for row in rows)),),
         claims=tuple(claim for each in made.values() for claim in each),
-        plotted=tuple(each[-1] for each in made.values()),
-        unit="frame accuracy on test trajectories, per cent",
+        picture=Picture("Values, 95 % intervals, ceilings", draw),
     )
 
 

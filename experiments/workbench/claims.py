@@ -27,13 +27,13 @@ class Claim:
         high: Its upper end.
         seeds: Number of independently trained networks; None for a guess.
         trials: Number of trials of each network, or of the guess: trajectories or episodes.
-        scale: Whether the training data are as many as the dissertation's.
-        baseline: Value of the dissertation's method here.
+        scale: Whether the training data are as many as the dissertation's; None where it has no such figure.
+        baseline: Value of the dissertation's method here, or of what else the experiment compares with.
         ceiling: Value with full supervision, or of the scripted expert.
         gap_closed: (value - baseline) / (ceiling - baseline); None where the gap is small.
         dissertation: The dissertation's figure.
-        target: Least value that the claim needs.
-        met: Whether the value is at least the target.
+        target: Least value that the claim needs, or the largest where smaller is better; the experiment says which.
+        met: Whether it is reached, and what the claim needs besides.
         world_hash: Hash of what the world's generator drew.
         command: The command that makes the results.
         minutes: Wall-clock time of all seeds.
@@ -45,7 +45,7 @@ class Claim:
     high: float | None
     seeds: int | None
     trials: int
-    scale: Scale
+    scale: Scale | None
     baseline: float | None
     ceiling: float | None
     gap_closed: float | None

@@ -1,16 +1,36 @@
 """The table of an experiment: `table.md`, `table.json` with its claims, and `table.png`."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
 
 from experiments.workbench.claims import Claim
 from experiments.workbench.results import TABLE_FILE
 from freerein.atomic_files import write_atomic
 
-_INCH_PER_CLAIM, _FRAME_INCHES, _WIDTH_INCHES, _DPI = 0.32, 1.1, 8.0, 110
+
+@dataclass(frozen=True)
+class Section:
+    """Cells under a heading.
+
+    Attributes:
+        header: Titles of the columns.
+        rows: Cells of each row.
+        title: Heading; empty for none.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: what it shows, in words, and what returns it as a PNG."""
+
+    alt: str
+    draw: Callable[[], bytes]
 
 
 @dataclass(frozen=True)
@@ -20,20 +40,16 @@ class Table:
     Attributes:
         title: Heading.
         text: Sentences on what was measured, and how, in Markdown.
-        header: Titles of the columns.
-        rows: Cells of each row.
+        sections: The cells.
         claims: The claims of the table.
-        plotted: Those of them that the plot shows.
-        unit: What the claims' values are, for the plot's axis.
+        picture: Its picture.
     """
 
     title: str
     text: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    sections: tuple[Section, ...]
     claims: tuple[Claim, ...]
-    plotted: tuple[Claim, ...]
-    unit: str
+    picture: Picture
 
 
 def save(table: Table, folder: Path) -> None:
@@ -41,40 +57,16 @@ def save(table: Table, folder: Path) -> None:
     document = {"claims": [asdict(claim) for claim in table.claims]}
     write_atomic(folder / "table.md", markdown(table).encode())
     write_atomic(folder / TABLE_FILE, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
-    write_atomic(folder / "table.png", _plot(table.plotted, title=table.title, unit=table.unit))
+    write_atomic(folder / "table.png", table.picture.draw())
 
 
 def markdown(table: Table) -> str:
     """Returns the table as Markdown."""
-    lines = [table.header, tuple("---" for _ in table.header), *table.rows]
+    sections = "\n\n".join(map(_section, table.sections))
+    return f"# {table.title}\n\n{table.text}\n\n{sections}\n\n![{table.picture.alt}](table.png)\n"
+
+
+def _section(section: Section) -> str:
+    lines = [section.header, tuple("---" for _ in section.header), *section.rows]
     cells = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f"# {table.title}\n\n{table.text}\n\n{cells}\n\n![Values, 95 % intervals, ceilings](table.png)\n"
-
-
-def _plot(claims: Sequence[Claim], *, title: str, unit: str) -> bytes:
-    """Returns a PNG: a row for each claim, with its interval, its ceiling and the dissertation's figure."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure((_WIDTH_INCHES, _FRAME_INCHES + _INCH_PER_CLAIM * len(claims)), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot(title=title, xlabel=unit)
-    rows = range(len(claims))
-    for row, claim in zip(rows, claims, strict=True):
-        if claim.low is not None and claim.high is not None:
-            axes.plot([claim.low, claim.high], [row, row], color="tab:blue", linewidth=3, alpha=0.4)
-    axes.plot([claim.value for claim in claims], list(rows), "o", color="tab:blue", label="here, 95 % interval")
-    for label, marker, values in (
-        ("ceiling", "|", [claim.ceiling for claim in claims]),
-        ("dissertation", "x", [claim.dissertation for claim in claims]),
-    ):
-        known = [(value, row) for value, row in zip(values, rows, strict=True) if value is not None]
-        if known:
-            x, y = zip(*known, strict=True)
-            axes.plot(x, y, marker, color="black", markersize=9, label=label)
-    axes.set_yticks(rows, [claim.claim for claim in claims])
-    axes.invert_yaxis()
-    axes.legend(loc="best", fontsize="small")
-    image = BytesIO()
-    figure.savefig(image, format="png", metadata={"Software": None})
-    return image.getvalue()
+    return f"## {section.title}\n\n{cells}" if section.title else cells

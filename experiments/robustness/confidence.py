@@ -1,0 +1,85 @@
+"""How well a model knows where it is wrong, over the answers under all conditions; as samples by trial.
+
+AUROC and expected calibration error are no ratios of sums over trials. Each is written as one that equals it: the AUROC
+as the mean over wrong answers of the share of right ones with a higher score, the calibration error with the sign of
+each bin's gap. Their intervals so hold the right answers' scores, and these signs, fixed.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.workbench.results import Sample
+from freerein.learning.in_distribution import FLAGGED
+
+AUROC, FLAGGED_SHARE, CALIBRATION_ERROR = (f"in_distribution.{name}" for name in ("auroc", "flagged", "ece"))
+_BINS = 15
+_DECIMALS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Answers of a model under one condition.
+
+    Attributes:
+        right: bool (N,).
+        confidence: float (N,) in [0, 1].
+        score: float (N,), in-distribution score.
+        trial: int64 (N,), the trial of each, from 0.
+    """
+
+    right: npt.NDArray[np.bool_]
+    confidence: npt.NDArray[np.floating]
+    score: npt.NDArray[np.floating]
+    trial: npt.NDArray[np.int64]
+
+
+def pool(parts: Iterable[Answers]) -> Answers:
+    """Returns the answers under several conditions; a trial is one under one of them."""
+    parts = list(parts)
+    offsets = np.cumsum([0, *(each.trial.max() + 1 for each in parts)])
+    right, confidence, score, trial = (
+        np.concatenate([getattr(each, name) for each in parts]) for name in ("right", "confidence", "score", "trial")
+    )
+    return Answers(right, confidence, score, trial + np.repeat(offsets[:-1], [len(each.trial) for each in parts]))
+
+
+def samples(answers: Answers, *, nominal: Answers) -> dict[str, Sample]:
+    """Returns AUROC of scores of right against wrong answers, the share of nominal ones flagged, and ECE of the rest.
+
+    `answers` are those under all conditions, of which AUROC and ECE are.
+    """
+    kept = answers.score >= FLAGGED
+    return {
+        AUROC: _by_trial(*_placements(answers), answers.trial),
+        FLAGGED_SHARE: _by_trial(nominal.score < FLAGGED, np.ones(len(nominal.score)), nominal.trial),
+        CALIBRATION_ERROR: _by_trial(
+            _signed_gaps(answers.confidence[kept], answers.right[kept]), np.ones(int(kept.sum())), answers.trial[kept]
+        ),
+    }
+
+
+def _placements(pooled: Answers) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns for each wrong answer the share of right ones with a higher score, ties by half, and 1; else 0 and 0."""
+    wrong, of_right = ~pooled.right, np.sort(pooled.score[pooled.right])
+    above, at_least = (len(of_right) - of_right.searchsorted(pooled.score, side) for side in ("right", "left"))
+    shares = (above + at_least) / (2 * len(of_right))
+    return np.where(wrong, shares, 0.0), wrong.astype(np.float64)
+
+
+def _signed_gaps(confidence: npt.NDArray[np.floating], right: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+    """Returns what each answer adds to the expected calibration error times N, float64 (N,)."""
+    bins = np.minimum((confidence * _BINS).astype(np.int64), _BINS - 1)
+    gaps = confidence.astype(np.float64) - right
+    signs = np.sign(np.bincount(bins, weights=gaps, minlength=_BINS))
+    signed: npt.NDArray[np.float64] = signs[bins] * gaps
+    return signed
+
+
+def _by_trial(totals: npt.NDArray[np.generic], counts: npt.NDArray[np.float64], trial: npt.NDArray[np.int64]) -> Sample:
+    """Returns sums over the answers of each trial that has some."""
+    sums = [np.bincount(trial, weights=np.asarray(each, np.float64)) for each in (totals, counts)]
+    has_some = sums[1] > 0
+    return Sample(*(np.round(each[has_some], _DECIMALS).tolist() for each in sums))

@@ -1,0 +1,128 @@
+"""The benchmark's arms: models and guesses of the world `blocks`, each evaluated under all of its conditions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import torch
+
+from experiments.robustness import report, reward, scenes, segmentation, visited_states, wordings
+from experiments.robustness.draw import Spec, open_or_draw
+from experiments.robustness.visited_states import StoredPolicy, stored_policies
+from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
+from experiments.segmentation import evaluation
+from experiments.workbench.arms import Arm
+from experiments.workbench.results import ArmResult, Outcome
+from experiments.workbench.table import Table
+from freerein.learning.checkpoints import JSON
+from freerein_reward.training import RewardConfig
+from freerein_segmentation.training import SegmentationConfig
+
+AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain": 0.0})
+"""Strength of the camera augmentation of a fit, by variant; the first is the library's default."""
+
+SEGMENTATION, REWARD, PPO = "segmentation", "reward", "ppo"
+
+_VERSION = 1
+"""Of the evaluation; a new one replaces all results."""
+
+_FOUND: Mapping[tuple[str, str], Callable[[Path], Outcome]] = MappingProxyType(
+    {
+        (DEMONSTRATED, "random"): lambda work: segmentation.evaluate_guess(evaluation.guess_skill, work),
+        (DEMONSTRATED, "majority"): lambda work: segmentation.evaluate_guess(evaluation.guess_majority, work),
+        (SCATTERED, "majority"): scenes.evaluate_majority,
+        (SCATTERED, "word_blind"): scenes.evaluate_word_blind,
+        (SCATTERED, "captions"): scenes.evaluate_captions,
+    }
+)
+"""What is evaluated without a fit, by world and method."""
+
+
+@dataclass(frozen=True)
+class RobustnessExperiment:
+    """Arms that differ in model, augmentation and seed.
+
+    Attributes:
+        seeds: Number of independently trained networks of each kind.
+        policies: Folder of the orchestrator's policies, on whose states the reward is judged.
+    """
+
+    seeds: int = 3
+    policies: Path = Path("models/orchestrator")
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """Guesses and policies, then fitted models, then these on the states that policies visit."""
+        fits = [(variant, seed) for seed in range(self.seeds) for variant in AUGMENTATION]
+        fitted = ((DEMONSTRATED, SEGMENTATION), (SCATTERED, REWARD))
+        tasks = sorted(self._policies)
+        return (
+            *(Arm(world, method) for world, method in _FOUND),
+            *(Arm(world, method, {"fit": variant}, seed) for world, method in fitted for variant, seed in fits),
+            *(Arm(task, REWARD, {"fit": variant}, seed) for task in tasks for variant, seed in fits),
+            *(Arm(task, PPO) for task in tasks),
+        )
+
+    @property
+    def _policies(self) -> dict[str, StoredPolicy]:
+        return {policy.task: policy for policy in stored_policies(self.policies)}
+
+    def config(self, arm: Arm) -> dict[str, JSON]:
+        """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
+        config: dict[str, Any] = {"version": _VERSION}
+        if arm.method == SEGMENTATION:
+            config |= {"fit": asdict(_segmentation_config(arm)), "training": asdict(segmentation.TRAINING)}
+        if arm.method == REWARD:
+            config |= {"fit": asdict(_reward_config(arm)), "training": asdict(reward.TRAINING)}
+        if arm.method in (REWARD, "captions"):
+            config["grounding"] = reward.grounding_version()
+        if arm.world == DEMONSTRATED:
+            config["test"] = {condition: asdict(spec) for condition, spec in segmentation.test_specs().items()}
+        elif arm.world == SCATTERED:
+            config["test"] = [asdict(spec) for spec in scenes.scene_specs().values()]
+        else:
+            config["test"] = asdict(visited_states.rollouts(self._policies[arm.world], NOMINAL))
+        return config
+
+    def world_hash(self, world: str) -> str:
+        """Returns the hash of what the world's generator draws."""
+        return world_hash(world)
+
+    def prepare(self, work: Path) -> None:
+        """Draws what is learned from and what fits are evaluated on."""
+        specs = (segmentation.TRAINING, *segmentation.test_specs().values())
+        more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())
+        for spec in (*specs, *more):
+            open_or_draw(spec, work)
+
+    def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+        """Fits where no other arm has, and evaluates; see `Experiment`. Checkpoints are in `work`."""
+        torch.set_num_threads(1)
+        if found := _FOUND.get((arm.world, arm.method)):
+            return found(work)
+        if arm.method == SEGMENTATION:
+            segmenter = segmentation.fit_model(_segmentation_config(arm), work, on_progress)
+            return None if segmenter is None else segmentation.evaluate(segmenter, work)
+        if arm.method == PPO:
+            return visited_states.evaluate_policy(self._policies[arm.world], work)
+        model = reward.fit_model(_reward_config(arm), work, on_progress)
+        if model is None:
+            return None
+        if arm.world != SCATTERED:
+            return visited_states.evaluate(model, self._policies[arm.world], work)
+        parts = [scenes.evaluate(model, work), wordings.evaluate(model, work)]
+        return Outcome({}, {name: sample for part in parts for name, sample in part.samples.items()})
+
+    def table(self, results: Sequence[ArmResult]) -> Table:
+        """Returns the table of the arms that have results."""
+        return report.table(results)
+
+
+def _segmentation_config(arm: Arm) -> SegmentationConfig:
+    return segmentation.fit_config(augmentation=AUGMENTATION[arm.options["fit"]], seed=arm.seed)
+
+
+def _reward_config(arm: Arm) -> RewardConfig:
+    return reward.fit_config(augmentation=AUGMENTATION[arm.options["fit"]], seed=arm.seed)

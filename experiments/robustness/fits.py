@@ -1,0 +1,55 @@
+"""Fits that several arms share, found by a hash of configuration, data and world.
+
+<work>/fits/<hash>/              checkpoints and metrics
+                   model/        the model, as the service saves it
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from experiments.workbench.locks import locked
+from freerein.learning import model_files
+from freerein.learning.checkpoints import JSON
+from freerein.learning.fit import FitResult, Learner, fit_and_save
+from freerein.learning.fit_config import FitConfig
+from freerein.learning.train_state import N
+
+
+class CalibratedLearner(Learner[N], Protocol[N]):
+    """A learner whose network has an in-distribution score."""
+
+    def calibrate(self, network: N) -> None:
+        """Fits the score."""
+
+
+def fit_once(
+    config: FitConfig,
+    inputs: Sequence[JSON],
+    make_learner: Callable[[], CalibratedLearner[N]],
+    *,
+    work: Path,
+    on_progress: Callable[[], None],
+) -> Path | None:
+    """Returns the folder of a model, which is fitted where it is missing; None when SIGTERM stopped the fit.
+
+    `inputs` tell apart what fits of one configuration learn from.
+    """
+    identity = json.dumps([type(config).__name__, asdict(config), *inputs, torch.__version__], sort_keys=True)
+    folder = work / "fits" / hashlib.sha256(identity.encode()).hexdigest()[:16]
+    with locked(folder.with_suffix(".lock")):
+        if not (folder / "model" / model_files.MODEL.card).is_file():
+            learner = make_learner()
+
+            def save(fitted: FitResult[N], model: Path) -> None:
+                learner.calibrate(fitted.network)
+                model_files.save_model(fitted.network, model, card={"figures": fitted.figures})
+
+            if not fit_and_save(learner, folder, save, on_event=lambda _: on_progress()):
+                return None
+    return folder / "model"

@@ -1,0 +1,187 @@
+"""The table of the benchmark: claims, every model under every condition, wordings, and states that policies visit."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from experiments.robustness import scenes, visited_states, wordings
+from experiments.robustness.heat_map import heat_map
+from experiments.robustness.targets import BASELINE, OURS, Made, make_claims, samples_of
+from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, SCATTERED, conditions
+from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.workbench import claims
+from experiments.workbench.results import ArmResult
+from experiments.workbench.table import Picture, Section, Table
+from freerein_sim.worlds.tasks import tasks
+
+_TITLE = "Robustness: every model under every condition"
+
+_TEXT = """\
+Models of the world `blocks`, fitted without any of these conditions and evaluated under each; true labels and states
+are read by the evaluation alone. `augmented` is the library's default, `plain` the same fit with augmentation 0. Both
+have the same data, seeds and number of steps, and are not tuned to a condition. Hue, light, white balance, noise and
+small camera moves are like what the augmentation does; blur, JPEG, numbers of blocks and the speed of play are not.
+
+*Segmentation*: 400 expert trajectories of 2 to 3 skills with their tags; frame accuracy, in per cent, on 40 held-out
+trajectories of all 4 skills for each condition (of 2 and 3 with as many blocks), after the service's decoding with its
+defaults. `random` guesses a skill for each frame; `majority` knows each trajectory's longest skill.
+
+*Reward*: 1 500 trajectories of 6 frames of random actions among 2 to 4 blocks, with captions by the grounding model;
+balanced accuracy, in per cent, of the preferred one of 5 relations on 300 held-out scenes for each condition and number
+of blocks, over all ordered pairs of blocks on show. A constant answer scores 20 balanced: `majority`. `word_blind`
+knows the commonest relation of each scene and answers it for every pair. `captions` is table 4.1's rule at the places
+where the grounding model finds the blocks, which is what the reward models learn from.
+
+Intervals are 95 %: bootstrap over 3 seeds, then over trials (trajectories, or episodes of two scenes); of AUROC over
+wrong answers, and of ECE with the sign of each bin's gap held fixed.
+"""
+
+_VARIANTS = (OURS, BASELINE)
+_GUESSES = MappingProxyType({DEMONSTRATED: ("majority", "random"), SCATTERED: ("captions", "word_blind", "majority")})
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the table of conditions.
+
+    Attributes:
+        title: Its heading.
+        world: World of its arms.
+        method: Their method.
+        variant: Their variant; empty for arms without a fit.
+        figure: Name of the figure after that of the condition.
+        scale: What a figure is multiplied with, to be in per cent.
+    """
+
+    title: str
+    world: str
+    method: str
+    variant: str
+    figure: str
+    scale: float = 100.0
+
+
+def table(results: Sequence[ArmResult]) -> Table:
+    """Returns the table of the arms that have results."""
+    made = make_claims(results)
+    columns = [each for each in _columns(results) if _arms(results, each)]
+    return Table(
+        title=_TITLE,
+        text=_TEXT.strip(),
+        sections=(
+            _claims_section(made),
+            _conditions_section(results, columns),
+            _absent_section(results),
+            _wordings_section(results),
+            _visited_section(results),
+        ),
+        claims=tuple(each.claim for each in made),
+        picture=Picture("Every model under every condition, per cent", partial(_picture, results, columns)),
+    )
+
+
+def _columns(results: Sequence[ArmResult]) -> Iterator[_Column]:
+    groups = [("segmentation", DEMONSTRATED, "segmentation", FRAME_ACCURACY)]
+    groups += [(f"reward, {each[-1]} blocks", SCATTERED, "reward", f"{each}.{scenes.BALANCED}") for each in BLOCKS]
+    for title, world, method, figure in groups:
+        yield from (_Column(f"{title}, {variant}", world, method, variant, figure) for variant in _VARIANTS)
+        yield from (_Column(f"{title}, {guess}", world, guess, "", figure) for guess in _GUESSES[world])
+    for world in sorted({each.world for each in results if each.method == "ppo"}):
+        steps, title = tasks()[world].spec.max_episode_steps, world.partition(".")[2].replace("-", " ")
+        yield _Column(f"PPO, {title}", world, "ppo", "", visited_states.RETURN, 100 / steps)
+
+
+def _arms(results: Sequence[ArmResult], column: _Column) -> list[ArmResult]:
+    wanted = (column.world, column.method, column.variant)
+    return [each for each in results if (each.world, each.method, each.options.get("fit", "")) == wanted]
+
+
+def _values(results: Sequence[ArmResult], columns: Sequence[_Column]) -> dict[tuple[str, str], float]:
+    """Returns the mean over seeds by condition and column's title."""
+    values = {}
+    for column in columns:
+        arms = _arms(results, column)
+        for condition in conditions(column.world):
+            name = f"{condition}.{column.figure}"
+            if name in arms[0].samples:
+                values[condition, column.title] = column.scale * claims.mean(samples_of(arms, name))
+    return values
+
+
+def _conditions(columns: Sequence[_Column]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for column in reversed(columns) for name in conditions(column.world)))
+
+
+def _picture(results: Sequence[ArmResult], columns: Sequence[_Column]) -> bytes:
+    return heat_map(
+        _values(results, columns), rows=_conditions(columns), columns=[each.title for each in columns], title=_TITLE
+    )
+
+
+def _claims_section(made: Sequence[Made]) -> Section:
+    rows = []
+    for each in made:
+        claim, found = each.claim, each.worst if len(each.target.samples) > 1 else ""
+        interval = f"{claim.value:.4g} [{claim.low:.4g}, {claim.high:.4g}]"
+        baseline = "" if claim.baseline is None else f"{claim.baseline:.4g}"
+        met = "yes" if claim.met else "**no**"
+        rows.append((f"`{claim.claim}`", each.target.text, interval, each.target.must_reach, met, baseline, found))
+    header = ("claim", "what", "value [95 % interval]", "must reach", "met", "plain fit", "the worst is")
+    return Section(header, tuple(rows), "Claims")
+
+
+def _conditions_section(results: Sequence[ArmResult], columns: Sequence[_Column]) -> Section:
+    values = _values(results, columns)
+    rows = [
+        (condition, *(_cell(values.get((condition, column.title))) for column in columns))
+        for condition in _conditions(columns)
+    ]
+    return Section(("condition", *(column.title for column in columns)), tuple(rows), "Conditions")
+
+
+def _absent_section(results: Sequence[ArmResult]) -> Section:
+    """Rewards of goals that name a block that is not on show."""
+    columns = [
+        _Column(title, SCATTERED, method, variant, f"blocks-2.{scenes.ABSENT_REWARDED}")
+        for title, method, variant in (*((each, "reward", each) for each in _VARIANTS), ("captions", "captions", ""))
+    ]
+    columns = [each for each in columns if _arms(results, each)]
+    values = _values(results, columns)
+    rows = [(name, *(_cell(values.get((name, each.title)), 2) for each in columns)) for name in conditions(SCATTERED)]
+    header = ("condition", *(f"{each.title}, %" for each in columns))
+    return Section(header, tuple(rows), "Scenes of 2 blocks in which a goal that names an absent one is rewarded")
+
+
+def _wordings_section(results: Sequence[ArmResult]) -> Section:
+    by_variant = {each: _arms(results, _Column("", SCATTERED, "reward", each, "")) for each in _VARIANTS}
+    figures = (wordings.RECALL, wordings.FALSE_RATE)
+    present = {variant: arms for variant, arms in by_variant.items() if arms}
+    rows = [
+        (name, *(_interval(arms, f"{name}.{figure}") for arms in present.values() for figure in figures))
+        for name in wordings.CLASSES
+    ]
+    titles = (f"{variant}, {figure.replace('_', ' ')}" for variant in present for figure in figures)
+    return Section(("class", *titles), tuple(rows), "Wordings, in nominal scenes of 2 and 4 blocks")
+
+
+def _visited_section(results: Sequence[ArmResult]) -> Section:
+    rows, figures = [], (visited_states.PRECISION, visited_states.RECALL, visited_states.SHARE_TRUE)
+    for world in sorted({each.world for each in results} - {DEMONSTRATED, SCATTERED}):
+        for variant in _VARIANTS:
+            if arms := _arms(results, _Column("", world, "reward", variant, "")):
+                rows.append((world, variant, *(_interval(arms, figure) for figure in figures)))
+    header = ("task", "fit", "precision", "recall", "share of states in which the goal holds")
+    return Section(header, tuple(rows), "Reward on states that PPO's policies visit")
+
+
+def _interval(arms: Sequence[ArmResult], name: str) -> str:
+    found = samples_of(arms, name)
+    low, high = claims.interval(found, rng=np.random.default_rng(0))
+    return f"{claims.mean(found):.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _cell(value: float | None, decimals: int = 1) -> str:
+    return "" if value is None else f"{value:.{decimals}f}"

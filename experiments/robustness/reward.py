@@ -1,0 +1,68 @@
+"""Reward models of the scattered blocks: a fit to captions of random exploration, by the grounding model."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from experiments.robustness.draw import Exploration, open_or_draw, spec_hash
+from experiments.robustness.fits import fit_once
+from experiments.robustness.worlds import CAMERA
+from freerein.errors import FailedPrecondition
+from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding, load_reward_model
+from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, network_spec
+from freerein_reward.training.caption_dataset import image_relations
+
+COLOURS = ("red", "green", "yellow", "blue")
+PHRASES = tuple(f"a {colour} block" for colour in COLOURS)
+EPSILON = 0.105
+"""Width of a block's front in the frames, as a share of theirs."""
+
+TRAINING = Exploration(count=1500, seed=2)
+_GROUNDING = Path("models/reward/grounding")
+
+
+def fit_config(*, augmentation: float, seed: int) -> RewardConfig:
+    """Returns the service's configuration of a fit."""
+    given = {"phrases": list(PHRASES), "cameras": [CAMERA], "epsilon": EPSILON}
+    return RewardConfig.from_mapping({**given, "augmentation": augmentation, "seed": seed})
+
+
+def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None]) -> DualEncoderModel | None:
+    """Returns the fitted model; None when the fit was stopped."""
+
+    def make_learner() -> RewardModelLearner:
+        grounding, drawn = open_grounding(), open_or_draw(TRAINING, work)
+        frames = drawn.seen["frames"]
+        found = grounding.ground(frames, PHRASES)
+        relations, half_heat = image_relations(found.x, found.y, found.heat, found.presence, config)
+        dataset = CaptionDataset((frames,), PHRASES, relations, half_heat)
+        training, validation = dataset.split(
+            drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed
+        )
+        spec = network_spec(grounding.network.spec, config)
+        version = grounding_version()
+        return RewardModelLearner(
+            config, spec, training, validation, grounding, version, f"{data} {version}", torch.device("cpu")
+        )
+
+    data = spec_hash(TRAINING)
+    inputs = [data, grounding_version()]
+    folder = fit_once(config, inputs, make_learner, work=work, on_progress=on_progress)
+    return None if folder is None else load_reward_model(folder, "cpu")
+
+
+def open_grounding() -> GradCamModel:
+    """Returns the grounding model that ships."""
+    return load_grounding(_GROUNDING / grounding_version(), "cpu")
+
+
+def grounding_version() -> str:
+    """Returns the version of the grounding model that ships; FailedPrecondition unless there is one."""
+    versions = [path.parent.name for path in _GROUNDING.glob("*/card.json")]
+    if len(versions) != 1:
+        raise FailedPrecondition(
+            f"{_GROUNDING} must hold one version of the grounding model; it holds {len(versions)}.",
+            hint="Run from a checkout.",
+        )
+    return versions[0]

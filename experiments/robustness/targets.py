@@ -1,0 +1,204 @@
+"""The claims of the benchmark: what each measures, what it must reach, and the worst of the figures that it names."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from experiments.robustness import confidence, scenes, visited_states, wordings
+from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
+from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.workbench import claims
+from experiments.workbench.claims import Claim
+from experiments.workbench.results import ArmResult, Sample
+
+OURS, BASELINE = "augmented", "plain"
+"""Variants of a fit: the one that claims are of, and the one that they are compared with."""
+
+_PER_CENT, _SHARE = 100, 1
+
+
+@dataclass(frozen=True)
+class Target:
+    """A claim to be made.
+
+    Attributes:
+        claim: Its name.
+        text: What it measures.
+        world: World of the arms that measure it; empty for all worlds of policies, whose trials are joined.
+        samples: Figures, the worst of which it is.
+        least: What it must reach at least; None where it must not exceed `most`.
+        most: What it must not exceed.
+        unit: 100 for per cent, 1 for a share.
+        also: Claims that must be met for this one to be.
+    """
+
+    claim: str
+    text: str
+    world: str
+    samples: tuple[str, ...]
+    least: float | None = None
+    most: float | None = None
+    unit: int = _SHARE
+    also: tuple[str, ...] = ()
+
+    @property
+    def must_reach(self) -> str:
+        """What it must reach, such as `>= 92`."""
+        return f"≥ {self.least:g}" if self.least is not None else f"≤ {self.most:g}"
+
+    def is_reached(self, value: float) -> bool:
+        """Returns whether a value is good enough."""
+        return value >= self.least if self.least is not None else value <= (self.most or 0.0)
+
+
+def _frames(claim: str, text: str, least: float, *named: str) -> Target:
+    samples = tuple(f"{condition}.{FRAME_ACCURACY}" for condition in named)
+    return Target(claim, f"segmentation, frame accuracy, %: {text}", DEMONSTRATED, samples, least, unit=_PER_CENT)
+
+
+def _relations(claim: str, text: str, least: float, *samples: str) -> Target:
+    return Target(claim, f"reward, argmax of 5 relations, {text}", SCATTERED, samples, least, unit=_PER_CENT)
+
+
+def _accuracies(*named: str) -> tuple[str, ...]:
+    return tuple(f"{condition}.{blocks}.{scenes.ACCURACY}" for condition in named for blocks in BLOCKS)
+
+
+def _confidence(prefix: str, model: str, world: str) -> tuple[Target, ...]:
+    name, text = f"{prefix}_in_distribution_", f"{model}, in-distribution score: "
+    return (
+        Target(f"{name}auroc", f"{text}AUROC, right against wrong", world, (confidence.AUROC,), least=0.9),
+        Target(f"{name}flagged", f"{text}nominal answers flagged", world, (confidence.FLAGGED_SHARE,), most=0.05),
+        Target(f"{name}ece", f"{text}ECE of what is not flagged", world, (confidence.CALIBRATION_ERROR,), most=0.05),
+    )
+
+
+TARGETS = (
+    _frames("seg_nominal", "nominal", 96, NOMINAL),
+    _frames("seg_light", "light 0.6 or 0.8", 92, "light-0.6", "light-0.8"),
+    _frames("seg_hue", "hue ±10 %", 92, "hue-minus-10", "hue-plus-10"),
+    _frames("seg_camera", "camera moved by 5 cm", 92, "camera-5cm"),
+    _relations("reward_two", "balanced accuracy, %: 2 blocks", 93, f"{NOMINAL}.blocks-2.{scenes.BALANCED}"),
+    _relations("reward_four", "balanced accuracy, %: 4 blocks", 85, f"{NOMINAL}.blocks-4.{scenes.BALANCED}"),
+    _relations("reward_hue", "accuracy, %: hue ±10 %", 88, *_accuracies("hue-minus-10", "hue-plus-10")),
+    _relations("reward_noise", "accuracy, %: noise of sigma 20", 88, *_accuracies("noise-20")),
+    Target(
+        "reward_absent",
+        "scenes of 2 blocks in which a goal that names an absent one is rewarded",
+        SCATTERED,
+        tuple(f"{condition}.blocks-2.{scenes.ABSENT_REWARDED}" for condition in conditions(SCATTERED)),
+        most=0.02,
+    ),
+    Target(
+        "reward_precision",
+        "precision of the reward on states that PPO's policies visit, at recall ≥ 0.9",
+        "",
+        (visited_states.PRECISION,),
+        least=0.97,
+        also=("reward_recall",),
+    ),
+    Target("reward_recall", "recall of the reward there", "", (visited_states.RECALL,), least=0.9),
+    Target(
+        "wordings",
+        "recall of the reward, worst class of wordings, at a false rate ≤ 0.04",
+        SCATTERED,
+        tuple(f"{name}.{wordings.RECALL}" for name in wordings.CLASSES),
+        least=0.85,
+        also=("wordings_false_rate",),
+    ),
+    Target(
+        "wordings_false_rate",
+        "false rate of the reward, worst class of wordings",
+        SCATTERED,
+        tuple(f"{name}.{wordings.FALSE_RATE}" for name in wordings.CLASSES),
+        most=0.04,
+    ),
+    *_confidence("seg", "segmentation", DEMONSTRATED),
+    *_confidence("reward", "reward", SCATTERED),
+)
+"""The claims that have a target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A claim of a target, and the name of the figure that is the worst."""
+
+    target: Target
+    claim: Claim
+    worst: str
+
+
+def make_claims(results: Sequence[ArmResult], wanted: Sequence[Target] = TARGETS) -> list[Made]:
+    """Returns the claims whose arms have results."""
+    found = [made for target in wanted if (made := _make(target, results))]
+    reached = {made.claim.claim: bool(made.claim.met) for made in found}
+    return [_with_others(made, reached) for made in found]
+
+
+def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
+    """Returns a figure of each seed; trials in several worlds are joined."""
+    by_seed: dict[int, list[Sample]] = {}
+    for result in results:
+        by_seed.setdefault(result.seed, []).append(result.samples[name])
+    return [_join(each) for each in by_seed.values()]
+
+
+def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
+    arms, others = (_arms(target, results, variant) for variant in (OURS, BASELINE))
+    if not arms:
+        return None
+    values = {name: target.unit * claims.mean(samples_of(arms, name)) for name in target.samples}
+    worst = (max if target.least is None else min)(values, key=values.__getitem__)
+    samples = samples_of(arms, worst)
+    low, high = claims.interval(samples, rng=np.random.default_rng(0))
+    baseline = target.unit * claims.mean(samples_of(others, worst)) if others else None
+    claim = Claim(
+        claim=target.claim,
+        value=_rounded(values[worst]),
+        low=_rounded(target.unit * low),
+        high=_rounded(target.unit * high),
+        seeds=len(samples),
+        trials=len(samples[0].totals),
+        scale=None,
+        baseline=None if baseline is None else _rounded(baseline),
+        ceiling=None,
+        gap_closed=None,
+        dissertation=None,
+        target=target.least if target.most is None else target.most,
+        met=target.is_reached(_rounded(values[worst])),
+        world_hash=arms[0].world_hash,
+        command=_command(arms),
+        minutes=round(sum(arm.minutes for arm in arms), 2),
+    )
+    return Made(target, claim, worst)
+
+
+def _with_others(made: Made, reached: Mapping[str, bool]) -> Made:
+    others = all(reached.get(name, False) for name in made.target.also)
+    return replace(made, claim=replace(made.claim, met=bool(made.claim.met) and others))
+
+
+def _arms(target: Target, results: Sequence[ArmResult], variant: str) -> list[ArmResult]:
+    return [
+        each
+        for each in results
+        if each.options.get("fit") == variant
+        and (each.world == target.world or (not target.world and each.world not in (DEMONSTRATED, SCATTERED)))
+    ]
+
+
+def _join(parts: Sequence[Sample]) -> Sample:
+    return Sample(
+        [total for part in parts for total in part.totals], [count for part in parts for count in part.counts]
+    )
+
+
+def _command(arms: Sequence[ArmResult]) -> str:
+    """Returns the command that makes the arms, in a pattern for each world."""
+    patterns = dict.fromkeys(f"'{arm.name.removesuffix(str(arm.seed))}*'" for arm in arms)
+    return f"python -m experiments run robustness --only {' '.join(patterns)}"
+
+
+def _rounded(value: float) -> float:
+    return round(value, 4)

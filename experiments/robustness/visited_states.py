@@ -1,0 +1,87 @@
+"""The reward on states that PPO's policies visit, and what these policies achieve under each condition."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.robustness import wordings
+from experiments.robustness.draw import Drawn, Rollouts, open_or_draw
+from experiments.robustness.worlds import CAMERA, NOMINAL, SCATTERED, conditions
+from experiments.workbench.results import Outcome, Sample
+from freerein.learning import model_files
+from freerein_orchestrator.rl.policy_files import NAMES
+from freerein_reward.model import DualEncoderModel
+from freerein_sim.worlds.tasks import tasks
+
+PRECISION, RECALL, RETURN, SHARE_TRUE = "precision", "recall", "return", "true"
+
+Flags = npt.NDArray[np.bool_]
+
+_COUNT, _SEED = 30, 1_000_003
+
+
+@dataclass(frozen=True)
+class StoredPolicy:
+    """A policy of the orchestrator on disk: its task, its folder, and the sha256 of its weights."""
+
+    task: str
+    folder: str
+    sha256: str
+
+
+def stored_policies(folder: Path) -> tuple[StoredPolicy, ...]:
+    """Returns the policies in a folder of models, by name: one for each task."""
+    found = []
+    for path in sorted(folder.glob(f"*/*/{NAMES.card}")):
+        card = model_files.read_card(path.parent, names=NAMES)
+        found.append(StoredPolicy(card["task"], str(path.parent), card["sha256"]))
+    return tuple(found)
+
+
+def evaluate(model: DualEncoderModel, policy: StoredPolicy, work: Path) -> Outcome:
+    """Returns precision and recall of the reward for the task's goal text, by true relations; a trial is an episode."""
+    drawn = open_or_draw(rollouts(policy, NOMINAL), work)
+    holds = _holds(drawn, policy.task)
+    seen = model.embed_images({CAMERA: drawn.seen["frames"]})
+    is_rewarded = wordings.rewards(model, seen, model.grammar.read(tasks()[policy.task].goal_text))
+    return Outcome(
+        {},
+        {
+            PRECISION: _share(is_rewarded & holds, is_rewarded, drawn),
+            RECALL: _share(is_rewarded & holds, holds, drawn),
+            SHARE_TRUE: _share(holds, np.ones(len(holds), np.bool_), drawn),
+        },
+    )
+
+
+def evaluate_policy(policy: StoredPolicy, work: Path) -> Outcome:
+    """Returns the return of the oracle under each condition; a trial is an episode."""
+    samples = {}
+    for condition in conditions(policy.task):
+        returns = [each.sum() for each in open_or_draw(rollouts(policy, condition), work).by_trajectory("rewards")]
+        samples[f"{condition}.{RETURN}"] = Sample([float(each) for each in returns], [1] * len(returns))
+    return Outcome({}, samples)
+
+
+def rollouts(policy: StoredPolicy, condition: str) -> Rollouts:
+    """Returns the spec of a policy's episodes."""
+    return Rollouts(_COUNT, _SEED, policy.task, policy.folder, policy.sha256, condition)
+
+
+def _holds(drawn: Drawn, task: str) -> Flags:
+    """Returns whether the task's relation holds, bool (N,), whether its blocks are at rest or held."""
+    text = tasks()[task].goal_text
+    (predicate,) = (each for each in tasks()[SCATTERED].predicates if each.text == text)
+    return predicate.holds(drawn.truth["states"][:, None])[:, 0]
+
+
+def _share(totals: Flags, counts: Flags, drawn: Drawn) -> Sample:
+    return Sample(*(list(_sums(each, drawn)) for each in (totals, counts)))
+
+
+def _sums(flags: Flags, drawn: Drawn) -> Iterator[int]:
+    ends = np.cumsum(drawn.seen["lengths"])[:-1]
+    yield from (int(each.sum()) for each in np.split(flags, ends))

@@ -1,0 +1,164 @@
+"""The robustness benchmark: what it draws, its figures as samples, its claims and its table."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from experiments import registry
+from experiments.robustness import confidence, reward, scenes, segmentation, targets, wordings, worlds
+from experiments.robustness.confidence import Answers
+from experiments.robustness.draw import Demonstrations, Scenes
+from experiments.robustness.heat_map import heat_map
+from experiments.robustness.scenes import Judged
+from experiments.workbench import table
+from experiments.workbench.arms import Arm
+from experiments.workbench.results import ArmResult, Sample
+
+from freerein import metrics
+from freerein_reward.goal_text import Grammar
+from freerein_reward.relations import SpatialRelation
+from freerein_reward.training.caption_dataset import ABSENT
+
+EXPERIMENT = registry.load("robustness")
+RNG = np.random.default_rng(0)
+
+
+def result(arm: Arm, samples: Mapping[str, Sample]) -> ArmResult:
+    identity = {"name": arm.name, "world": arm.world, "method": arm.method, "options": arm.options, "seed": arm.seed}
+    made = {"config": {}, "world_hash": "ab", "figures": {}, "machine": {}, "command": "python -m experiments"}
+    return ArmResult(**identity, **made, samples=samples, minutes=1.0, cpu_minutes=1.0)
+
+
+def results(world: str, values: Mapping[str, float], *, seeds: int = 3) -> list[ArmResult]:
+    """Results of a fitted model whose figures all have these values, in all trials."""
+    samples = {name: Sample([value] * 4, [1] * 4) for name, value in values.items()}
+    method = "segmentation" if world == "blocks" else "reward"
+    return [result(Arm(world, method, {"fit": "augmented"}, seed), samples) for seed in range(seeds)]
+
+
+def test_scenes_of_two_conditions_begin_alike_and_look_different() -> None:
+    nominal, noisy, two = (
+        Scenes(2, 5, "blocks-4").draw(),
+        Scenes(2, 5, "blocks-4", "noise-20").draw(),
+        Scenes(2, 5, "blocks-2").draw(),
+    )
+    assert np.array_equal(nominal.truth["states"], noisy.truth["states"])
+    assert not np.array_equal(nominal.seen["frames"], noisy.seen["frames"])
+    assert (scenes.true_relations(nominal.truth["states"]) != ABSENT).all()
+    assert ((scenes.true_relations(two.truth["states"]) != ABSENT).sum(axis=1) == 2).all()
+
+
+def test_learners_see_no_labels_and_the_tags_are_those_of_the_labels() -> None:
+    drawn = Demonstrations(2, 5, 2, 2).draw()
+    assert set(drawn.seen) == {"lengths", "frames", "actions", "tags"}
+    for tags, labels in zip(drawn.seen["tags"], drawn.by_trajectory("labels"), strict=True):
+        assert np.flatnonzero(tags).tolist() == sorted(set(labels.tolist()))
+
+
+def test_training_and_test_data_have_different_seeds() -> None:
+    held_out = {spec.seed for spec in (*segmentation.test_specs().values(), *scenes.scene_specs().values())}
+    assert not held_out & {segmentation.TRAINING.seed, reward.TRAINING.seed}
+
+
+def test_worlds_have_a_hash_each_that_stays() -> None:
+    assert worlds.world_hash("blocks") == worlds.world_hash.__wrapped__("blocks") != worlds.world_hash("blocks.scatter")
+
+
+def test_figures_of_confidence_are_those_of_the_metrics() -> None:
+    right, trial = RNG.random(500) < 0.8, np.sort(RNG.integers(7, size=500))
+    score = np.clip(np.round(RNG.random(500) / 2 + right / 4, 2), 0, 1)
+    answers = Answers(right, RNG.random(500), score, trial)
+
+    samples = confidence.samples(answers, nominal=answers)
+
+    kept = score >= confidence.FLAGGED
+    ece = metrics.expected_calibration_error(answers.confidence[kept], right[kept], bins=15)
+    assert samples[confidence.AUROC].mean == pytest.approx(metrics.auroc(score, right), abs=1e-6)
+    assert samples[confidence.CALIBRATION_ERROR].mean == pytest.approx(ece, abs=1e-6)
+    assert samples[confidence.FLAGGED_SHARE].mean == pytest.approx(1 - kept.mean(), abs=1e-6)
+
+
+def test_answers_of_two_conditions_are_trials_apart() -> None:
+    one = Answers(np.array([True, False]), np.ones(2), np.ones(2), np.array([0, 1]))
+    assert confidence.pool([one, one]).trial.tolist() == [0, 1, 2, 3]
+
+
+def test_a_weighted_accuracy_is_the_balanced_accuracy() -> None:
+    truth = RNG.choice([0, 1, 1, 4, 4, 4, ABSENT], size=(40, 12))
+    relation = np.where(RNG.random(truth.shape) < 0.6, truth, RNG.integers(5, size=truth.shape))
+    judged = Judged(relation, RNG.random(truth.shape) < 0.1)
+
+    found = dict(scenes.score(judged, truth, np.full(20, 2)))
+
+    is_shown = truth != ABSENT
+    balanced = metrics.balanced_accuracy(relation[is_shown], truth[is_shown])
+    assert found[scenes.BALANCED].mean == pytest.approx(balanced, abs=1e-4)
+    assert found[scenes.ACCURACY].mean == pytest.approx((relation == truth)[is_shown].mean(), abs=1e-6)
+    assert found[scenes.ABSENT_REWARDED].mean == pytest.approx(judged.is_rewarded[~is_shown].mean(), abs=1e-6)
+    assert len(found[scenes.BALANCED].totals) == 20
+
+
+def test_a_converse_says_the_same_as_the_text() -> None:
+    grammar = Grammar([f"a {colour} block" for colour in ("red", "green")], [])
+    mirrored = {SpatialRelation.LEFT_OF: SpatialRelation.RIGHT_OF, SpatialRelation.ON_TOP_OF: SpatialRelation.BELOW}
+    mirrored |= {there: here for here, there in mirrored.items()}
+    for relation in SpatialRelation:
+        for text in wordings.CLASSES["converse"]("red", relation, "green"):
+            statement = grammar.read(text).statement
+            assert statement is not None
+            assert (statement.first, statement.second) == ("a green block", "a red block")
+            assert statement.relation == mirrored.get(relation, relation)
+
+
+def test_wordings_of_a_class_differ_from_the_trained_ones() -> None:
+    for name, wording in wordings.CLASSES.items():
+        for relation in SpatialRelation:
+            texts = wording("red", relation, "blue")
+            assert len(set(texts)) == len(texts)
+            is_trained = set(texts) & set(wordings.CLASSES["trained"]("red", relation, "blue"))
+            assert bool(is_trained) == (name == "trained")
+
+
+def test_a_claim_is_the_worst_of_its_conditions() -> None:
+    light = {"light-0.6.frame_accuracy": 0.93, "light-0.8.frame_accuracy": 0.91}
+    (made,) = targets.make_claims(results("blocks", light), [claim_named("seg_light")])
+    assert (made.claim.value, made.claim.target, made.claim.met) == (91.0, 92, False)
+    assert made.worst == "light-0.8.frame_accuracy"
+
+
+@pytest.mark.parametrize(("value", "met"), [(0.05, True), (0.051, False)])
+def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float, met: bool) -> None:
+    (made,) = targets.make_claims(
+        results("blocks", {confidence.FLAGGED_SHARE: value}), [claim_named("seg_in_distribution_flagged")]
+    )
+    assert made.claim.met is met
+    assert made.target.must_reach == "≤ 0.05"
+
+
+@pytest.mark.parametrize(("recall", "met"), [(0.9, True), (0.89, False)])
+def test_precision_counts_at_the_recall_that_it_needs_over_all_policies(recall: float, met: bool) -> None:
+    one = results("blocks.a", {"precision": 1.0, "recall": recall})
+    other = results("blocks.b", {"precision": 0.96, "recall": recall})
+    wanted = [claim_named("reward_precision"), claim_named("reward_recall")]
+    precision, _ = targets.make_claims([*one, *other], wanted)
+    assert (precision.claim.value, precision.claim.seeds, precision.claim.trials) == (0.98, 3, 8)
+    assert precision.claim.met is met
+
+
+def claim_named(name: str) -> targets.Target:
+    (found,) = (target for target in targets.TARGETS if target.claim == name)
+    return found
+
+
+def test_a_table_of_some_results_has_their_claims_and_a_picture() -> None:
+    named = {name for target in targets.TARGETS if target.world == "blocks" for name in target.samples}
+    named |= {f"{condition}.frame_accuracy" for condition in worlds.conditions("blocks")}
+    made = EXPERIMENT.table(results("blocks", dict.fromkeys(named, 0.97), seeds=2))
+    assert {claim.claim for claim in made.claims} >= {"seg_nominal", "seg_light", "seg_hue", "seg_camera"}
+    assert all(claim.low <= claim.value <= claim.high and claim.seeds == 2 for claim in made.claims)
+    assert "| speed-0.5 | 97.0 |" in table.markdown(made)
+    assert made.picture.draw().startswith(b"\x89PNG")
+
+
+def test_a_heat_map_leaves_missing_cells_blank() -> None:
+    assert heat_map({("a", "x"): 5.0}, rows=("a", "b"), columns=("x", "y"), title="").startswith(b"\x89PNG")
