@@ -61,7 +61,9 @@ class Peer(
     async def Segment(self, request, context):
         await self.receive(request, context)
         labels, confidence = np.zeros(1, np.int64), np.ones(1, np.float32)
-        return wire.pack(segmentation.SegmentResponse(labels, confidence, (), ("move",), ModelRef(), Timing()))
+        return wire.pack(
+            segmentation.SegmentResponse(labels, confidence, confidence, (), ("move",), ModelRef(), Timing())
+        )
 
     async def CreateSession(self, request, context):
         await self.receive(request, context)

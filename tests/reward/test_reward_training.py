@@ -138,7 +138,7 @@ def test_the_text_encoder_learns_to_name_phrases_and_images_have_no_part_in_it(l
     for _ in range(60):
         optimiser.zero_grad()
         loss = naming_loss(network, PHRASES)
-        loss.backward()  # type: ignore[no-untyped-call]  # torch's stub
+        loss.backward()
         optimiser.step()
         losses.append(loss.item())
     assert losses[0] > 0.5 > 0.02 > losses[-1]
