@@ -6,16 +6,17 @@ predicates holds. Scenes are the first and the last frames of short random rollo
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning.config import bounded
 from freerein.metrics import majority_accuracy
 from freerein.types.common import ModelRef
-from freerein.types.reward import EmbedGoalRequest, RewardRequest, RewardResponse
+from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein.types.sim import Predicate, Task
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
@@ -58,8 +59,7 @@ class RelationsEvaluation:
         self._camera = _camera(config, task)
         self._reward = setup.context.client("reward")
         asked = setup.subject.get("model", {"name": config.model, "version": config.version})
-        text = next(iter(self._groups.values()))[0].text
-        self._model: ModelRef = self._reward.embed_goal(EmbedGoalRequest(text, ModelRef(**asked))).model
+        self._model = self._knowing(ModelRef(**asked))
         self.subject: dict[str, Any] = {"model": asdict(self._model)}
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
@@ -83,6 +83,24 @@ class RelationsEvaluation:
             for scene, winner in zip(scenes.tolist(), winners.tolist(), strict=True):
                 answers[scene].append({"group": group, "truth": int(truth[scene]), "winner": winner})
         return [_trial(answers[at : at + _SCENES], frames[at : at + _SCENES]) for at in range(0, len(frames), _SCENES)]
+
+    def _knowing(self, model: ModelRef) -> ModelRef:
+        """Returns the version that answers for a model; it knows every word of the captions.
+
+        Raises:
+            FailedPrecondition: It does not; a caption with an unknown word would win against no other.
+        """
+        for predicate in chain.from_iterable(self._groups.values()):
+            answer = cast(EmbedGoalResponse, self._reward.embed_goal(EmbedGoalRequest(predicate.text, model)))
+            model = answer.model
+            if answer.unknown:
+                raise FailedPrecondition(
+                    f"The reward model must know every word of the task's captions; it does not know "
+                    f"{', '.join(answer.unknown)}.",
+                    field="config.model",
+                    hint="Fit a reward model to the noun phrases of this task, and name it.",
+                )
+        return model
 
     def _true_captions(self, episodes: Sequence[Episode]) -> dict[str, npt.NDArray[np.int64]]:
         """Returns by group the true caption of each scene: int64 (M,), an index into the group, or -1 for none."""
