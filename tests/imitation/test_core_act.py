@@ -35,6 +35,7 @@ async def test_calls_chained_by_their_states_are_one_history(core: Any, robots: 
         reply = await core.act.act(robots.asked(brightness, 3, 5, did=did, state=state))
         expected = await oracle.answer(robots.seen(seq, brightness, did=did))
         np.testing.assert_allclose(reply.actions, expected.actions, atol=1e-5)
+        assert reply.in_distribution == expected.in_distribution == pytest.approx(1 / (1 + brightness))
         state, did = reply.state, reply.actions[0] if len(reply.actions) else None
         indices.append((reply.goal_index, reply.goal_reached, len(reply.actions)))
     assert indices == [(0, False, 3), (1, False, 3), (1, False, 3), (2, True, 0), (2, True, 0)]

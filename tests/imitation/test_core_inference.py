@@ -34,6 +34,7 @@ class Summing:
         )
         self.encoded: list[list[str]] = []
         self.batches: list[int] = []
+        self.scored: int | None = None
 
     def encode_goals(self, goals: Sequence[str]) -> Floats:
         self.encoded.append(list(goals))
@@ -44,9 +45,11 @@ class Summing:
         self.batches.append(len(bright))
         after = recurrent + np.stack([bright, previous[:, 0]], axis=1)
         after[bright == 255] = np.nan
+        familiar = 1 / (1 + bright + recurrent[:, 0])
+        familiar[bright == 254] = np.nan
         reached = (bright == goals[:, 0]).astype(np.float32)
         actions = (0.1 * goals + 0 * after[:, :1])[:, None].repeat(2, axis=1)
-        return PolicyOutput(actions, reached, after, 1 / (1 + bright + after[:, 0]))
+        return PolicyOutput(actions, reached, after, familiar[: self.scored])
 
 
 def item(
@@ -81,6 +84,7 @@ def test_at_a_goal_the_recurrent_state_is_reset_and_the_same_observation_is_acte
     policy = Summing()
     (result,) = run([item(policy, 1, state=PolicyState(np.array([9, 9], np.float32), goal_steps=2))])
     np.testing.assert_allclose(result.actions, [[0.2], [0.2]])
+    assert result.in_distribution == pytest.approx(1 / 11)  # of the goal that was current, as the confidence
     assert (result.reached, result.confidence, result.state.goal_index, result.state.goal_steps) == (False, 1.0, 1, 0)
     assert result.state.recurrent.tolist() == [1, 0]
     assert policy.batches == [1, 1]
@@ -119,9 +123,10 @@ def test_a_goal_reached_at_the_last_moment_is_reached() -> None:
 
 
 @pytest.mark.fault("I14")
-def test_an_output_that_is_not_finite_fails_alone() -> None:
+@pytest.mark.parametrize("bright", [254, 255])
+def test_an_output_that_is_not_finite_fails_alone(bright: int) -> None:
     policy = Summing()
-    results = PolicyRunner().run_batch([item(policy, 7), item(policy, 255), item(policy, 1)])
+    results = PolicyRunner().run_batch([item(policy, 7), item(policy, bright), item(policy, 1)])
     assert isinstance(results[1], OutputNotFinite)
     alone = run([item(policy, 7), item(policy, 1)])
     for result, expected in zip((results[0], results[2]), alone, strict=True):
@@ -145,6 +150,7 @@ def test_the_cache_of_goal_embeddings_is_bounded() -> None:
 
 
 def test_a_policy_that_answers_in_another_shape_is_at_fault() -> None:
-    policy = Summing(horizon=3)
-    with pytest.raises(ValueError, match="must have shapes"):
-        PolicyRunner().run_batch([item(policy, 7)])
+    for policy, scored in ((Summing(horizon=3), None), (Summing(), 0)):
+        policy.scored = scored
+        with pytest.raises(ValueError, match="must have shapes"):
+            PolicyRunner().run_batch([item(policy, 7)])

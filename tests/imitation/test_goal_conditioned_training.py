@@ -100,6 +100,27 @@ def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
     assert 0.5 < threshold < 1.0
 
 
+def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_low_ones(tmp_path: Path) -> None:
+    config = replace(FAST, steps=40, warmup_steps=5, evaluate_every=40, features=128)
+    made = learner(config, (explore(40, seed=0), explore(20, seed=1)))
+    fitted = fit(made, tmp_path)
+    assert fitted is not None
+    made.calibrate(fitted.network)
+    policy, ahead = GoalImagesPolicy(fitted.network, ControlSpec(0.1, 0.9, 30)), config.far_steps // 2
+
+    def scores(frames: npt.NDArray[np.uint8], goals: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        previous, recurrent = np.zeros((len(frames), 2)), np.zeros((len(frames), policy.spec.recurrent_size))
+        nothing = previous.astype(np.float32), recurrent.astype(np.float32)
+        return policy.step({"front": frames}, policy.encode_goals({"front": goals}), *nothing).in_distribution
+
+    held_out = frames_of(explore(30, seed=2))
+    frames, goals = (np.concatenate([each[at] for each in held_out]) for at in (slice(-ahead), slice(ahead, None)))
+    told = np.sort(scores(frames, goals))
+    assert np.abs(told - np.linspace(0, 1, len(told))).max() < 0.15
+    noise = np.random.default_rng(0).integers(0, 256, frames.shape, np.uint8)
+    assert scores(noise, goals).max() < 0.05
+
+
 def test_a_forward_model_changes_how_the_policy_learns_and_discrete_actions_can_be_learned_from() -> None:
     learnt = explore(8, seed=0)
     turns = [(learnt.actions[item][:, :1] > 0).astype(np.int64) for item in range(len(learnt))]

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 
@@ -13,6 +14,10 @@ from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.methods import METHODS
+from freerein_imitation.model.language import NEVER_REACHED, LanguagePolicy
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.training.goal_texts import GoalTextDataset, random_crop, split_by_text
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner
 
@@ -60,6 +65,22 @@ def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: P
     with torch.no_grad():
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()
+
+
+def test_few_held_out_frames_have_low_in_distribution_scores_and_noise_has(text_encoder_file: bytes) -> None:
+    learner = prepare(text_encoder_file, count=40)
+    network = learner.init(torch.Generator().manual_seed(0)).network
+    METHODS.by_name["language"].calibrate(learner, network)
+    policy = LanguagePolicy(network, TextEncoder(text_encoder_file), ControlSpec(0.1, NEVER_REACHED, 8))
+
+    def scores(frames: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        goals = policy.encode_goals([TEXTS[0]] * len(frames))
+        nothing = np.zeros((len(frames), 2), np.float32), np.zeros((len(frames), 0), np.float32)
+        return policy.step({"front": frames}, goals, *nothing).in_distribution
+
+    frames = np.concatenate(list(roll_out(40, seed=1).frames["front"]))
+    assert (scores(frames) < 0.05).mean() < 0.1
+    assert scores(np.random.default_rng(0).integers(0, 256, frames.shape, np.uint8)).max() < 0.05
 
 
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(text_encoder_file: bytes, tmp_path: Path) -> None:

@@ -51,7 +51,11 @@ def tensors(frames: CameraFrames) -> dict[str, torch.Tensor]:
 def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
     made, generator = GoalConditionedNetwork(spec), torch.Generator().manual_seed(0)
     weights.initialise(made, generator=generator)
-    made.fit_normalisation(tensors(images(spec, 8)), generator=generator)
+    frames = tensors(images(spec, 8))
+    made.fit_normalisation(frames, generator=generator)
+    with torch.no_grad():
+        features = made.policy.encoder(frames)
+        made.in_distribution.fit(features, features, torch.linspace(0.5, 1, 8))
     return made
 
 
@@ -61,7 +65,9 @@ def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     frames = tensors(images(spec, 8))
     made.encoder.fit_normalisation(frames, generator=generator)
     with torch.no_grad():
-        made.fit_feature_normalisation(made.encoder(frames), generator=generator)
+        features = made.encoder(frames)
+        made.fit_feature_normalisation(features, generator=generator)
+        made.in_distribution.fit(features, features, torch.linspace(0.5, 1, 8))
     return made
 
 
@@ -138,7 +144,7 @@ def test_a_step_alone_is_the_same_as_in_a_batch(case: Case) -> None:
     together = policy.step(*arrays)
     for one in (slice(i, i + 1) for i in range(5)):
         alone = policy.step(*(part(array, one) for array in arrays))
-        for name in ("actions", "reached", "recurrent"):
+        for name in ("actions", "reached", "recurrent", "in_distribution"):
             np.testing.assert_allclose(getattr(alone, name), getattr(together, name)[one], atol=1e-5)
 
 
@@ -153,6 +159,8 @@ def test_outputs_are_what_the_spec_says(case: Case) -> None:
     assert output.actions.max() <= (choices - 1 if choices else 1)
     assert output.recurrent.shape == (3, spec.recurrent_size)
     assert ((output.reached >= 0) & (output.reached <= 1)).all()
+    assert (output.in_distribution.shape, output.in_distribution.dtype) == ((3,), np.float32)
+    assert ((output.in_distribution >= 0) & (output.in_distribution <= 1)).all()
 
 
 @ALL
@@ -200,6 +208,7 @@ def test_a_model_on_disk_acts_as_it_did(case: Case, tmp_path: Path) -> None:
     outputs = [each.step(*inputs(case, each, 2)) for each in (before, after)]
     np.testing.assert_array_equal(outputs[0].actions, outputs[1].actions)
     np.testing.assert_array_equal(outputs[0].reached, outputs[1].reached)
+    np.testing.assert_array_equal(outputs[0].in_distribution, outputs[1].in_distribution)
 
 
 @pytest.mark.parametrize(

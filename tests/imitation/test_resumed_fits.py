@@ -49,11 +49,16 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> FitDataset:
 @pytest.mark.parametrize("method", ["goal_conditioned", "inverse_model", "skills"])
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(method: str, source: FitDataset, tmp_path: Path) -> None:
     def run(folder: Path, stop: Callable[[], bool] = lambda: False) -> str:
-        """Fits with a learner of its own; returns the sha256 of the best weights."""
+        """Fits with a learner of its own; returns the sha256 of the best weights, calibrated."""
         chosen = METHODS.by_name[method]
         config = parse(chosen.config, {**TINY, "cameras": ("front",)})
-        fitted = fit(chosen.prepare(source, config, torch.device("cpu")), folder, stop=stop)
-        return "" if fitted is None else weights.sha256(fitted.network)
+        learner = chosen.prepare(source, config, torch.device("cpu"))
+        fitted = fit(learner, folder, stop=stop)
+        if fitted is None:
+            return ""
+        chosen.calibrate(learner, fitted.network)
+        assert fitted.network.in_distribution.distances.any()
+        return weights.sha256(fitted.network)
 
     asked = iter(range(CUT + 1))
     whole = run(tmp_path / "whole")

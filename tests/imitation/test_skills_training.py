@@ -104,11 +104,16 @@ def learner(config: SkillsConfig = FAST) -> SkillsLearner:
     return prepare(demonstrations, labels, config=config)
 
 
-def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillsPolicy:
     cloned = learner()
-    fitted = fit(cloned, tmp_path)
+    fitted = fit(cloned, tmp_path_factory.mktemp("fit"))
     assert fitted is not None
-    policy = SkillsPolicy(fitted.network, ControlSpec(0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill))
+    cloned.calibrate(fitted.network)
+    return SkillsPolicy(fitted.network, ControlSpec(0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill))
+
+
+def test_recipes_never_demonstrated_are_executed(policy: SkillsPolicy) -> None:
     hand, red, blue = 20.0, 5.0, 17.0
     previous = np.zeros((1, 1), np.float32)
     for skill, goal in (("to-red", red), ("to-blue", blue), ("to-red", red)):
@@ -121,6 +126,26 @@ def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
             hand, steps = hand + STEP * float(previous[0, 0]) * (not ended), steps + 1
         assert ended
         assert abs(hand - goal) < 1.5
+
+
+def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_low_ones(policy: SkillsPolicy) -> None:
+    demonstrations, labels = demonstrate(60, seed=1)
+    told: list[float] = []
+    for item, skills in enumerate(labels):
+        frames, actions = demonstrations.frames["front"][item], demonstrations.actions[item]
+        before = np.concatenate([np.zeros((1, 1), np.float32), actions[:-1]])
+        recurrent = np.zeros((1, policy.spec.recurrent_size), np.float32)
+        for t, skill in enumerate(skills):
+            if t and skill != skills[t - 1]:
+                recurrent = np.zeros_like(recurrent)
+            goal = policy.encode_goals([SKILLS[skill]])
+            output = policy.step({"front": frames[t : t + 1]}, goal, before[t : t + 1], recurrent)
+            recurrent = output.recurrent
+            told.append(float(output.in_distribution[0]))
+    assert np.abs(np.sort(told) - np.linspace(0, 1, len(told))).max() < 0.2
+    noise = {"front": np.random.default_rng(0).integers(0, 256, (100, 8, SIDE, 3), np.uint8)}
+    start = np.zeros((100, 1), np.float32), np.zeros((100, policy.spec.recurrent_size), np.float32)
+    assert policy.step(noise, policy.encode_goals(["to-red"] * 100), *start).in_distribution.max() < 0.05
 
 
 @pytest.mark.parametrize("encoder", ["spatial", "convolutional"])
