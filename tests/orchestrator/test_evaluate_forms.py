@@ -7,11 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import safetensors.numpy
+import torch
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.tasks import find_task
 from freerein.data import dataset_path, labels
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.learning import weights
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec
 from freerein.types.sim import CreateSessionRequest, Predicate, Task
 from freerein_orchestrator.envs.episodes import run_episodes
@@ -20,6 +24,7 @@ from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds
+from freerein_reward.model import DualEncoder, DualEncoderSpec
 
 EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes": 4, "num_envs": 2}
 LANDMARKS = {"form": "landmarks", "task": "blocks", "policy": {"model": "default"}, **EXPLORATION}
@@ -37,7 +42,20 @@ def services(start_module_service: Callable[..., Any]) -> dict[str, str]:
         "IMITATION": start_module_service("freerein_imitation"),
         "REWARD": start_module_service("freerein_reward"),
     }
+    publish_two_phrases(started["REWARD"].data_dir)
     return {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
+
+
+def publish_two_phrases(data_dir: Path) -> None:
+    """Puts an untrained reward model of two phrases, `two`, into the store of the reward service."""
+    spec = DualEncoderSpec(
+        cameras=("front",), phrases=("a red block", "a green block"), vocabulary=("a", "red", "green", "block")
+    )
+    network, folder = DualEncoder(spec), data_dir / "two"
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    save_model(network, folder, card={"method": "relation_captions"})
+    store = ModelStore(data_dir / "models" / "reward")
+    store.activate(store.publish("two", folder))
 
 
 @pytest.fixture
@@ -103,6 +121,14 @@ def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_f
     assert {name: each["baseline"] for name, each in again.items()} == {
         name: each["baseline"] for name, each in result["figures"].items()
     }
+
+
+@pytest.mark.e2e
+def test_a_reward_model_that_does_not_know_the_words_of_the_captions_is_refused(
+    evaluation: Callable[..., Any],
+) -> None:
+    with pytest.raises(FailedPrecondition, match="does not know yellow"):
+        evaluation(RELATIONS | {"model": "two"}).do()
 
 
 @pytest.mark.e2e
