@@ -24,7 +24,7 @@ from freerein_sim.worlds.tasks import tasks
 Guess = Callable[..., npt.NDArray[np.int64]]
 
 TRAINING = Demonstrations(count=400, seed=1, least_skills=2, most_skills=3)
-SETTINGS = {"cameras": [CAMERA], "stride": 3, "steps": 1200}
+SETTINGS = {"cameras": [CAMERA], "stride": 3}
 _TEST_COUNT, _TEST_SEED = 40, 1_000_001
 
 

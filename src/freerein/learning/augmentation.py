@@ -59,12 +59,12 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
 
 
 def ramped(strength: float, *, step: int, steps: int) -> float:
-    """Returns the strength at an optimiser step: it rises over the first half of a fit.
+    """Returns the strength at an optimiser step: 0 in the first half of a fit, rising in its third quarter, then full.
 
-    What frames show is learned before what does not matter; at full strength from the start, weak supervision is not
-    enough to find anything.
+    What frames show is found before what does not matter: while skills are still being told apart, agreement makes the
+    network sure of what it has confused so far.
     """
-    return strength * min(1.0, 2 * step / steps)
+    return strength * min(1.0, max(0.0, 4 * step / steps - 2))
 
 
 def agreement(scores: Tensor, teacher: Tensor) -> Tensor:

@@ -71,8 +71,15 @@ class RewardModelLearner:
         return fit_step(state, loss, self.config)
 
     def evaluate(self, state: State) -> float:
-        """Returns the cross-entropy of the captions of the validation images."""
-        return relation_cross_entropy(caption_scores(state.network, self.validation), _targets(self.validation)).item()
+        """Returns the cross-entropy of the captions of the validation images, as they are and augmented."""
+        generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
+        seen = (
+            [self.validation, self.validation.augmented(strength, generator=generator)]
+            if strength
+            else [self.validation]
+        )
+        losses = [relation_cross_entropy(caption_scores(state.network, each), _targets(each)) for each in seen]
+        return torch.stack(losses).mean().item()
 
     @torch.no_grad()
     def calibrate(self, network: DualEncoder) -> None:

@@ -33,8 +33,8 @@ class SegmentationConfig(DatasetFitConfig):
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     stride: int = bounded(1, least=1, most=100)
-    steps: int = bounded(1200, least=1, most=10_000_000)
+    steps: int = bounded(1600, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)
-    evaluate_every: int = bounded(50, least=1, most=1_000_000)
+    evaluate_every: int = bounded(100, least=1, most=1_000_000)

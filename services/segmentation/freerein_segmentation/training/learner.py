@@ -66,8 +66,8 @@ class SegmentationLearner:
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
         scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
         loss = OBJECTIVES[self.config.objective](scores, mask, batch.tags).mean()
-        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
-        if strength and state.network.image.is_trained:
+        strength = ramped(self._strength(state.network), step=state.step, steps=self.config.steps)
+        if strength:
             seen = batch.augmented(strength, generator=state.generator)
             again, _ = state.network(seen.frames, seen.actions, seen.lengths)
             loss = loss + agreement(again[mask], scores[mask])
@@ -75,11 +75,13 @@ class SegmentationLearner:
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
-        """Returns the mean loss of the validation trajectories' tags."""
+        """Returns the mean loss of the validation trajectories' tags, on frames as they are and augmented ones."""
+        generator, strength = torch.Generator().manual_seed(self.config.seed), self._strength(state.network)
         losses = []
         for batch in self._validation_batches():
-            scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
-            losses.append(OBJECTIVES[self.config.objective](scores, mask, batch.tags))
+            for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
+                scores, mask = state.network(seen.frames, seen.actions, seen.lengths)
+                losses.append(OBJECTIVES[self.config.objective](scores, mask, seen.tags))
         return torch.cat(losses).mean().item()
 
     @torch.no_grad()
@@ -87,8 +89,7 @@ class SegmentationLearner:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = self.training.sample_frames(_SAMPLED_FRAMES)
-        strength = self.config.augmentation if network.image.is_trained else 0.0
-        takes = torch.arange(len(next(iter(sampled.values()))))
+        takes, strength = torch.arange(len(next(iter(sampled.values())))), self._strength(network)
         frames = {
             camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(
                 self.device
@@ -101,6 +102,10 @@ class SegmentationLearner:
             features.append(network.image(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
         network.in_distribution.fit(network.image(frames), torch.cat(features), torch.cat(confidence))
+
+    def _strength(self, network: SegmentationNetwork) -> float:
+        """Returns the strength of the augmentation; 0 for an encoder that cannot learn from it."""
+        return self.config.augmentation if network.image.is_trained else 0.0
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):
