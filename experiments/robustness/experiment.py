@@ -54,14 +54,17 @@ class RobustnessExperiment:
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Guesses and policies, then fitted models, then these on the states that policies visit."""
-        fits = [(variant, seed) for seed in range(self.seeds) for variant in AUGMENTATION]
-        fitted = ((DEMONSTRATED, SEGMENTATION), (SCATTERED, REWARD))
+        """Guesses, then all fits of a variant, then the policies."""
         tasks = sorted(self._policies)
+        fitted = ((DEMONSTRATED, SEGMENTATION), (SCATTERED, REWARD), *((task, REWARD) for task in tasks))
         return (
             *(Arm(world, method) for world, method in _FOUND),
-            *(Arm(world, method, {"fit": variant}, seed) for world, method in fitted for variant, seed in fits),
-            *(Arm(task, REWARD, {"fit": variant}, seed) for task in tasks for variant, seed in fits),
+            *(
+                Arm(world, method, {"fit": variant}, seed)
+                for variant in AUGMENTATION
+                for world, method in fitted
+                for seed in range(self.seeds)
+            ),
             *(Arm(task, PPO) for task in tasks),
         )
 

@@ -3,11 +3,16 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+import safetensors.numpy
 import torch
 
-from experiments.robustness.draw import Exploration, open_or_draw, spec_hash
+from experiments.robustness.draw import Drawn, Exploration, open_or_draw, spec_hash
 from experiments.robustness.fits import fit_once
 from experiments.robustness.worlds import CAMERA
+from experiments.workbench.locks import locked
+from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding, load_reward_model
 from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, network_spec
@@ -33,10 +38,9 @@ def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None])
 
     def make_learner() -> RewardModelLearner:
         grounding, drawn = open_grounding(), open_or_draw(TRAINING, work)
-        frames = drawn.seen["frames"]
-        found = grounding.ground(frames, PHRASES)
-        relations, half_heat = image_relations(found.x, found.y, found.heat, found.presence, config)
-        dataset = CaptionDataset((frames,), PHRASES, relations, half_heat)
+        x, y, heat, presence = _located(grounding, drawn, work / "datasets" / name)
+        relations, half_heat = image_relations(x, y, heat, presence, config)
+        dataset = CaptionDataset((drawn.seen["frames"],), PHRASES, relations, half_heat)
         training, validation = dataset.split(
             drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed
         )
@@ -47,6 +51,7 @@ def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None])
         )
 
     data = spec_hash(TRAINING)
+    name = f"{data}.{grounding_version()}.safetensors"
     inputs = [data, grounding_version()]
     folder = fit_once(config, inputs, make_learner, work=work, on_progress=on_progress)
     return None if folder is None else load_reward_model(folder, "cpu")
@@ -66,3 +71,13 @@ def grounding_version() -> str:
             hint="Run from a checkout.",
         )
     return versions[0]
+
+
+def _located(grounding: GradCamModel, drawn: Drawn, path: Path) -> npt.NDArray[np.float64]:
+    """Returns x, y, heat and presence of the phrases in the frames, float64 (4, N, P); `path` is a cache of them."""
+    with locked(path.with_suffix(".lock")):
+        if not path.is_file():
+            found = grounding.ground(drawn.seen["frames"], PHRASES)
+            located = np.stack([found.x, found.y, found.heat, found.presence])
+            write_atomic(path, safetensors.numpy.save({"located": located}))
+    return safetensors.numpy.load_file(path)["located"]

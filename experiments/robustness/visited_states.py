@@ -1,6 +1,5 @@
 """The reward on states that PPO's policies visit, and what these policies achieve under each condition."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,9 +78,7 @@ def _holds(drawn: Drawn, task: str) -> Flags:
 
 
 def _share(totals: Flags, counts: Flags, drawn: Drawn) -> Sample:
-    return Sample(*(list(_sums(each, drawn)) for each in (totals, counts)))
-
-
-def _sums(flags: Flags, drawn: Drawn) -> Iterator[int]:
+    """Returns the share of some steps; 0 where there are none, as of a reward that is never given."""
     ends = np.cumsum(drawn.seen["lengths"])[:-1]
-    yield from (int(each.sum()) for each in np.split(flags, ends))
+    sums = [[int(part.sum()) for part in np.split(each, ends)] for each in (totals, counts)]
+    return Sample(sums[0], sums[1] if any(sums[1]) else [1] * len(sums[1]))
