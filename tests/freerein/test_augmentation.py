@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.learning.augmentation import agreement, augment_camera, ramped, turn_hue
+from freerein.learning.augmentation import agreement, augment_camera, delayed, turn_hue
 
 
 def frames(count: int, channels: int = 3) -> torch.Tensor:
@@ -49,8 +49,8 @@ def test_hues_turn_as_in_the_hsv_model() -> None:
         assert after == pytest.approx(colorsys.hsv_to_rgb((hue + 0.1) % 1, saturation, value), abs=1e-5)
 
 
-def test_strength_rises_in_the_third_quarter_of_a_fit() -> None:
-    assert [ramped(0.8, step=step, steps=40) for step in (0, 20, 25, 30, 39)] == pytest.approx([0, 0, 0.4, 0.8, 0.8])
+def test_strength_comes_after_two_fifths_of_a_fit() -> None:
+    assert [delayed(0.8, step=step, steps=40) for step in (0, 15, 16, 39)] == [0.0, 0.0, 0.8, 0.8]
 
 
 def test_agreement_is_a_cross_entropy_that_does_not_train_the_teacher() -> None:

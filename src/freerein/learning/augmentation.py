@@ -22,6 +22,8 @@ red can still be told from what was yellow; a turn of twice as much would make g
 _SHIFT = 0.11
 """Largest shift along each axis, as a share of the frame."""
 
+_BEGIN = 0.4
+
 _NOISE = 0.1
 """Largest standard deviation of a pixel's noise, as a share of the range of its values; half of the takes have none."""
 
@@ -58,13 +60,13 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
     return (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
 
 
-def ramped(strength: float, *, step: int, steps: int) -> float:
-    """Returns the strength at an optimiser step: 0 in the first half of a fit, rising in its third quarter, then full.
+def delayed(strength: float, *, step: int, steps: int) -> float:
+    """Returns the strength at an optimiser step: 0 in the first two fifths of a fit, then the whole.
 
     What frames show is found before what does not matter: while skills are still being told apart, agreement makes the
     network sure of what it has confused so far.
     """
-    return strength * min(1.0, max(0.0, 4 * step / steps - 2))
+    return strength if step >= _BEGIN * steps else 0.0
 
 
 def agreement(scores: Tensor, teacher: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
-from freerein.learning.augmentation import agreement, ramped
+from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
@@ -64,7 +64,7 @@ class RewardModelLearner:
         scores = _scores(state.network, _stacked_views(batch), batch.phrases)
         loss = relation_cross_entropy(scores, _targets(batch).to(self.device))
         loss = loss + naming_loss(state.network, batch.phrases)
-        strength = ramped(self.config.augmentation, step=state.step, steps=self.config.steps)
+        strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
             loss = loss + agreement(_scores(state.network, _stacked_views(seen), batch.phrases), scores)

@@ -33,7 +33,7 @@ class SegmentationConfig(DatasetFitConfig):
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     stride: int = bounded(1, least=1, most=100)
-    steps: int = bounded(1600, least=1, most=10_000_000)
+    steps: int = bounded(2000, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import torch
 
 from freerein.learning import weights
-from freerein.learning.augmentation import agreement, augment_camera, ramped
+from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -66,7 +66,7 @@ class SegmentationLearner:
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
         scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
         loss = OBJECTIVES[self.config.objective](scores, mask, batch.tags).mean()
-        strength = ramped(self._strength(state.network), step=state.step, steps=self.config.steps)
+        strength = delayed(self._strength(state.network), step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
             again, _ = state.network(seen.frames, seen.actions, seen.lengths)
