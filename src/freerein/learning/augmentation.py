@@ -22,10 +22,11 @@ red can still be told from what was yellow; a turn of twice as much would make g
 _SHIFT = 0.11
 """Largest shift along each axis, as a share of the frame."""
 
-_BEGIN = 0.4
-
 _NOISE = 0.1
 """Largest standard deviation of a pixel's noise, as a share of the range of its values; half of the takes have none."""
+
+_BEGIN = 0.4
+"""Share of a fit's steps before the first augmented ones."""
 
 
 def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator: torch.Generator) -> Tensor:
