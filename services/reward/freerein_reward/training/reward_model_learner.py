@@ -73,11 +73,9 @@ class RewardModelLearner:
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of the captions of the validation images, as they are and augmented."""
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
-        seen = (
-            [self.validation, self.validation.augmented(strength, generator=generator)]
-            if strength
-            else [self.validation]
-        )
+        seen = [self.validation]
+        if strength:
+            seen.append(self.validation.augmented(strength, generator=generator))
         losses = [relation_cross_entropy(caption_scores(state.network, each), _targets(each)) for each in seen]
         return torch.stack(losses).mean().item()
 
