@@ -161,4 +161,5 @@ def test_a_table_of_some_results_has_their_claims_and_a_picture() -> None:
 
 
 def test_a_heat_map_leaves_missing_cells_blank() -> None:
-    assert heat_map({("a", "x"): 5.0}, rows=("a", "b"), columns=("x", "y"), title="").startswith(b"\x89PNG")
+    picture = heat_map({("a", "g, x"): 5.0}, rows=("a", "b"), groups={"g": ["x"], "h": ["x", "y"]}, title="")
+    assert picture.startswith(b"\x89PNG")
