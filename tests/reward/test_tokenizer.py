@@ -26,7 +26,7 @@ def test_a_long_text_is_cut_and_says_so() -> None:
 @pytest.mark.parametrize("sign", ["\U0001f9f1", "\u05d0", "e\u0301\u0302\u0303", "\u202e", "\ud800", "_", " "])
 def test_two_thousand_characters_of_anything_take_no_time(sign: str) -> None:
     text = (sign * 2000)[:2000]
-    begun = time.perf_counter()
+    begun = time.process_time()
     tokens = TOKENIZER([text])
-    assert time.perf_counter() - begun < 0.02
+    assert time.process_time() - begun < 0.02
     assert tokens.ids.shape[1] <= MAX_TOKENS

@@ -95,10 +95,16 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, stride: 
 
 
 def test_the_loss_on_held_out_trajectories_is_their_mean_however_they_are_batched() -> None:
-    whole = learner()
+    whole = learner(replace(FAST, augmentation=0.0))
     state = whole.init(torch.Generator().manual_seed(0))
-    one_by_one = replace(whole, config=replace(FAST, batch_size=1))
+    one_by_one = replace(whole, config=replace(whole.config, batch_size=1))
     assert one_by_one.evaluate(state) == pytest.approx(whole.evaluate(state), abs=1e-6)
+
+
+def test_the_loss_on_held_out_trajectories_counts_augmented_frames_that_are_drawn_alike_each_time() -> None:
+    whole, plain = learner(), learner(replace(FAST, augmentation=0.0))
+    state = whole.init(torch.Generator().manual_seed(0))
+    assert whole.evaluate(state) == whole.evaluate(state) != plain.evaluate(state)
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
