@@ -35,8 +35,8 @@ of blocks, over all ordered pairs of blocks on show. A constant answer scores 20
 knows the commonest relation of each scene and answers it for every pair. `captions` is table 4.1's rule at the places
 where the grounding model finds the blocks, which is what the reward models learn from.
 
-*PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 episodes for each condition of the
-policies that ship, with sampled actions. They are no fits of this benchmark, and have no target here.
+*PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 nominal episodes and 12 for each
+condition, of the policies that ship, with sampled actions. They are no fits of this benchmark and have no target here.
 
 Intervals are 95 %: bootstrap over 3 seeds, then over trials (trajectories, or episodes of two scenes); of AUROC over
 wrong answers, and of ECE with the sign of each bin's gap held fixed.

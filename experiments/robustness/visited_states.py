@@ -19,7 +19,7 @@ PRECISION, RECALL, RETURN, SHARE_TRUE = "precision", "recall", "return", "true"
 
 Flags = npt.NDArray[np.bool_]
 
-_COUNT, _SEED = 30, 1_000_003
+_NOMINAL_EPISODES, _EPISODES, _SEED = 30, 12, 1_000_003
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ def evaluate_policy(policy: StoredPolicy, work: Path) -> Outcome:
 
 def rollouts(policy: StoredPolicy, condition: str) -> Rollouts:
     """Returns the spec of a policy's episodes."""
-    return Rollouts(_COUNT, _SEED, policy.task, policy.folder, policy.sha256, condition)
+    count = _NOMINAL_EPISODES if condition == NOMINAL else _EPISODES
+    return Rollouts(count, _SEED, policy.task, policy.folder, policy.sha256, condition)
 
 
 def _holds(drawn: Drawn, task: str) -> Flags:
