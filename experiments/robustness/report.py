@@ -33,7 +33,9 @@ defaults. `random` guesses a skill for each frame; `majority` knows each traject
 balanced accuracy, in per cent, of the preferred one of 5 relations on 300 held-out scenes for each condition and number
 of blocks, over all ordered pairs of blocks on show. A constant answer scores 20 balanced: `majority`. `word_blind`
 knows the commonest relation of each scene and answers it for every pair. `captions` is table 4.1's rule at the places
-where the grounding model finds the blocks, which is what the reward models learn from.
+where the grounding model finds the blocks, which is what the reward models learn from. A scene is rewarded for a pair
+with a block that is not on show when one of the pair's five goals is rewarded. Rivals exclude each other, so that the
+mean reward over the five goals is a fifth of that.
 
 *PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 nominal episodes and 12 for each
 condition, of the policies that ship, with sampled actions. They are no fits of this benchmark and have no target here.
