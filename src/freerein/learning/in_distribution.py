@@ -1,9 +1,9 @@
 """How much an answer is like those on held-out data: a score that falls where a model does not know what it sees.
 
-Two things make an answer doubtful: features far from those of held-out frames (Mahalanobis distance; Lee et al., "A
-simple unified framework for detecting out-of-distribution samples", 2018), and little confidence (Hendrycks and Gimpel,
-2017). Both are ranked among held-out answers, so that the score needs no scale and no threshold of its own: it is the
-share of held-out answers that were no less doubtful.
+Two things make an answer doubtful: frames unlike those of the fit (Mahalanobis distance, as Lee et al., "A simple
+unified framework for detecting out-of-distribution samples", 2018, but of `image_statistics`), and little confidence
+(Hendrycks and Gimpel, 2017). Both are ranked among held-out answers, so that the score needs no scale and no threshold
+of its own: it is the share of held-out answers that were no less doubtful.
 """
 
 import math
@@ -23,10 +23,10 @@ _SHRINKAGE = 0.01
 
 
 class InDistribution(nn.Module):
-    """Scores answers by the distance of their features and by their confidence; it is fitted, not trained.
+    """Scores answers by the distance of their frames and by their confidence; it is fitted, not trained.
 
     Args:
-        features: D, number of features.
+        size: D, number of statistics of a frame; see `freerein.learning.image_statistics`.
 
     Until `fit` every score is 1.
     """
@@ -37,34 +37,35 @@ class InDistribution(nn.Module):
     confidences: Tensor
     familiarities: Tensor
 
-    def __init__(self, features: int) -> None:
+    def __init__(self, size: int) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.zeros(features))
-        self.register_buffer("whitening", torch.zeros(features, features))
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("whitening", torch.zeros(size, size))
         for name in ("distances", "confidences", "familiarities"):
             self.register_buffer(name, torch.zeros(_QUANTILES))
 
     @torch.no_grad()
-    def fit(self, known: Tensor, features: Tensor, confidence: Tensor) -> None:
+    def fit(self, known: Tensor, held_out: Tensor, confidence: Tensor) -> None:
         """Sets what scores are relative to.
 
         Args:
-            known: Features of frames that the network was fitted on, augmented as in the fit, float32 (M, D).
-            features: Features of held-out answers, the frames as they are, float32 (N, D).
+            known: Statistics of frames that the network was fitted on, augmented as in the fit, float32 (M, D), M at
+                least 2. Every other frame gives mean and covariance, the rest typical distances.
+            held_out: Statistics of the frames of held-out answers, as they are, float32 (N, D).
             confidence: Confidence of these answers, float32 (N,); all 1 for a model without.
         """
-        self.mean.copy_(known.mean(dim=0))
-        covariance = torch.cov(known.double().T, correction=0).reshape(len(self.mean), -1)
+        self.mean.copy_(known[::2].mean(dim=0))
+        covariance = torch.cov(known[::2].double().T, correction=0).reshape(len(self.mean), -1)
         ridge = _SHRINKAGE * covariance.diagonal().mean().clamp(min=1e-12)
         ridged = covariance + ridge * torch.eye(len(self.mean), dtype=torch.float64, device=covariance.device)
         self.whitening.copy_(torch.linalg.inv(torch.linalg.cholesky(ridged)).T / math.sqrt(len(self.mean)))
-        self.distances.copy_(_quantiles(self.distance(known)))
+        self.distances.copy_(_quantiles(self.distance(known[1::2])))
         self.confidences.copy_(_quantiles(confidence))
-        self.familiarities.copy_(_quantiles(self._familiarity(self.distance(features), confidence)))
+        self.familiarities.copy_(_quantiles(self._familiarity(self.distance(held_out), confidence)))
 
-    def distance(self, features: Tensor) -> Tensor:
-        """Returns the root mean square of whitened features, float32 (N,), of features (N, D); typically near 1."""
-        distance: Tensor = ((features - self.mean) @ self.whitening).norm(dim=1)
+    def distance(self, statistics: Tensor) -> Tensor:
+        """Returns the root mean square of whitened statistics, float32 (N,), of statistics (N, D); typically near 1."""
+        distance: Tensor = ((statistics - self.mean) @ self.whitening).norm(dim=1)
         return distance
 
     def forward(self, distance: Tensor, confidence: Tensor) -> Tensor:

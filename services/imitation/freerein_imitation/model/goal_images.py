@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
@@ -90,7 +91,7 @@ class GoalImagesNetwork(nn.Module):
         self.spec = spec
         self.policy = policy
         self.recognizer = GoalRecognizer(spec)
-        self.in_distribution = InDistribution(policy.encoder.size)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
     def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
@@ -138,7 +139,7 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
         """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
         count = len(next(iter(goals.values())))
         batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
-        parts = [self._encode({camera: each[batch] for camera, each in goals.items()}) for batch in batches]
+        parts = [self._encode(self._tensors({name: each[batch] for name, each in goals.items()})) for batch in batches]
         embeddings: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
         return embeddings
 
@@ -152,18 +153,17 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
     ) -> PolicyOutput:
         """Returns the output for B observations; arguments as in `Policy.step`."""
         policy, score = self._network.policy, self._network.in_distribution
-        goal, seen, size = self._tensor(goals), self._encode(frames), policy.encoder.size
-        features = seen[:, :size]
-        logits, state = policy.step(features, goal[:, :size], self._tensor(previous), self._tensor(recurrent))
-        reached = proximity_logit(seen[:, size:], goal[:, size:]).sigmoid()
+        seen, goal, size = self._tensors(frames), self._tensor(goals), policy.encoder.size
+        codes = self._encode(seen)
+        logits, state = policy.step(codes[:, :size], goal[:, :size], self._tensor(previous), self._tensor(recurrent))
+        reached = proximity_logit(codes[:, size:], goal[:, size:]).sigmoid()
         return PolicyOutput(
             actions=action_bins.decode(logits, choices=self.spec.action.choices).cpu().numpy(),
             reached=reached.cpu().numpy(),
             recurrent=state.cpu().numpy(),
-            in_distribution=score(score.distance(features), confidence(reached)).cpu().numpy(),
+            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
         )
 
-    def _encode(self, frames: CameraFrames) -> Tensor:
+    def _encode(self, frames: Frames) -> Tensor:
         """Returns the policy's features beside the recognizer's embedding, float32 (N, G)."""
-        tensors = self._tensors(frames)
-        return torch.cat([self._network.policy.encoder(tensors), self._network.recognizer(tensors)], dim=1)
+        return torch.cat([self._network.policy.encoder(frames), self._network.recognizer(frames)], dim=1)

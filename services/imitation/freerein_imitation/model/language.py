@@ -21,6 +21,7 @@ from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
@@ -76,7 +77,7 @@ class LanguageNetwork(nn.Module):
         self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
-        self.in_distribution = InDistribution(self.encoder.size)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
         self.register_buffer("text_mean", torch.zeros(spec.text_size))
         self.register_buffer("text_basis", torch.zeros(spec.text_size, spec.text_components))
 
@@ -177,10 +178,10 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
         """Returns the output for B observations; arguments as in `Policy.step`. `previous` is not used."""
-        features, score = self._network.encoder(self._tensors(frames)), self._network.in_distribution
-        actions = self._network.act(features, self._tensor(goals))
+        seen, score = self._tensors(frames), self._network.in_distribution
+        actions = self._network.act(self._network.encoder(seen), self._tensor(goals))
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
-        distance = score.distance(features)
+        distance = score.distance(image_statistics(seen))
         return PolicyOutput(
             actions=chosen[:, None].cpu().numpy(),
             reached=np.zeros(len(previous), np.float32),

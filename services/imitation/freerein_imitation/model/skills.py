@@ -15,6 +15,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
@@ -86,7 +87,7 @@ class SkillsNetwork(nn.Module):
         self.action_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.termination_head = nn.Linear(spec.hidden_size, 1)
-        self.in_distribution = InDistribution(size)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
         self.register_buffer("feature_mean", torch.zeros(size))
         self.register_buffer("feature_std", torch.ones(size))
 
@@ -174,9 +175,9 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
         """Returns the output for B observations; arguments as in `Policy.step`."""
-        features, score = self._network.encoder(self._tensors(frames)), self._network.in_distribution
+        seen, score = self._tensors(frames), self._network.in_distribution
         actions, termination, state = self._network(
-            features[:, None],
+            self._network.encoder(seen)[:, None],
             self._tensor(goals),
             self._tensor(previous)[:, None],
             lstm_state(self._tensor(recurrent)),
@@ -187,5 +188,5 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
             actions=chosen.cpu().numpy(),
             reached=reached.cpu().numpy(),
             recurrent=flat_lstm_state(state).cpu().numpy(),
-            in_distribution=score(score.distance(features), confidence(reached)).cpu().numpy(),
+            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
         )

@@ -1,33 +1,58 @@
-"""Features of many frames, encoded in batches."""
+"""Features, and image statistics, of many frames."""
 
 from collections.abc import Mapping
-from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from freerein.learning.image_statistics import image_statistics
 from freerein.learning.trajectories import Trajectories
+from freerein_imitation.training.skill_segments import SegmentDataset
 
 KNOWN_FRAMES = 2000
-"""Training frames whose features an in-distribution score is fitted to, about."""
+"""Training frames to which an in-distribution score is fitted, about."""
 
 _ENCODE_BATCH = 256
 
 
 @torch.no_grad()
-def encode_frames(encoder: nn.Module, frames: Mapping[str, npt.NDArray[Any]]) -> Tensor:
-    """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C), on the encoder's device."""
-    device, count = next(encoder.buffers()).device, len(next(iter(frames.values())))
+def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int) -> Tensor:
+    """Returns the features of each frame of a trajectory, float32 (T, D), on the encoder's device."""
+    device, length = next(encoder.buffers()).device, len(trajectories.actions[item])
     parts = [
         encoder(
-            {name: torch.tensor(each[start : start + _ENCODE_BATCH], device=device) for name, each in frames.items()}
+            {
+                camera: torch.tensor(each[item][start : start + _ENCODE_BATCH], device=device)
+                for camera, each in trajectories.frames.items()
+            }
         )
-        for start in range(0, count, _ENCODE_BATCH)
+        for start in range(0, length, _ENCODE_BATCH)
     ]
     return torch.cat(parts)
 
 
-def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int) -> Tensor:
-    """Returns the features of each frame of a trajectory, float32 (T, D), on the encoder's device."""
-    return encode_frames(encoder, {camera: each[item] for camera, each in trajectories.frames.items()})
+def sampled_statistics(trajectories: Trajectories) -> Tensor:
+    """Returns image statistics of about `KNOWN_FRAMES` frames, float32 (N, D)."""
+    return _statistics(trajectories.sample_frames(KNOWN_FRAMES))
+
+
+def trajectory_statistics(trajectories: Trajectories) -> Tensor:
+    """Returns image statistics of every frame, trajectory after trajectory, float32 (N, D)."""
+    items = range(len(trajectories))
+    return torch.cat([_statistics({name: each[item] for name, each in trajectories.frames.items()}) for item in items])
+
+
+def segment_statistics(dataset: SegmentDataset) -> Tensor:
+    """Returns image statistics of every timestep of the segments, one after the other, float32 (N, D)."""
+    frames = dataset.trajectories.frames.items()
+    parts = [
+        _statistics({name: each[segment.trajectory][segment.start : segment.stop] for name, each in frames})
+        for segment in dataset.segments
+    ]
+    return torch.cat(parts)
+
+
+def _statistics(frames: Mapping[str, npt.NDArray[np.uint8]]) -> Tensor:
+    return image_statistics({name: torch.from_numpy(np.ascontiguousarray(each)) for name, each in frames.items()})

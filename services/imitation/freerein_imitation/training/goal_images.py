@@ -22,7 +22,7 @@ from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
 from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalRecognizer, proximity_logit
 from freerein_imitation.model.policy import confidence
-from freerein_imitation.training.frame_features import KNOWN_FRAMES, encode_frames, encode_trajectory
+from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
 from freerein_imitation.training.goal_relabelling import RelabelledSlices, sample_recognizer_batch, sample_slices
 
 N = TypeVar("N", bound=GoalImagesNetwork)
@@ -153,15 +153,15 @@ class GoalImagesLearner(Generic[N]):
     @torch.no_grad()
     def calibrate(self, network: N) -> None:
         """Fits the network's in-distribution score, to training frames and to held-out ones with goals ahead."""
-        rng, features, reached = np.random.default_rng(self.config.seed), [], []
+        rng, reached = np.random.default_rng(self.config.seed), []
         for item, length in enumerate(self.validation.lengths().tolist()):
-            features.append(encode_trajectory(network.policy.encoder, self.validation, item))  # (T, D)
             embeddings = encode_trajectory(network.recognizer, self.validation, item)  # (T, embedding_size)
             ahead = np.arange(length) + rng.integers(1, self.config.far_steps, length, endpoint=True)
             goals = embeddings[np.minimum(ahead, length - 1)]
             reached.append(proximity_logit(embeddings, goals).sigmoid())  # (T,)
-        known = encode_frames(network.policy.encoder, self.training.sample_frames(KNOWN_FRAMES))
-        network.in_distribution.fit(known, torch.cat(features), confidence(torch.cat(reached)))
+        held_out = trajectory_statistics(self.validation).to(self.device)
+        known = sampled_statistics(self.training).to(self.device)
+        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)))
 
     def _losses(
         self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator

@@ -14,6 +14,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, Frames
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -23,7 +24,7 @@ from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
 from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.training.frame_features import KNOWN_FRAMES, encode_frames, encode_trajectory
+from freerein_imitation.training.frame_features import KNOWN_FRAMES, trajectory_statistics
 from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
 
 State = TrainState[LanguageNetwork]
@@ -163,10 +164,10 @@ class LanguageLearner:
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = self.training.trajectories.sample_frames(KNOWN_FRAMES)
         cropped = self._cropped({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
-        known = encode_frames(network.encoder, {camera: each.numpy() for camera, each in cropped.items()})
-        held_out = self.validation.trajectories
-        features = torch.cat([encode_trajectory(network.encoder, held_out, item) for item in range(len(held_out))])
-        network.in_distribution.fit(known, features, features.new_ones(len(features)))
+        held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
+        network.in_distribution.fit(
+            image_statistics(cropped).to(self.device), held_out, held_out.new_ones(len(held_out))
+        )
 
     def _cropped(self, frames: Frames, generator: torch.Generator) -> Frames:
         """Returns random crops of frames, as the configuration says."""

@@ -25,7 +25,7 @@ from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
-from freerein_imitation.training.frame_features import KNOWN_FRAMES, encode_frames, encode_trajectory
+from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, segment_statistics
 from freerein_imitation.training.skill_segments import (
     SegmentBatch,
     SegmentDataset,
@@ -222,14 +222,13 @@ class SkillsLearner:
     @torch.no_grad()
     def calibrate(self, network: SkillsNetwork) -> None:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out segments."""
-        shown, rng = self.training.shown, np.random.default_rng(self.config.seed)
-        known = encode_frames(network.encoder, self.training.trajectories.subset(shown).sample_frames(KNOWN_FRAMES))
-        known = self._shifted(network, known[:, None], rng)[:, 0]  # (M, D)
+        known = sampled_statistics(self.training.trajectories.subset(self.training.shown))
         batch = self._validation_batch(network)
-        features = padded_features(network, batch)  # (B, T, D)
-        _, terminations = _predict(network, features, batch)
+        _, terminations = _predict(network, padded_features(network, batch), batch)
         reached = terminations[batch.inside].sigmoid()  # (N,)
-        network.in_distribution.fit(known, features[batch.inside], confidence(reached))
+        network.in_distribution.fit(
+            known.to(self.device), segment_statistics(self.validation).to(self.device), confidence(reached)
+        )
 
     def _shifted(self, network: SkillsNetwork, features: Tensor, rng: np.random.Generator) -> Tensor:
         """Returns features, float32 (B, T, D), with a random shift each, as the configuration says."""

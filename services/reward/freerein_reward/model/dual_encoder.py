@@ -11,7 +11,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
+from freerein.types.common import Camera
 from freerein_reward.model.image_encoder import ClipImageEncoder
 from freerein_reward.model.spec import DualEncoderSpec
 from freerein_reward.model.text_encoder import ClipTextEncoder
@@ -30,19 +32,18 @@ class DualEncoder(nn.Module):
         self.image = ClipImageEncoder(spec)
         self.text = ClipTextEncoder(spec, tokens=self.tokenizer.size)
         self.temperature = Temperature()
-        self.in_distribution = InDistribution(self.image.channels) if spec.phrases else None
+        self.in_distribution = InDistribution(_statistics_size(spec)) if spec.phrases else None
 
     def embed_images(self, views: Tensor) -> Tensor:
         """Returns the embeddings, float32 (N, D), of V camera views, uint8 (N, V, image_size, image_size, 3)."""
-        return self.see(views)[0]
+        embeddings = self.image(views.flatten(end_dim=1)).unflatten(0, views.shape[:2]).mean(dim=1)  # (N, D)
+        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1)
 
-    def see(self, views: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the embeddings (N, D) of views as `embed_images` does, and mean image features, float32 (N, C)."""
-        maps = self.image.feature_maps(views.flatten(end_dim=1))  # (N * V, C, h, w)
-        embeddings, features = (
-            each.unflatten(0, views.shape[:2]).mean(dim=1) for each in (self.image.pool(maps), maps.mean(dim=(2, 3)))
-        )
-        return embeddings if self.spec.phrases else functional.normalize(embeddings, dim=1), features
+    def distance(self, views: Tensor) -> Tensor:
+        """Returns how far views, uint8 (N, V, H, W, 3), are from the fit's: float32 (N,), 0 for a grounding model."""
+        if self.in_distribution is None:
+            return views.new_zeros(len(views), dtype=torch.float32)
+        return self.in_distribution.distance(view_statistics(views))
 
     def embed_texts(self, ids: Tensor) -> Tensor:
         """Returns the embeddings, float32 (K, D), of tokens int64 (K, L). Similarities with images are in [-1, 1]."""
@@ -57,6 +58,16 @@ class DualEncoder(nn.Module):
     def device(self) -> torch.device:
         """Device of the parameters."""
         return self.temperature.log_scale.device
+
+
+def view_statistics(views: Tensor) -> Tensor:
+    """Returns the image statistics of views, uint8 (N, V, H, W, 3): float32 (N, D)."""
+    return image_statistics({str(number): view for number, view in enumerate(views.unbind(dim=1))})
+
+
+def _statistics_size(spec: DualEncoderSpec) -> int:
+    size = spec.image_size
+    return statistics_size([Camera(name, size, size, 3) for name in spec.cameras])
 
 
 def channels_last(network: DualEncoder) -> DualEncoder:

@@ -21,7 +21,7 @@ class ImageEmbeddings:
 
     Attributes:
         vectors: Embeddings, float32 (N, D).
-        distances: How far the images' features are from those of the fit, float32 (N,); 0 for a grounding model.
+        distances: How far the images are from those of the fit, float32 (N,); 0 for a grounding model.
     """
 
     vectors: npt.NDArray[np.float32]
@@ -45,10 +45,9 @@ class DualEncoderModel:
         """Returns what a model keeps of frames by camera, uint8 (N, H, W, 3)."""
         stacked = np.stack([views[camera] for camera in self.cameras], axis=1)  # (N, V, H, W, 3)
         parts = torch.split(torch.from_numpy(stacked), _IMAGES_AT_ONCE)
-        seen = [self.network.see(part.to(self.network.device)) for part in parts]
-        vectors, features = (torch.cat(each) for each in zip(*seen, strict=True))
-        score = self.network.in_distribution
-        distances = score.distance(features) if score else features.new_zeros(len(features))
+        seen = [part.to(self.network.device) for part in parts]
+        vectors = torch.cat([self.network.embed_images(part) for part in seen])
+        distances = torch.cat([self.network.distance(part) for part in seen])
         return ImageEmbeddings(vectors.cpu().numpy(), distances.cpu().numpy())
 
     @torch.inference_mode()

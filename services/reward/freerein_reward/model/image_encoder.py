@@ -21,24 +21,18 @@ _HALF_MASS = 0.5
 
 
 class ClipImageEncoder(nn.Module):
-    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution.
-
-    Attributes:
-        channels: C, the feature map's.
-    """
+    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
 
     def __init__(self, spec: DualEncoderSpec) -> None:
         super().__init__()
-        width, self.channels = spec.width, 2 * _EXPANSION * spec.width
+        width, channels = spec.width, 2 * _EXPANSION * spec.width
         self.stem = _stem(width)
         self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
         self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
         self.pool: AttentionPool | RelationPool = (
-            RelationPool(
-                self.channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim
-            )
+            RelationPool(channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
             if spec.phrases
-            else AttentionPool(self.channels, embedding_dim=spec.embedding_dim)
+            else AttentionPool(channels, embedding_dim=spec.embedding_dim)
         )
 
     def forward(self, images: Tensor) -> Tensor:

@@ -185,7 +185,7 @@ def image_relations(
     """
     judged = presence_in_dataset(heat, presence)
     is_alone = alone_in_place(x, y, judged.probability, heat, epsilon=config.epsilon)
-    probability = np.where(is_alone, judged.probability, _UNSURE)
+    probability = np.where(is_alone, judged.probability, np.minimum(judged.probability, _UNSURE))
     shown = pairwise_relations(x, y, probability >= config.min_presence, epsilon=config.epsilon)
     absent = pairwise_absences(probability, least=config.min_presence)
     return np.where(absent, ABSENT, shown).astype(np.int8), judged.half_heat

@@ -47,7 +47,7 @@ class RewardConfig(DatasetFitConfig):
 
     phrases: tuple[str, ...] = ()
     epsilon: float = bounded(0.1, least=0.001, most=0.5)
-    min_presence: float = bounded(0.95, least=0.5, most=1.0)
+    min_presence: float = bounded(0.95, least=0.55, most=1.0)
     steps: int = bounded(1000, least=1, most=10_000_000)
     batch_size: int = bounded(128, least=2, most=4096)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)

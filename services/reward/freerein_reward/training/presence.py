@@ -25,7 +25,7 @@ class Presence:
 
     Attributes:
         probability: float64 (N, P), that the image shows the phrase.
-        half_heat: float64 (P,), peak heat from which a phrase is rather shown than not.
+        half_heat: float64 (P,), peak heat between images that show a phrase and images that do not.
     """
 
     probability: Array
@@ -75,10 +75,11 @@ def _judge(values: Array, presence: Array) -> tuple[Array, float]:
     below = squares[:-1] - sums[:-1] ** 2 / sizes
     above = squares[-1] - squares[:-1] - (sums[-1] - sums[:-1]) ** 2 / sizes[::-1]
     spread = below + above  # (N - 1,), sum of squares within the groups
-    if values.std() < _MIN_STD or spread.min() > _GROUPS_SPREAD * len(values) * values.var():
-        return presence, max(1.0, float(np.median(values)) / 2)
     at = int(spread.argmin()) + 1
     low, high = ordered[:at], ordered[at:]
+    is_split = values.std() >= _MIN_STD and spread.min() <= _GROUPS_SPREAD * len(values) * values.var()
+    if not (is_split and high.mean() >= 1.0):  # 1 is where the grounding model says 1/2
+        return presence, max(1.0, float(np.median(values)) / np.sqrt(2))
     odds = np.log(len(high) / len(low)) + _log_density(values, high) - _log_density(values, low)
     odds = np.where(values >= high.mean(), np.inf, np.where(values <= low.mean(), -np.inf, odds))
     return 1 / (1 + np.exp(-odds.clip(-50, 50))), float(low[-1] + high[0]) / 2

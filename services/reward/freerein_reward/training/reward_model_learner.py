@@ -14,7 +14,7 @@ from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
 from freerein_reward.objectives import relation_cross_entropy
 from freerein_reward.training.caption_dataset import (
     CAPTIONS,
@@ -86,10 +86,12 @@ class RewardModelLearner:
         sampled = np.linspace(0, self.size - 1, min(self.size, _SAMPLED_IMAGES)).round().astype(np.int64)
         known = self.training.subset(sampled).augmented(self.config.augmentation, generator=generator)
         confidence = caption_scores(network, self.validation).softmax(dim=2).amax(dim=2)  # (N, pairs), an answer each
-        features = _features(network, self.validation).repeat_interleave(confidence.shape[1], dim=0)
+        held_out = view_statistics(_stacked_views(self.validation)).repeat_interleave(confidence.shape[1], dim=0)
         if network.in_distribution is None:
             raise TypeError("This network has no in-distribution score; expected a model of relations.")
-        network.in_distribution.fit(_features(network, known), features, confidence.flatten().to(self.device))
+        known_views = view_statistics(_stacked_views(known))
+        parts = (known_views, held_out, confidence.flatten())
+        network.in_distribution.fit(*(each.to(self.device) for each in parts))
 
     def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""
@@ -133,12 +135,6 @@ def caption_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
     """Returns the scaled similarity of images and the captions of each pair, float32 (N, pairs, `CAPTIONS`)."""
     parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
     return torch.cat([_scores(network, part, dataset.phrases).cpu() for part in parts])
-
-
-def _features(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
-    """Returns the mean image features, float32 (N, C)."""
-    parts = torch.split(_stacked_views(dataset), _IMAGES_AT_ONCE)
-    return torch.cat([network.see(part.to(network.device))[1] for part in parts])
 
 
 def naming_loss(network: DualEncoder, phrases: Sequence[str]) -> Tensor:

@@ -11,6 +11,7 @@ from torch.nn.utils.rnn import pad_sequence
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 
@@ -68,7 +69,7 @@ class SegmentationNetwork(nn.Module):
         self.past = nn.LSTM(inputs, spec.hidden_size, batch_first=True)
         self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context == "bidirectional" else None
         self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
-        self.in_distribution = InDistribution(self.image.size)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
     def forward(self, frames: Frames, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
         """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
@@ -99,10 +100,6 @@ class SegmentationNetwork(nn.Module):
         if self.spec.action.choices:
             actions = functional.one_hot(actions[:, 0], self.spec.action.choices).to(seen.dtype)  # (N, choices)
         return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
-
-    def distance(self, features: Tensor) -> Tensor:
-        """Returns how far the frames are from those of the fit, float32 (N,), of the LSTM's inputs (N, D)."""
-        return self.in_distribution.distance(features[:, : self.image.size])
 
     def score(self, features: Tensor) -> Tensor:
         """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 
 from freerein.learning import model_files
+from freerein.learning.image_statistics import image_statistics
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 
 _FRAMES_AT_ONCE = 256
@@ -57,15 +58,20 @@ class SegmentationModel:
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Returns probabilities and scores of timesteps that are one stride apart, as in training."""
         windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
-        features = torch.cat([self._features(frames[at], actions[at]) for at in windows])  # (T, D)
+        parts = [self._features(frames[at], actions[at]) for at in windows]
+        features, distances = (torch.cat(each) for each in zip(*parts, strict=True))  # (T, D), (T,)
         probabilities = self._network.score(features).softmax(dim=1)  # (T, K)
-        scores = self._network.in_distribution(self._network.distance(features), probabilities.amax(dim=1))
+        scores = self._network.in_distribution(distances, probabilities.amax(dim=1))
         return probabilities.cpu().numpy(), scores.cpu().numpy()
 
-    def _features(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> torch.Tensor:
-        """Returns the LSTM's inputs; copies the arrays, because those from the wire are read-only."""
+    def _features(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns the LSTM's inputs, and how far frames are from those of the fit.
+
+        It copies the arrays, because those from the wire are read-only.
+        """
         images = {self.camera.name: torch.tensor(frames, device=self._device)}
-        return self._network.features(images, torch.tensor(actions, device=self._device))
+        distances = self._network.in_distribution.distance(image_statistics(images))
+        return self._network.features(images, torch.tensor(actions, device=self._device)), distances
 
 
 def load(folder: Path, device: str) -> SegmentationModel:

@@ -9,6 +9,7 @@ import torch
 
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, augment_camera, delayed
+from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -96,12 +97,12 @@ class SegmentationLearner:
             )
             for camera, each in sampled.items()
         }
-        features, confidence = [], []
+        held_out, confidence = [], []
         for batch in self._validation_batches():
             scores, mask = network(batch.frames, batch.actions, batch.lengths)
-            features.append(network.image(batch.frames))
+            held_out.append(image_statistics(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
-        network.in_distribution.fit(network.image(frames), torch.cat(features), torch.cat(confidence))
+        network.in_distribution.fit(image_statistics(frames), torch.cat(held_out), torch.cat(confidence))
 
     def _strength(self, network: SegmentationNetwork) -> float:
         """Returns the strength of the augmentation; 0 for an encoder that cannot learn from it."""
