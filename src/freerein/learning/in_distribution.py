@@ -50,7 +50,7 @@ class InDistribution(nn.Module):
 
         Args:
             known: Statistics of frames that the network was fitted on, augmented as in the fit, float32 (M, D), M at
-                least 2. Every other frame gives mean and covariance, the rest typical distances.
+                least 2. Every other frame gives mean and covariance; the rest, and held-out ones, typical distances.
             held_out: Statistics of the frames of held-out answers, as they are, float32 (N, D).
             confidence: Confidence of these answers, float32 (N,); all 1 for a model without.
         """
@@ -59,9 +59,11 @@ class InDistribution(nn.Module):
         ridge = _SHRINKAGE * covariance.diagonal().mean().clamp(min=1e-12)
         ridged = covariance + ridge * torch.eye(len(self.mean), dtype=torch.float64, device=covariance.device)
         self.whitening.copy_(torch.linalg.inv(torch.linalg.cholesky(ridged)).T / math.sqrt(len(self.mean)))
-        self.distances.copy_(_quantiles(self.distance(known[1::2])))
+        distances = self.distance(held_out)
+        both = torch.cat([_quantiles(self.distance(known[1::2])), _quantiles(distances)])
+        self.distances.copy_(_quantiles(both))
         self.confidences.copy_(_quantiles(confidence))
-        self.familiarities.copy_(_quantiles(self._familiarity(self.distance(held_out), confidence)))
+        self.familiarities.copy_(_quantiles(self._familiarity(distances, confidence)))
 
     def distance(self, statistics: Tensor) -> Tensor:
         """Returns the root mean square of whitened statistics, float32 (N,), of statistics (N, D); typically near 1."""
