@@ -16,6 +16,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
 from freerein.learning.encoders import ColourCodebook
 from freerein.learning.encoders.colour_codebook import MOMENTS, shift_horizontally
+from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods import METHODS
@@ -53,9 +54,7 @@ def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
     made.fit_normalisation(frames, generator=generator)
-    with torch.no_grad():
-        features = made.policy.encoder(frames)
-        made.in_distribution.fit(features, features, torch.linspace(0.5, 1, 8))
+    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
     return made
 
 
@@ -67,7 +66,7 @@ def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     with torch.no_grad():
         features = made.encoder(frames)
         made.fit_feature_normalisation(features, generator=generator)
-        made.in_distribution.fit(features, features, torch.linspace(0.5, 1, 8))
+    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
     return made
 
 

@@ -10,6 +10,7 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation import training
@@ -66,6 +67,20 @@ def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_
     ]
     accuracy = np.mean([metrics.frame_accuracy(*pair) for pair in zip(predicted, labels, strict=True)])
     assert accuracy > 0.95
+
+
+def test_held_out_timesteps_have_every_in_distribution_score_alike_and_other_pictures_have_none(tmp_path: Path) -> None:
+    fits = learner()
+    fitted = fit(fits, tmp_path)
+    assert fitted is not None
+    fits.calibrate(fitted.network)
+    model, held_out = SegmentationModel(fitted.network), fits.validation
+    pairs = zip(held_out.frames["front"], held_out.actions, strict=True)
+    scores = np.concatenate([model.predict(*pair).in_distribution for pair in pairs])
+    assert np.quantile(scores, (0.25, 0.5, 0.75)) == pytest.approx((0.25, 0.5, 0.75), abs=0.05)
+    stripes = np.zeros((20, 12, 12, 3), np.uint8)
+    stripes[:, ::2] = 255
+    assert model.predict(stripes, np.zeros((20, 2), np.float32)).in_distribution.max() < FLAGGED
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
