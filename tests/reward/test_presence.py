@@ -22,11 +22,11 @@ def test_each_phrase_is_judged_by_the_two_groups_that_its_heat_forms() -> None:
 @pytest.mark.parametrize(
     ("heat", "half_heat"),
     [
-        (np.square(np.linspace(2.0, 6.0, 9)), 4.0),
+        (np.square(np.linspace(2.0, 6.0, 9)), 8.0),
         (np.square(np.linspace(0.2, 1.0, 9)), 1.0),
-        (np.square([1.98, 1.99, 2.0, 2.01, 2.02]), 1.0),
+        (np.square([1.98, 1.99, 2.0, 2.01, 2.02]), 2.0),
         (np.zeros(9), 1.0),
-        (np.array([36.0]), 9.0),
+        (np.array([36.0]), 18.0),
     ],
     ids=["spread out", "spread out below", "alike", "none", "one image"],
 )

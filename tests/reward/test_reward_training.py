@@ -214,7 +214,7 @@ def test_the_weaker_of_two_phrases_in_one_place_is_in_no_caption_but_what_is_mis
         [apart, NO_CAPTION, NO_CAPTION, ABSENT],
         [ABSENT, ABSENT, ABSENT, NO_CAPTION],
     ]
-    assert half_heat.tolist() == pytest.approx([1.0] * 4)
+    assert half_heat.tolist() == pytest.approx([2.0, 1.0, 1.5, 1.0])
 
 
 def test_captions_come_in_the_order_of_the_relations() -> None:

@@ -4,6 +4,7 @@ A grounding model has one threshold of heat for all phrases. In a dataset the he
 of images that show it and of images that do not; where it does, the groups tell better.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,14 +76,20 @@ def _judge(values: Array, presence: Array) -> tuple[Array, float]:
     below = squares[:-1] - sums[:-1] ** 2 / sizes
     above = squares[-1] - squares[:-1] - (sums[-1] - sums[:-1]) ** 2 / sizes[::-1]
     spread = below + above  # (N - 1,), sum of squares within the groups
+    if values.std() < _MIN_STD or spread.min() > _GROUPS_SPREAD * len(values) * values.var():
+        return presence, _half_of_typical(values)
     at = int(spread.argmin()) + 1
     low, high = ordered[:at], ordered[at:]
-    is_split = values.std() >= _MIN_STD and spread.min() <= _GROUPS_SPREAD * len(values) * values.var()
-    if not (is_split and high.mean() >= 1.0):  # 1 is where the grounding model says 1/2
-        return presence, max(1.0, float(np.median(values)) / np.sqrt(2))
+    if high.mean() < 1.0:  # where the grounding model says 1/2
+        return presence, _half_of_typical(values)
     odds = np.log(len(high) / len(low)) + _log_density(values, high) - _log_density(values, low)
     odds = np.where(values >= high.mean(), np.inf, np.where(values <= low.mean(), -np.inf, odds))
     return 1 / (1 + np.exp(-odds.clip(-50, 50))), float(low[-1] + high[0]) / 2
+
+
+def _half_of_typical(values: Array) -> float:
+    """Returns the root of half of the median heat, or of the heat where the grounding model says 1/2."""
+    return max(1.0, float(np.median(values)) / math.sqrt(2))
 
 
 def _log_density(values: Array, group: Array) -> Array:
