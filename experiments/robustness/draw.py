@@ -3,8 +3,8 @@
     <work>/datasets/<hash>.safetensors         what a learner may see
                     <hash>.truth.safetensors   true labels and states, for evaluation
 
-A hash covers the spec and the world. A trajectory depends on the spec's seed and its index only, so that those of two
-conditions begin alike.
+A hash covers the spec and the world as it is built. A trajectory depends on the spec's seed and its index only, so that
+those of two conditions begin alike.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ import numpy.typing as npt
 import safetensors.numpy
 import torch
 
-from experiments.robustness.worlds import CAMERA, DEMONSTRATED, NOMINAL, SCATTERED, open_world, world_hash
+from experiments.robustness.worlds import CAMERA, DEMONSTRATED, NOMINAL, SCATTERED, build_hash, open_world
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.types.common import Trajectory
@@ -173,8 +173,8 @@ def open_or_draw(spec: Spec, work: Path) -> Drawn:
 
 
 def spec_hash(spec: Any) -> str:
-    """Returns the sha256 of a spec and of its world."""
-    text = f"{type(spec).__name__} {json.dumps(asdict(spec), sort_keys=True)} {world_hash(spec.task)}"
+    """Returns the sha256 of a spec and of its world as this machine builds it."""
+    text = f"{type(spec).__name__} {json.dumps(asdict(spec), sort_keys=True)} {build_hash(spec.task)}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -60,8 +60,9 @@ def test_training_and_test_data_have_different_seeds() -> None:
     assert not held_out & {segmentation.TRAINING.seed, reward.TRAINING.seed}
 
 
-def test_worlds_have_a_hash_each_that_stays() -> None:
+def test_tasks_have_a_hash_each_that_stays() -> None:
     assert worlds.world_hash("blocks") == worlds.world_hash.__wrapped__("blocks") != worlds.world_hash("blocks.scatter")
+    assert worlds.build_hash("blocks") == worlds.build_hash.__wrapped__("blocks") != worlds.build_hash("blocks.scatter")
 
 
 def test_figures_of_confidence_are_those_of_the_metrics() -> None:
