@@ -40,7 +40,7 @@ mean reward over the five goals is a fifth of that.
 *PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 nominal episodes and 12 for each
 condition, of the policies that ship, with sampled actions. They are no fits of this benchmark and have no target here.
 
-Intervals are 95 %: bootstrap over 3 seeds, then over trials (trajectories, or episodes of two scenes); of AUROC over
+Intervals are 95 %: bootstrap over seeds, then over trials (trajectories, or episodes of two scenes); of AUROC over
 wrong answers, and of ECE with the sign of each bin's gap held fixed.
 """
 
