@@ -25,6 +25,8 @@ _SHIFT = 0.11
 _NOISE = 0.1
 """Largest standard deviation of a pixel's noise, as a share of the range of its values; half of the takes have none."""
 
+_FRAMES_AT_ONCE = 256
+
 _BEGIN = 0.4
 """Share of a fit's steps before the first augmented ones."""
 
@@ -48,17 +50,21 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
         drawn = torch.rand((int(takes.max()) + 1, *sizes), generator=generator)
         return (strength * (2 * drawn - 1)).to(frames.device)[takes]
 
-    pixels = _shift(frames, draw(2)).float() / 255
-    if frames.shape[3] == 3:
-        pixels = turn_hue(pixels, _HUE_TURN * draw())
-        warmth, tint = draw(), draw()
-        gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)  # (N, 3)
-        pixels = pixels * gains[:, None, None]
+    directions, turns = draw(2), _HUE_TURN * draw()
+    warmth, tint = draw(), draw()
+    gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)  # (N, 3)
     light = torch.exp(math.log(_LIGHT) * draw())  # (N,)
     sigma = _NOISE * draw().clamp(min=0)  # (N,)
-    noise = torch.randn(frames.shape, generator=generator).to(frames.device)
-    pixels = pixels * light[:, None, None, None] + noise * sigma[:, None, None, None]
-    return (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
+    seen = torch.empty_like(frames)
+    for start in range(0, len(frames), _FRAMES_AT_ONCE):
+        at = slice(start, start + _FRAMES_AT_ONCE)
+        pixels = _shift(frames[at], directions[at]).float() / 255
+        if frames.shape[3] == 3:
+            pixels = turn_hue(pixels, turns[at]) * gains[at, None, None]
+        noise = torch.randn(pixels.shape, generator=generator).to(frames.device)
+        pixels = pixels * light[at, None, None, None] + noise * sigma[at, None, None, None]
+        seen[at] = (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
+    return seen
 
 
 def delayed(strength: float, *, step: int, steps: int) -> float:

@@ -15,7 +15,7 @@ from freerein.types.common import Camera
 _GRID = 8
 """Parts along each side of an image."""
 
-_FRAMES_AT_ONCE = 256
+_FRAMES_AT_ONCE = 16
 
 
 def image_statistics(frames: Frames) -> Tensor:

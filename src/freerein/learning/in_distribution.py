@@ -15,6 +15,9 @@ FLAGGED = 0.03
 """Answers with a lower score are to be taken as outside of what a model was fitted on: 3 % of held-out ones."""
 
 _QUANTILES = 1001
+KNOWN_FRAMES = 2000
+"""Frames of the fit from which a score is fitted, about."""
+
 _RARE = 0.05
 """Share of held-out frames beyond whose distance the distance makes an answer doubtful."""
 
@@ -49,21 +52,23 @@ class InDistribution(nn.Module):
         """Sets what scores are relative to.
 
         Args:
-            known: Statistics of frames that the network was fitted on, augmented as in the fit, float32 (M, D), M at
-                least 2. Every other frame gives mean and covariance; the rest, and held-out ones, typical distances.
-            held_out: Statistics of the frames of held-out answers, as they are, float32 (N, D).
-            confidence: Confidence of these answers, float32 (N,); all 1 for a model without.
+            known: Statistics of frames that the network was fitted on, augmented as in the fit, float32 (M, D). Every
+                other frame gives mean and covariance; the rest, and held-out ones, typical distances.
+            held_out: Statistics of held-out frames, as they are, float32 (N, D).
+            confidence: Confidence of k answers to each of these frames, float32 (N * k,), frame after frame; all 1 for
+                a model without.
         """
         self.mean.copy_(known[::2].mean(dim=0))
         covariance = torch.cov(known[::2].double().T, correction=0).reshape(len(self.mean), -1)
         ridge = _SHRINKAGE * covariance.diagonal().mean().clamp(min=1e-12)
         ridged = covariance + ridge * torch.eye(len(self.mean), dtype=torch.float64, device=covariance.device)
         self.whitening.copy_(torch.linalg.inv(torch.linalg.cholesky(ridged)).T / math.sqrt(len(self.mean)))
-        distances = self.distance(held_out)
-        both = torch.cat([_quantiles(self.distance(known[1::2])), _quantiles(distances)])
+        distances, rest = self.distance(held_out), known[1::2] if len(known) > 1 else known
+        both = torch.cat([_quantiles(self.distance(rest)), _quantiles(distances)])
         self.distances.copy_(_quantiles(both))
         self.confidences.copy_(_quantiles(confidence))
-        self.familiarities.copy_(_quantiles(self._familiarity(distances, confidence)))
+        answers = distances.repeat_interleave(len(confidence) // len(distances))
+        self.familiarities.copy_(_quantiles(self._familiarity(answers, confidence)))
 
     def distance(self, statistics: Tensor) -> Tensor:
         """Returns the root mean square of whitened statistics, float32 (N,), of statistics (N, D); typically near 1."""

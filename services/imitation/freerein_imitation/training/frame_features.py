@@ -8,11 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning.image_statistics import image_statistics
+from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation.training.skill_segments import SegmentDataset
-
-KNOWN_FRAMES = 2000
-"""Training frames to which an in-distribution score is fitted, about."""
 
 _ENCODE_BATCH = 256
 
@@ -55,4 +53,4 @@ def segment_statistics(dataset: SegmentDataset) -> Tensor:
 
 
 def _statistics(frames: Mapping[str, npt.NDArray[np.uint8]]) -> Tensor:
-    return image_statistics({name: torch.from_numpy(np.ascontiguousarray(each)) for name, each in frames.items()})
+    return image_statistics({name: torch.tensor(each) for name, each in frames.items()})

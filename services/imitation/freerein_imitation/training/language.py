@@ -15,6 +15,7 @@ from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, Frames
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
+from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -24,7 +25,7 @@ from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
 from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.training.frame_features import KNOWN_FRAMES, trajectory_statistics
+from freerein_imitation.training.frame_features import trajectory_statistics
 from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
 
 State = TrainState[LanguageNetwork]

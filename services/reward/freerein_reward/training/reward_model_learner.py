@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, delayed
+from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein_reward.goal_text import words
@@ -28,7 +29,6 @@ from freerein_reward.training.config import RewardConfig
 State = TrainState[DualEncoder]
 
 _IMAGES_AT_ONCE = 256
-_SAMPLED_IMAGES = 2000
 _HEAT_FLOOR = 0.5
 """Heat from which a keypoint counts a cell at first, as a fraction of the peak heat of a phrase that is just shown."""
 
@@ -83,10 +83,10 @@ class RewardModelLearner:
     def calibrate(self, network: DualEncoder) -> None:
         """Fits the network's in-distribution score, to training images as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
-        sampled = np.linspace(0, self.size - 1, min(self.size, _SAMPLED_IMAGES)).round().astype(np.int64)
+        sampled = np.linspace(0, self.size - 1, min(self.size, KNOWN_FRAMES)).round().astype(np.int64)
         known = self.training.subset(sampled).augmented(self.config.augmentation, generator=generator)
         confidence = caption_scores(network, self.validation).softmax(dim=2).amax(dim=2)  # (N, pairs), an answer each
-        held_out = view_statistics(_stacked_views(self.validation)).repeat_interleave(confidence.shape[1], dim=0)
+        held_out = view_statistics(_stacked_views(self.validation))
         if network.in_distribution is None:
             raise TypeError("This network has no in-distribution score; expected a model of relations.")
         known_views = view_statistics(_stacked_views(known))

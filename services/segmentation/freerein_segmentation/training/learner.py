@@ -10,6 +10,7 @@ import torch
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.image_statistics import image_statistics
+from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -22,7 +23,7 @@ from freerein_segmentation.training.config import SegmentationConfig
 
 State = TrainState[SegmentationNetwork]
 
-_SAMPLED_FRAMES = 2000
+_NORMALISATION_FRAMES = 2000
 
 
 def network_spec(
@@ -56,7 +57,7 @@ class SegmentationLearner:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        sampled = self.training.sample_frames(_SAMPLED_FRAMES)
+        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
         frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
         network.image.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
@@ -89,7 +90,7 @@ class SegmentationLearner:
     def calibrate(self, network: SegmentationNetwork) -> None:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
-        sampled = self.training.sample_frames(_SAMPLED_FRAMES)
+        sampled = self.training.sample_frames(KNOWN_FRAMES)
         takes, strength = torch.arange(len(next(iter(sampled.values())))), self._strength(network)
         frames = {
             camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(
