@@ -14,9 +14,9 @@ from freerein.types.reward import Mode, RewardRequest, RewardResponse
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.vec_env import Rewards
 
-_RANGES: Mapping[Mode, str] = {"binary": "0 or 1", "raw": "a cosine, within [-1, 1]"}
-_MAX_COSINE = 1.001
-"""Products of unit vectors in single precision may exceed 1 a little."""
+_RANGES: Mapping[Mode, str] = {"binary": "0 or 1", "raw": "a similarity, within [-1, 1]"}
+_MAX_SIMILARITY = 1.001
+"""Products in single precision may exceed 1 a little."""
 
 Frames: TypeAlias = npt.NDArray[np.uint8]
 RewardFn: TypeAlias = Callable[[Frames, Rewards | None], Rewards]
@@ -50,7 +50,7 @@ class LearnedReward:
         """
         sent = np.repeat(frames, 2, axis=0) if len(frames) == 1 else frames
         rewards = self._request(sent).rewards
-        valid = np.isin(rewards, (0, 1)) if self.mode == "binary" else np.abs(rewards) <= _MAX_COSINE
+        valid = np.isin(rewards, (0, 1)) if self.mode == "binary" else np.abs(rewards) <= _MAX_SIMILARITY
         if not valid.all():
             raise IterationRejected(
                 f"A reward in the mode {self.mode} must be {_RANGES[self.mode]}; got {rewards[~valid][0]}.",

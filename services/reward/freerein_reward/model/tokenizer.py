@@ -1,4 +1,4 @@
-"""Word-level tokenizer; unknown words are hashed into a few buckets."""
+"""Word-level tokenizer; all unknown words share one token."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

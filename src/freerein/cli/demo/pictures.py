@@ -80,7 +80,7 @@ class RewardExample:
         heatmaps: float32 (H, W) in [0, 1] per phrase.
         pixels: x and y of each phrase.
         texts: The goal text and its rivals.
-        similarities: float32 (texts,), cosine of the image and each text.
+        similarities: float32 (texts,), similarity of the image and each text.
         truth: Index of the true text.
     """
 

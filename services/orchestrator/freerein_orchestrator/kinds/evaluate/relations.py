@@ -120,7 +120,7 @@ class RelationsEvaluation:
         return cast(RewardResponse, self._reward.reward(request)).winners
 
     def _similarities(self, texts: Sequence[str], frame: Frames) -> list[float]:
-        """Returns the cosine similarity of a frame, uint8 (H, W, C), and each text."""
+        """Returns the similarity of a frame, uint8 (H, W, C), and each text."""
         frames = {self._camera: frame[None]}
         requests = [RewardRequest(text, frames, mode="raw", model=self._model) for text in texts]
         return [float(cast(RewardResponse, self._reward.reward(each)).similarities[0]) for each in requests]

@@ -148,7 +148,7 @@ class RewardResponse(_message.Message):
 
     @_builtins.property
     def similarities(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """Cosine similarity of each of N frames and the goal text, in [-1, 1]."""
+        """Similarity of each of N frames and the goal text, in [-1, 1]."""
 
     @_builtins.property
     def winners(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
@@ -179,7 +179,8 @@ class RewardResponse(_message.Message):
     @_builtins.property
     def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
         """How much each of N answers is like those on held-out data, in [0, 1]: the share of these that were no more familiar.
-        Below 0.03, the frame is probably unlike what the model was fitted on, or the texts are hard to tell apart in it.
+        Below 0.03, the frame is probably unlike what the model was fitted on, or the texts are hard to tell apart in it. It
+        is fitted to goal texts that the grammar reads, with their own rivals; with other texts it says less.
         Empty for a grounding model.
         """
 
