@@ -51,7 +51,7 @@ def _learn_from_data() -> list[Step]:
         _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3, steps=1200),
         _step("label-blocks", "label", dataset="blocks-demos", model="blocks", smoothing=1),
         _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
-        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES, epsilon=_BLOCK, steps=600),
+        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES, epsilon=_BLOCK),
         _scenes("two-blocks", "blocks-2"),
         _scenes("four-blocks", "blocks-4"),
         _fit("fit-goal-images", "imitation", "goal-images", "exploration", method="goal_conditioned"),
