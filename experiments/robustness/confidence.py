@@ -7,6 +7,7 @@ each bin's gap. Their intervals so hold the right answers' scores, and these sig
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,9 @@ from freerein.learning.in_distribution import FLAGGED
 AUROC, FLAGGED_SHARE, CALIBRATION_ERROR = (f"in_distribution.{name}" for name in ("auroc", "flagged", "ece"))
 _BINS = 15
 _DECIMALS = 6
+
+Numbers = npt.NDArray[np.floating]
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +34,9 @@ class Answers:
         trial: int64 (N,), the trial of each, from 0.
     """
 
-    right: npt.NDArray[np.bool_]
-    confidence: npt.NDArray[np.floating]
-    score: npt.NDArray[np.floating]
+    right: Flags
+    confidence: Numbers
+    score: Numbers
     trial: npt.NDArray[np.int64]
 
 
@@ -53,33 +57,36 @@ def samples(answers: Answers, *, nominal: Answers) -> dict[str, Sample]:
     """
     kept = answers.score >= FLAGGED
     return {
-        AUROC: _by_trial(*_placements(answers), answers.trial),
-        FLAGGED_SHARE: _by_trial(nominal.score < FLAGGED, np.ones(len(nominal.score)), nominal.trial),
-        CALIBRATION_ERROR: _by_trial(
-            _signed_gaps(answers.confidence[kept], answers.right[kept]), np.ones(int(kept.sum())), answers.trial[kept]
-        ),
+        AUROC: auroc(answers.score, answers.right, answers.trial),
+        FLAGGED_SHARE: by_trial(nominal.score < FLAGGED, np.ones(len(nominal.score)), nominal.trial),
+        CALIBRATION_ERROR: calibration_error(answers.confidence[kept], answers.right[kept], answers.trial[kept]),
     }
 
 
-def _placements(pooled: Answers) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Returns for each wrong answer the share of right ones with a higher score, ties by half, and 1; else 0 and 0."""
-    wrong, of_right = ~pooled.right, np.sort(pooled.score[pooled.right])
-    above, at_least = (len(of_right) - of_right.searchsorted(pooled.score, side) for side in ("right", "left"))
-    shares = (above + at_least) / (2 * len(of_right))
-    return np.where(wrong, shares, 0.0), wrong.astype(np.float64)
+def auroc(score: Numbers, right: Flags, trial: npt.NDArray[np.int64]) -> Sample:
+    """Returns the AUROC of scores of N answers, right against wrong ones; `trial` is the trial of each, from 0."""
+    wrong, of_right = ~right, np.sort(score[right])
+    above, at_least = (len(of_right) - of_right.searchsorted(score, side) for side in ("right", "left"))
+    shares = (above + at_least) / (2 * len(of_right))  # of right answers with a higher score, ties by half
+    return by_trial(np.where(wrong, shares, 0.0), wrong, trial)
 
 
-def _signed_gaps(confidence: npt.NDArray[np.floating], right: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+def calibration_error(confidence: Numbers, right: Flags, trial: npt.NDArray[np.int64]) -> Sample:
+    """Returns the expected calibration error of the confidence in N answers; `trial` is the trial of each, from 0."""
+    return by_trial(_signed_gaps(confidence, right), np.ones(len(right)), trial)
+
+
+def by_trial(totals: npt.NDArray[Any], counts: npt.NDArray[Any], trial: npt.NDArray[np.int64]) -> Sample:
+    """Returns sums over the answers of each trial that has some to count."""
+    sums = [np.bincount(trial, weights=np.asarray(each, np.float64)) for each in (totals, counts)]
+    has_some = sums[1] > 0
+    return Sample(*(np.round(each[has_some], _DECIMALS).tolist() for each in sums))
+
+
+def _signed_gaps(confidence: Numbers, right: Flags) -> npt.NDArray[np.float64]:
     """Returns what each answer adds to the expected calibration error times N, float64 (N,)."""
     bins = np.minimum((confidence * _BINS).astype(np.int64), _BINS - 1)
     gaps = confidence.astype(np.float64) - right
     signs = np.sign(np.bincount(bins, weights=gaps, minlength=_BINS))
     signed: npt.NDArray[np.float64] = signs[bins] * gaps
     return signed
-
-
-def _by_trial(totals: npt.NDArray[np.generic], counts: npt.NDArray[np.float64], trial: npt.NDArray[np.int64]) -> Sample:
-    """Returns sums over the answers of each trial that has some."""
-    sums = [np.bincount(trial, weights=np.asarray(each, np.float64)) for each in (totals, counts)]
-    has_some = sums[1] > 0
-    return Sample(*(np.round(each[has_some], _DECIMALS).tolist() for each in sums))

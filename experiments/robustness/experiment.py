@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from experiments.robustness import report, reward, scenes, segmentation, visited_states, wordings
+from experiments.robustness import policies, report, reward, scenes, segmentation, services, visited_states, wordings
 from experiments.robustness.draw import Spec, open_or_draw
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
@@ -17,6 +17,7 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.learning.checkpoints import JSON
+from freerein_reward.model import DualEncoderModel
 from freerein_reward.training import RewardConfig
 from freerein_segmentation.training import SegmentationConfig
 
@@ -54,7 +55,7 @@ class RobustnessExperiment:
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Guesses, then all fits of a variant, then the policies."""
+        """Guesses, then all fits of a variant, then the policies that ship, then policies that are trained."""
         tasks = sorted(self._policies)
         fitted = ((DEMONSTRATED, SEGMENTATION), (SCATTERED, REWARD), *((task, REWARD) for task in tasks))
         return (
@@ -66,6 +67,7 @@ class RobustnessExperiment:
                 for seed in range(self.seeds)
             ),
             *(Arm(task, PPO) for task in tasks),
+            *policies.arms(self.seeds),
         )
 
     @property
@@ -75,6 +77,8 @@ class RobustnessExperiment:
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
         config: dict[str, Any] = {"version": _VERSION}
+        if arm.method in policies.METHODS:
+            return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == SEGMENTATION:
             config |= {"fit": asdict(_segmentation_config(arm)), "training": asdict(segmentation.TRAINING)}
         if arm.method == REWARD:
@@ -102,6 +106,8 @@ class RobustnessExperiment:
 
     def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
         """Fits where no other arm has, and evaluates; see `Experiment`. Checkpoints are in `work`."""
+        if arm.method in policies.METHODS:
+            return _train_policy(arm, folder, on_progress)
         torch.set_num_threads(1)
         if found := _FOUND.get((arm.world, arm.method)):
             return found(work)
@@ -111,8 +117,10 @@ class RobustnessExperiment:
         if arm.method == PPO:
             return visited_states.evaluate_policy(self._policies[arm.world], work)
         model = reward.fit_model(_reward_config(arm), work, on_progress)
-        if model is None:
-            return None
+        return None if model is None else self._judge(model, arm, work)
+
+    def _judge(self, model: DualEncoderModel, arm: Arm, work: Path) -> Outcome:
+        """Returns the figures of a reward model."""
         if arm.world != SCATTERED:
             return visited_states.evaluate(model, self._policies[arm.world], work)
         parts = [scenes.evaluate(model, work), wordings.evaluate(model, work)]
@@ -121,6 +129,12 @@ class RobustnessExperiment:
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
         return report.table(results)
+
+
+def _train_policy(arm: Arm, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+    made = policies.METHODS[arm.method]
+    trials = services.run_pipeline(made.steps(arm), folder, on_progress)
+    return None if trials is None else made.outcome(trials)
 
 
 def _segmentation_config(arm: Arm) -> SegmentationConfig:

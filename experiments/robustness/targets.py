@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.robustness import confidence, scenes, visited_states, wordings
+from experiments.robustness import confidence, policies, scenes, visited_states, wordings
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
@@ -25,22 +25,28 @@ class Target:
     Attributes:
         claim: Its name.
         text: What it measures.
-        world: World of the arms that measure it; empty for all worlds of policies, whose trials are joined.
+        worlds: Worlds of the arms that measure it, whose trials are joined; empty for all tasks of shipped policies.
         samples: Figures, the worst of which it is.
         least: What it must reach at least; None where it must not exceed `most`.
         most: What it must not exceed.
         unit: 100 for per cent, 1 for a share.
         also: Claims that must be met for this one to be.
+        method: Method of the arms; empty for the fits that have variants.
+        baseline: Method of the arms that they are compared with.
+        ceiling: Method of the arms that they cannot exceed, if any.
     """
 
     claim: str
     text: str
-    world: str
+    worlds: tuple[str, ...]
     samples: tuple[str, ...]
     least: float | None = None
     most: float | None = None
     unit: int = _SHARE
     also: tuple[str, ...] = ()
+    method: str = ""
+    baseline: str = ""
+    ceiling: str = ""
 
     @property
     def must_reach(self) -> str:
@@ -54,24 +60,38 @@ class Target:
 
 def _frames(claim: str, text: str, least: float, *named: str) -> Target:
     samples = tuple(f"{condition}.{FRAME_ACCURACY}" for condition in named)
-    return Target(claim, f"segmentation, frame accuracy, %: {text}", DEMONSTRATED, samples, least, unit=_PER_CENT)
+    return Target(claim, f"segmentation, frame accuracy, %: {text}", (DEMONSTRATED,), samples, least, unit=_PER_CENT)
 
 
 def _relations(claim: str, text: str, least: float, *samples: str) -> Target:
-    return Target(claim, f"reward, argmax of 5 relations, {text}", SCATTERED, samples, least, unit=_PER_CENT)
+    return Target(claim, f"reward, argmax of 5 relations, {text}", (SCATTERED,), samples, least, unit=_PER_CENT)
 
 
 def _accuracies(*named: str) -> tuple[str, ...]:
     return tuple(f"{condition}.{blocks}.{scenes.ACCURACY}" for condition in named for blocks in BLOCKS)
 
 
-def _confidence(prefix: str, model: str, world: str) -> tuple[Target, ...]:
+def _confidence(prefix: str, model: str, worlds: tuple[str, ...]) -> tuple[Target, ...]:
     name, text = f"{prefix}_in_distribution_", f"{model}, in-distribution score: "
     return (
-        Target(f"{name}auroc", f"{text}AUROC, right against wrong", world, (confidence.AUROC,), least=0.9),
-        Target(f"{name}flagged", f"{text}nominal answers flagged", world, (confidence.FLAGGED_SHARE,), most=0.05),
-        Target(f"{name}ece", f"{text}ECE of what is not flagged", world, (confidence.CALIBRATION_ERROR,), most=0.05),
+        Target(f"{name}auroc", f"{text}AUROC, right against wrong", worlds, (confidence.AUROC,), least=0.9),
+        Target(f"{name}flagged", f"{text}nominal answers flagged", worlds, (confidence.FLAGGED_SHARE,), most=0.05),
+        Target(f"{name}ece", f"{text}ECE of what is not flagged", worlds, (confidence.CALIBRATION_ERROR,), most=0.05),
     )
+
+
+def _followed(claim: str, text: str, sample: str, *, least: float | None = None, most: float | None = None) -> Target:
+    method, baseline = policies.GOAL_CONDITIONED, policies.INVERSE_MODEL
+    return Target(claim, text, (DEMONSTRATED,), (sample,), least, most, method=method, baseline=baseline)
+
+
+def _executed(claim: str, text: str, least: float, sample: str) -> Target:
+    method, ceiling = policies.SKILLS, policies.EXPERT
+    return Target(claim, text, (DEMONSTRATED,), (sample,), least, unit=_PER_CENT, method=method, ceiling=ceiling)
+
+
+def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sample: str) -> Target:
+    return Target(claim, f"PPO, % of the expert: {text}", worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
 
 
 TARGETS = (
@@ -86,23 +106,23 @@ TARGETS = (
     Target(
         "reward_absent",
         "scenes of 2 blocks in which a goal that names an absent one is rewarded",
-        SCATTERED,
+        (SCATTERED,),
         tuple(f"{condition}.blocks-2.{scenes.ABSENT_REWARDED}" for condition in conditions(SCATTERED)),
         most=0.02,
     ),
     Target(
         "reward_precision",
         "precision of the reward on states that PPO's policies visit, at recall ≥ 0.9",
-        "",
+        (),
         (visited_states.PRECISION,),
         least=0.97,
         also=("reward_recall",),
     ),
-    Target("reward_recall", "recall of the reward there", "", (visited_states.RECALL,), least=0.9),
+    Target("reward_recall", "recall of the reward there", (), (visited_states.RECALL,), least=0.9),
     Target(
         "wordings",
         "recall of the reward, worst class of wordings, at a false rate ≤ 0.04",
-        SCATTERED,
+        (SCATTERED,),
         tuple(f"{name}.{wordings.RECALL}" for name in wordings.CLASSES),
         least=0.85,
         also=("wordings_false_rate",),
@@ -110,12 +130,27 @@ TARGETS = (
     Target(
         "wordings_false_rate",
         "false rate of the reward, worst class of wordings",
-        SCATTERED,
+        (SCATTERED,),
         tuple(f"{name}.{wordings.FALSE_RATE}" for name in wordings.CLASSES),
         most=0.04,
     ),
-    *_confidence("seg", "segmentation", DEMONSTRATED),
-    *_confidence("reward", "reward", SCATTERED),
+    *_confidence("seg", "segmentation", (DEMONSTRATED,)),
+    *_confidence("reward", "reward", (SCATTERED,)),
+    _followed("flag_auroc", "goal-reached flag on visited states: AUROC", policies.FLAG_AUROC, least=0.95),
+    _followed("flag_ece", "goal-reached flag there: ECE", policies.FLAG_ECE, most=0.05),
+    _followed("flag_recall", "goal-reached flag there: recall at precision 0.9", policies.FLAG_RECALL, least=0.7),
+    _followed(
+        "landmarks_free",
+        "landmarks 6 steps apart, reached when left: no block must move",
+        policies.LANDMARKS_FREE,
+        least=0.85,
+    ),
+    _followed("landmarks_block", "a block must move", policies.LANDMARKS_BLOCK, least=0.55),
+    _executed("recipe_skills", "recipes of four skills, skills completed, %", 80, policies.RECIPE_SKILLS),
+    _executed("recipe_whole", "whole recipes, %", 45, policies.RECIPE_WHOLE),
+    _reinforced("ppo_all", "left and right, all starts", 65, policies.SIDES, policies.RETURN_ALL),
+    _reinforced("ppo_wrong_order", "starts in the wrong order", 45, policies.SIDES, policies.RETURN_WRONG_ORDER),
+    _reinforced("ppo_stack", "stack", 40, (policies.STACK,), policies.RETURN_ALL),
 )
 """The claims that have a target."""
 
@@ -145,14 +180,16 @@ def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
 
 
 def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
-    arms, others = (_arms(target, results, variant) for variant in (OURS, BASELINE))
+    arms = _arms(target, results, target.method, OURS)
+    others = _arms(target, results, target.baseline, "" if target.method else BASELINE)
+    ceilings = _arms(target, results, target.ceiling)
     if not arms:
         return None
     values = {name: target.unit * claims.mean(samples_of(arms, name)) for name in target.samples}
     worst = (max if target.least is None else min)(values, key=values.__getitem__)
     samples = samples_of(arms, worst)
     low, high = claims.interval(samples, rng=np.random.default_rng(0))
-    baseline = target.unit * claims.mean(samples_of(others, worst)) if others else None
+    baseline, ceiling = (_mean(target, each, worst) for each in (others, ceilings))
     claim = Claim(
         claim=target.claim,
         value=_rounded(values[worst]),
@@ -161,8 +198,8 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
         seeds=len(samples),
         trials=len(samples[0].totals),
         scale=None,
-        baseline=None if baseline is None else _rounded(baseline),
-        ceiling=None,
+        baseline=baseline,
+        ceiling=ceiling,
         gap_closed=None,
         dissertation=None,
         target=target.least if target.most is None else target.most,
@@ -179,13 +216,18 @@ def _with_others(made: Made, reached: Mapping[str, bool]) -> Made:
     return replace(made, claim=replace(made.claim, met=bool(made.claim.met) and others))
 
 
-def _arms(target: Target, results: Sequence[ArmResult], variant: str) -> list[ArmResult]:
+def _arms(target: Target, results: Sequence[ArmResult], method: str, variant: str = "") -> list[ArmResult]:
+    """Returns the arms of a method in a target's worlds; without a method, the fits of a variant there."""
     return [
         each
         for each in results
-        if each.options.get("fit") == variant
-        and (each.world == target.world or (not target.world and each.world not in (DEMONSTRATED, SCATTERED)))
+        if (each.method == method if method else each.options.get("fit") == variant)
+        and (each.world in target.worlds or (not target.worlds and each.world not in (DEMONSTRATED, SCATTERED)))
     ]
+
+
+def _mean(target: Target, arms: Sequence[ArmResult], name: str) -> float | None:
+    return _rounded(target.unit * claims.mean(samples_of(arms, name))) if arms else None
 
 
 def _join(parts: Sequence[Sample]) -> Sample:

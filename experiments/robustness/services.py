@@ -1,0 +1,85 @@
+"""Pipelines of the orchestrator on services of their own: what an arm measures is what a user would get.
+
+<folder>/data/   the services' data directory; without its datasets once the pipeline is done
+"""
+
+import asyncio
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import aclosing
+from pathlib import Path
+from typing import Any
+
+from freerein.cli.connection import channel_to
+from freerein.cli.demo.run import isolated_environ
+from freerein.cli.jobs.display import check_succeeded
+from freerein.cli.jobs.streams import follow_run
+from freerein.cli.services import Stack, choose, free_ports
+from freerein.cli.settings import CliSettings
+from freerein.clients import OrchestratorClient
+from freerein.jobs.child import stop_on_sigterm
+from freerein.types.orchestrator import StartRunRequest
+
+Step = Mapping[str, Any]
+"""A step of a pipeline: `name`, `kind` and `config`."""
+
+Trials = Mapping[str, Sequence[Mapping[str, Any]]]
+"""Values of the trials of each evaluation, by the name of its step."""
+
+_SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
+_READY_TIMEOUT_S = 60.0
+_POLL_S = 0.2
+_KEY = "arm"
+
+
+def run_pipeline(steps: Sequence[Step], folder: Path, on_progress: Callable[[], None]) -> Trials | None:
+    """Runs a pipeline, or resumes it; returns what its evaluations measured, None when SIGTERM stopped it.
+
+    Raises:
+        FailedPrecondition: A step failed.
+    """
+    data = folder / "data"
+    with stop_on_sigterm() as is_stopped:
+        run_id = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped))
+    if run_id is None:
+        return None
+    shutil.rmtree(data / "datasets", ignore_errors=True)
+    parts = data / "runs" / run_id / "parts"
+    names = [step["name"] for step in steps if step["kind"] == "evaluate"]
+    return {name: _trials(parts / name / "checkpoints" / "trials.jsonl") for name in names}
+
+
+async def _run_to_its_end(
+    config: dict[str, Any], data: Path, on_progress: Callable[[], None], is_stopped: Callable[[], bool]
+) -> str | None:
+    """Returns the id of the run; None when it was stopped before its end."""
+    environ, ports = isolated_environ(os.environ), free_ports(_SERVICES)
+    async with Stack(choose(_SERVICES), data_dir=data, environ=environ, ports=ports) as stack:
+        await stack.ready(timeout_s=_READY_TIMEOUT_S)
+        async with OrchestratorClient(channel_to(stack.addresses["orchestrator"], CliSettings())) as client:
+            following = asyncio.create_task(_follow(client, config, on_progress))
+            while not (following.done() or is_stopped()):
+                await asyncio.wait([following], timeout=_POLL_S)
+            if following.done():
+                return following.result()
+            following.cancel()
+            await asyncio.wait([following])
+            return None
+
+
+async def _follow(client: OrchestratorClient, config: dict[str, Any], on_progress: Callable[[], None]) -> str:
+    """Starts the data directory's one run, or finds it, and follows it to its end; returns its id."""
+    run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=_KEY))).run
+    async with aclosing(follow_run(client, run.id)) as changes:
+        async for changed in changes:
+            run = changed
+            on_progress()
+    check_succeeded("pipeline", run)
+    return run.id
+
+
+def _trials(path: Path) -> list[dict[str, Any]]:
+    """Returns the values of an evaluation's trials, a line per round."""
+    return [trial for line in path.read_bytes().splitlines() for trial in json.loads(line)["trials"]]

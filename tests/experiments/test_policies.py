@@ -1,0 +1,89 @@
+"""Arms of the robustness benchmark that train policies: their pipelines, and figures from trials."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiments.robustness import policies, services
+from experiments.workbench.arms import Arm
+
+from freerein import metrics
+from freerein_orchestrator.kinds import KINDS
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("arm", policies.arms(seeds=1), ids=lambda arm: arm.name)
+def test_the_orchestrator_takes_an_arms_pipeline_and_its_seed(arm: Arm) -> None:
+    steps = policies.METHODS[arm.method].steps(arm)
+    KINDS["pipeline"].parse({"steps": [*steps]})
+    held_out = {step["config"]["seed"] for step in steps if step["kind"] == "evaluate"}
+    assert held_out
+    assert arm.seed not in held_out
+
+
+def test_a_flag_is_judged_on_all_visited_states() -> None:
+    lengths = RNG.integers(5, 40, 30)
+    right = [RNG.random(length) < 0.3 for length in lengths]
+    score = [np.clip(np.round(RNG.normal(0.3 + 0.4 * each, 0.2), 2), 0, 1) for each in right]
+    trials = [
+        {"confidence": own, "at_landmark": at.tolist(), "moves": [False, True], "recognized": [True, bool(at[0])]}
+        for own, at in zip(score, right, strict=True)
+    ]
+    found = policies.METHODS[policies.GOAL_CONDITIONED].samples({"landmarks": trials})
+
+    scores, rights = np.concatenate(score), np.concatenate(right)
+    assert found[policies.FLAG_AUROC].mean == pytest.approx(metrics.auroc(scores, rights), abs=1e-6)
+    ece = metrics.expected_calibration_error(scores, rights, bins=15)
+    assert found[policies.FLAG_ECE].mean == pytest.approx(ece, abs=1e-6)
+    recalls = [
+        rights[scores >= threshold].sum() / rights.sum()
+        for threshold in np.unique(scores)
+        if rights[scores >= threshold].mean() >= 0.9
+    ]
+    assert found[policies.FLAG_RECALL].mean == pytest.approx(max(recalls))
+    assert found[policies.LANDMARKS_FREE].mean == 1
+    assert found[policies.LANDMARKS_BLOCK].mean == pytest.approx(np.mean([each[0] for each in right]))
+
+
+def test_a_flag_that_is_never_precise_enough_has_no_recall() -> None:
+    trial = {"confidence": [0.9, 0.1], "at_landmark": [False, True], "moves": [False], "recognized": [False]}
+    found = policies.METHODS[policies.GOAL_CONDITIONED].samples({"landmarks": [trial]})
+    assert found[policies.FLAG_RECALL].mean == 0
+
+
+def test_a_recipe_is_whole_when_every_skill_is_completed() -> None:
+    trials = [{"completed": [True, True]}, {"completed": [True, False]}]
+    found = policies.METHODS[policies.SKILLS].samples({"recipes": trials})
+    assert found[policies.RECIPE_SKILLS].mean == 0.75
+    assert found[policies.RECIPE_WHOLE].mean == 0.5
+
+
+def test_returns_are_shares_of_the_experts_by_the_order_of_the_start() -> None:
+    trials = [
+        {"episode_return": 40.0, "expert_return": 80.0, "starts": {"start/in-order": True}},
+        {"episode_return": 10.0, "expert_return": 80.0, "starts": {"start/in-order": False}},
+    ]
+    found = policies.METHODS[policies.PPO].samples({"returns": trials})
+    assert found[policies.RETURN_ALL].mean == 50 / 160
+    assert found[policies.RETURN_WRONG_ORDER].mean == 0.125
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
+    steps = [
+        {"name": "demos", "kind": "collect", "config": {"dataset": "demos", "task": "grid", "count": 2}},
+        {
+            "name": "recipes",
+            "kind": "evaluate",
+            "config": {"form": "returns", "task": "pendulum", "policy": "random", "episodes": 2},
+        },
+    ]
+    ticks: list[int] = []
+    first = services.run_pipeline(steps, tmp_path, lambda: ticks.append(os.getpid()))
+    assert first is not None
+    assert len(first["recipes"]) == 2
+    assert ticks
+    assert services.run_pipeline(steps, tmp_path, lambda: None) == first
