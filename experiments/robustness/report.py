@@ -40,9 +40,9 @@ mean reward over the five goals is a fifth of that.
 *PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 nominal episodes and 12 for each
 condition, of the policies that ship, with sampled actions. They are no fits of this benchmark and have no target here.
 
-*Policies*: pipelines of the orchestrator on services of their own, evaluated as the product does. A follower learns from
-400 trajectories of random actions, pursues 4 landmarks 6 steps apart of a random rollout, and goes on when its own flag
-says so; its baseline is the inverse model. Skills are cloned from 400 demonstrations with the labels of the arm's own
+*Policies*: pipelines of the orchestrator on services of their own, evaluated as the product does. A follower learns
+from trajectories of random actions, pursues 4 landmarks 6 steps apart of a random rollout, and goes on when its own
+flag says so; its baseline is the inverse model. Skills are cloned from demonstrations with the labels of the arm's own
 segmentation, and execute all four in random order; the ceiling is the scripted expert. PPO begins with random weights,
 sees the shipped reward model's reward alone, and is evaluated by the oracle from the task's own starts, beside the
 expert in the same episodes. Steps are simulated control ticks.
