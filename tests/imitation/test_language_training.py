@@ -61,7 +61,7 @@ def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: P
     assert told.validation_loss < 0.05 < 0.4 < untold.validation_loss  # the mean of opposites is no use
 
     frames = {"front": torch.from_numpy(learner.validation.trajectories.frames["front"][0])}
-    right, left = (torch.from_numpy(learner.training.embeddings[text]).expand(8, -1) for text in TEXTS)
+    right, left = (torch.from_numpy(learner.training.codes[text]).expand(8, -1) for text in TEXTS)
     with torch.no_grad():
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()

@@ -1,11 +1,12 @@
 """The language-conditioned policy of section 4.3, into which single-task policies are distilled.
 
-The text encoder is frozen and no part of the network, which takes a text embedding. Of that it uses the principal
-components of the training goal texts only: along other directions there was nothing to learn from.
+The text encoder is frozen and no part of the network, which takes the codes of texts (`GoalTextReader`). Of these it
+uses the principal components of the training goal texts only: along other directions there was nothing to learn from.
 """
 
 import hashlib
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,12 @@ from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
+from freerein_imitation.model.goal_text_reader import GoalTextReader
 from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
 from freerein_imitation.model.text_encoder import TextEncoder
 
 MAX_COMPONENTS = 64
+MAX_KNOWN_TEXTS = 10_000
 NEVER_REACHED = 1.0
 """Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
 
@@ -44,6 +47,7 @@ class LanguageSpec(InputSpec):
     Attributes:
         text_size: Size of the text encoder's embeddings.
         text_components: Principal components of the training goal texts.
+        known_texts: Training goal texts.
         encoder: Image encoder.
         features: Image features per camera.
         text_features: Size of the text features.
@@ -52,6 +56,7 @@ class LanguageSpec(InputSpec):
 
     text_size: int = bounded(384, least=1, most=4096)
     text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
+    known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
@@ -63,10 +68,14 @@ class LanguageNetwork(nn.Module):
 
     Args:
         spec: Inputs, outputs and sizes.
+
+    Attributes:
+        reader: Reads goal texts; trained before, on text alone.
     """
 
     text_mean: Tensor
     text_basis: Tensor
+    known_texts: Tensor
 
     def __init__(self, spec: LanguageSpec) -> None:
         super().__init__()
@@ -78,8 +87,10 @@ class LanguageNetwork(nn.Module):
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
-        self.register_buffer("text_mean", torch.zeros(spec.text_size))
-        self.register_buffer("text_basis", torch.zeros(spec.text_size, spec.text_components))
+        self.reader = GoalTextReader(spec.text_size).requires_grad_(False)
+        self.register_buffer("text_mean", torch.zeros(self.reader.code_size))
+        self.register_buffer("text_basis", torch.zeros(self.reader.code_size, spec.text_components))
+        self.register_buffer("known_texts", torch.zeros(spec.known_texts, spec.text_components))
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, texts: Tensor, *, generator: torch.Generator) -> None:
@@ -87,25 +98,44 @@ class LanguageNetwork(nn.Module):
 
         Args:
             frames: Training frames by camera, uint8 (N, H, W, C).
-            texts: Embeddings of the distinct goal texts, float32 (n, text_size).
+            texts: Codes of the distinct goal texts, float32 (known_texts, code size).
             generator: On the CPU.
         """
         self.encoder.fit_normalisation(frames, generator=generator)
         self.text_mean.copy_(texts.mean(dim=0))
         self.text_basis.copy_(principal_components(texts))
+        self.known_texts.copy_(self._components(texts))
 
     def forward(self, frames: Frames, texts: Tensor) -> Tensor:
         """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
 
         Args:
             frames: By camera, uint8 (B, H, W, C).
-            texts: Text embeddings, float32 (B, text_size).
+            texts: Codes of texts, float32 (B, code size).
         """
         return self.act(self.encoder(frames), texts)
 
+    def knows(self, texts: Tensor) -> Tensor:
+        """Returns which texts are near a training goal text in what the network uses of their codes.
+
+        Near is less than half of these texts' mean distance from their centre.
+
+        Args:
+            texts: Codes of texts, float32 (B, code size).
+
+        Returns:
+            bool (B,).
+        """
+        distance = torch.cdist(self._components(texts), self.known_texts).amin(dim=1)  # (B,)
+        near: Tensor = distance <= self.known_texts.norm(dim=1).mean() / 2
+        return near
+
+    def _components(self, texts: Tensor) -> Tensor:
+        return (texts - self.text_mean) @ self.text_basis
+
     def act(self, features: Tensor, texts: Tensor) -> Tensor:
         """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
-        text = functional.relu(self.text_layer((texts - self.text_mean) @ self.text_basis))  # (B, text_features)
+        text = functional.relu(self.text_layer(self._components(texts)))  # (B, text_features)
         scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
         modulated = features * (1 + scale) + shift  # (B, D)
         hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
@@ -135,6 +165,8 @@ def principal_components(embeddings: Tensor) -> Tensor:
 class LanguagePolicy(TorchPolicy[LanguageNetwork]):
     """Follows a text. It has no termination head and no recurrent state.
 
+    A text unlike those that it was fitted to is followed, too, at an in-distribution score of 0.
+
     Args:
         network: Trained.
         text_encoder: The one that the network was trained with.
@@ -153,6 +185,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
             )
         super().__init__(network, spec, control, goal_form="text", predicts_reached=False)
         self._text_encoder = text_encoder
+        self._reader = deepcopy(network.reader).cpu()
 
     @classmethod
     def load(cls, folder: Path, device: str) -> "LanguagePolicy":
@@ -166,8 +199,8 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         return cls(network, _load_text_encoder(folder, card), ControlSpec.from_card(card))
 
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
-        """Returns text embeddings, float32 (N, text_size)."""
-        return self._text_encoder(goals)
+        """Returns the codes of texts, float32 (N, code size); each is independent of the others."""
+        return torch.stack([self._reader.encode(goal, self._text_encoder) for goal in goals]).numpy()
 
     @torch.inference_mode()
     def step(
@@ -179,14 +212,15 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
     ) -> PolicyOutput:
         """Returns the output for B observations; arguments as in `Policy.step`. `previous` is not used."""
         seen, score = self._tensors(frames), self._network.in_distribution
-        actions = self._network.act(self._network.encoder(seen), self._tensor(goals))
+        texts = self._tensor(goals)
+        actions = self._network.act(self._network.encoder(seen), texts)
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
         distance = score.distance(image_statistics(seen))
         return PolicyOutput(
             actions=chosen[:, None].cpu().numpy(),
             reached=np.zeros(len(previous), np.float32),
             recurrent=recurrent,
-            in_distribution=score(distance, torch.ones_like(distance)).cpu().numpy(),
+            in_distribution=score(distance, self._network.knows(texts).float()).cpu().numpy(),
         )
 
 

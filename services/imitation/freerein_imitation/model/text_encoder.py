@@ -1,12 +1,10 @@
-"""A frozen sentence encoder: BERT (Devlin et al. 2019) with mean pooling.
+"""A frozen text encoder: BERT (Devlin et al. 2019), whose mean pooling embeds sentences.
 
 Weights and vocabulary are one file in the folder of every policy trained with it; its sha256 identifies the encoder.
 """
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -21,7 +19,7 @@ _EPSILON = 1e-12
 
 
 class TextEncoder:
-    """Embeds texts as unit vectors; on the CPU, since a text is encoded once per goal.
+    """Encodes texts and their tokens; on the CPU, since a text is encoded once per goal.
 
     Args:
         data: A file written by `pack`; read as untrusted.
@@ -39,38 +37,52 @@ class TextEncoder:
             self._tokenizer = WordPieceTokenizer(weights.pop(_VOCABULARY).numpy().tobytes().decode().split("\n"))
             self._weights = {name: each.float() for name, each in weights.items()}
             self._layers = len({name.split(".")[1] for name in weights if name.startswith("layers.")})
-            (self.size,) = self._embed("a text shows whether the weights fit together").shape
+            (self.size,) = self.embed(self.tokenize("a text shows whether the weights fit together")).shape
         except (KeyError, IndexError, ValueError, RuntimeError) as error:
             raise InvalidInput(
                 "A text encoder's file must hold the weights of a BERT encoder and its vocabulary; it does not.",
                 hint="Fit the model again, or restore its folder from a copy.",
             ) from error
 
-    def __call__(self, texts: Sequence[str]) -> npt.NDArray[np.float32]:
-        """Returns text embeddings, float32 (N, size); each is independent of the others."""
-        embeddings = [self._embed(text).numpy() for text in texts]
-        return np.stack(embeddings) if embeddings else np.empty((0, self.size), np.float32)
+    def tokenize(self, text: str) -> Tensor:
+        """Returns the ids of a text's L tokens, [CLS] and [SEP] included, int64 (L,), L at most `MAX_TOKENS`."""
+        return torch.tensor(self._tokenizer(text))
 
-    @torch.inference_mode()
-    def _embed(self, text: str) -> Tensor:
-        ids = torch.tensor(self._tokenizer(text))  # (L,)
-        x = self._weights["tokens.weight"][ids] + self._weights["positions.weight"][: len(ids)]  # (L, size)
+    def embed(self, tokens: Tensor) -> Tensor:
+        """Returns the embedding of a text by its tokens, int64 (L,): a unit vector, float32 (size,)."""
+        return functional.normalize(self._states(tokens, layers=self._layers).mean(dim=0), dim=0)
+
+    def token_states(self, tokens: Tensor) -> Tensor:
+        """Returns the states of tokens, int64 (..., L), half-way through the layers: float32 (..., L, size).
+
+        There a token still says which word it is of, and already what that word does in its text.
+        """
+        return self._states(tokens, layers=self._layers // 2)
+
+    def word_embeddings(self, tokens: Tensor) -> Tensor:
+        """Returns the embeddings of tokens, int64 (..., L), whatever text they are part of: float32 (..., L, size)."""
+        return self._weights["tokens.weight"][tokens]
+
+    @torch.no_grad()
+    def _states(self, tokens: Tensor, *, layers: int) -> Tensor:
+        x = self.word_embeddings(tokens) + self._weights["positions.weight"][: tokens.shape[-1]]  # (..., L, size)
         x = self._norm(x, "norm")
-        for layer in range(self._layers):
+        for layer in range(layers):
             x = self._layer(x, f"layers.{layer}")
-        return functional.normalize(x.mean(dim=0), dim=0)
+        return x
 
     def _layer(self, x: Tensor, name: str) -> Tensor:
-        """Self-attention and feed-forward layer, each with a residual connection and a norm: float32 (L, size)."""
+        """Self-attention and feed-forward layer, each with a residual connection and a norm: float32 (..., L, size)."""
         query, key, value = (self._heads(x, f"{name}.{each}") for each in ("query", "key", "value"))
-        attended = functional.scaled_dot_product_attention(query, key, value)  # (heads, L, head size)
-        projected = self._linear(attended.transpose(0, 1).flatten(1), f"{name}.attention_output")
+        attended = functional.scaled_dot_product_attention(query, key, value)  # (..., heads, L, head size)
+        projected = self._linear(attended.transpose(-3, -2).flatten(-2), f"{name}.attention_output")
         x = self._norm(x + projected, f"{name}.attention_norm")
-        inner = functional.gelu(self._linear(x, f"{name}.intermediate"))  # (L, intermediate size)
+        inner = functional.gelu(self._linear(x, f"{name}.intermediate"))  # (..., L, intermediate size)
         return self._norm(x + self._linear(inner, f"{name}.output"), f"{name}.output_norm")
 
     def _heads(self, x: Tensor, name: str) -> Tensor:
-        return self._linear(x, name).view(len(x), -1, _HEAD_SIZE).transpose(0, 1)  # (heads, L, head size)
+        heads = self._linear(x, name).view(*x.shape[:-1], -1, _HEAD_SIZE)  # (..., L, heads, head size)
+        return heads.transpose(-3, -2)
 
     def _linear(self, x: Tensor, name: str) -> Tensor:
         return functional.linear(x, self._weights[f"{name}.weight"], self._weights[f"{name}.bias"])

@@ -22,7 +22,7 @@ class TimestepBatch:
 
     Attributes:
         frames: By camera, uint8 (B, H, W, C).
-        texts: Embeddings of the goal texts, float32 (B, W).
+        texts: Codes of the goal texts, float32 (B, code size).
         actions: float32 (B, A) or int64 (B, 1).
     """
 
@@ -37,11 +37,11 @@ class GoalTextDataset:
 
     Attributes:
         trajectories: Trajectories with goal texts.
-        embeddings: Embedding of each distinct goal text, float32 (W,).
+        codes: Code of each distinct goal text, float32 (code size,).
     """
 
     trajectories: Trajectories
-    embeddings: dict[str, npt.NDArray[np.float32]]
+    codes: dict[str, npt.NDArray[np.float32]]
 
     def __len__(self) -> int:
         """Returns the timesteps of all trajectories together."""
@@ -53,11 +53,11 @@ class GoalTextDataset:
 
     def subset(self, items: Sequence[int]) -> "GoalTextDataset":
         """Returns some of the trajectories, without copying frames."""
-        return GoalTextDataset(self.trajectories.subset(items), self.embeddings)
+        return GoalTextDataset(self.trajectories.subset(items), self.codes)
 
-    def distinct_embeddings(self) -> Tensor:
-        """Returns the embeddings of the distinct goal texts, float32 (n, W)."""
-        return torch.from_numpy(np.stack([self.embeddings[text] for text in sorted(set(self.trajectories.goal_texts))]))
+    def distinct_codes(self) -> Tensor:
+        """Returns the codes of the distinct goal texts, float32 (n, code size)."""
+        return torch.from_numpy(np.stack([self.codes[text] for text in sorted(set(self.trajectories.goal_texts))]))
 
     def collate(self, timesteps: npt.NDArray[np.int64], *, device: torch.device) -> TimestepBatch:
         """Returns a batch of timesteps, int64 (B,), which count over all trajectories."""
@@ -68,7 +68,7 @@ class GoalTextDataset:
             camera: _stack([arrays[item][t] for item, t in places], device)
             for camera, arrays in self.trajectories.frames.items()
         }
-        texts = _stack([self.embeddings[goal_texts[item]] for item, _ in places], device)
+        texts = _stack([self.codes[goal_texts[item]] for item, _ in places], device)
         return TimestepBatch(frames, texts, _stack([self.trajectories.actions[item][t] for item, t in places], device))
 
 

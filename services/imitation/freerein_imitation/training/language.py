@@ -23,9 +23,11 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
+from freerein_imitation.model.goal_text_reader import GoalTextReader
 from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, principal_components
 from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.training.frame_features import trajectory_statistics
+from freerein_imitation.training.goal_text_reader import fit_goal_text_reader
 from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
 
 State = TrainState[LanguageNetwork]
@@ -62,15 +64,13 @@ def network_spec(
     *,
     cameras: tuple[Camera, ...],
     action: ActionSpec,
-    text_size: int = 384,
-    text_components: int = 1,
+    **texts: int,
 ) -> LanguageSpec:
-    """Returns the spec of the network for some cameras, actions and text embeddings.
+    """Returns the spec of the network for some cameras, actions and sizes of `texts`.
 
     Raises:
         InvalidInput: Frames or actions are out of bounds.
     """
-    texts = {"text_size": text_size, "text_components": text_components}
     return spec_of(config, LanguageSpec, cameras=cameras, action=action, **texts)
 
 
@@ -84,6 +84,7 @@ class LanguageLearner:
         training: Training trajectories.
         validation: Validation trajectories.
         text_encoder: File of the text encoder.
+        reader: Reads goal texts.
         fingerprint: Fingerprint of the dataset and the text encoder.
         device: Device to train on.
     """
@@ -93,6 +94,7 @@ class LanguageLearner:
     training: GoalTextDataset
     validation: GoalTextDataset
     text_encoder: bytes
+    reader: GoalTextReader
     fingerprint: str
     device: torch.device
 
@@ -108,7 +110,7 @@ class LanguageLearner:
         fingerprint: str,
         device: torch.device,
     ) -> "LanguageLearner":
-        """Returns the learner for trajectories with goal texts; encodes every distinct text once.
+        """Returns the learner for trajectories with goal texts; fits a reader and reads every distinct text once.
 
         Args:
             config: Configuration.
@@ -123,12 +125,14 @@ class LanguageLearner:
             InvalidInput: No goal text has two trajectories.
         """
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
-        dataset = GoalTextDataset(trajectories, dict(zip(distinct, encoder(distinct), strict=True)))
+        reader = fit_goal_text_reader(encoder, seed=config.seed)
+        dataset = GoalTextDataset(trajectories, {text: reader.encode(text, encoder).numpy() for text in distinct})
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
-        components = principal_components(training.distinct_embeddings()).shape[1]
-        spec = network_spec(config, cameras=cameras, action=action, text_size=encoder.size, text_components=components)
+        codes = training.distinct_codes()
+        texts = {"text_components": principal_components(codes).shape[1], "known_texts": len(codes)}
+        spec = network_spec(config, cameras=cameras, action=action, text_size=encoder.size, **texts)
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
-        return cls(config, spec, training, validation, text_encoder, fingerprint, device)
+        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
 
     @property
     def size(self) -> int:
@@ -139,9 +143,10 @@ class LanguageLearner:
         """Returns the state before the first update."""
         network = LanguageNetwork(self.spec)
         weights.initialise(network, generator=generator)
+        network.reader.load_state_dict(self.reader.state_dict())
         sampled = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
         frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
-        network.fit_normalisation(frames, self.training.distinct_embeddings(), generator=generator)
+        network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
