@@ -6,8 +6,8 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
+from freerein.learning.encoders.clip import AttentionPool, RelationPool
 from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec
-from freerein_reward.model.image_encoder import AttentionPool, RelationPool
 
 PHRASES = ("a red block", "a blue block", "a cup")
 SPEC = DualEncoderSpec(cameras=("front",), vocabulary=("a", "red", "block"), phrases=PHRASES, hidden_size=32)

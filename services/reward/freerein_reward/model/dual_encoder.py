@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.learning.encoders.clip import ClipImageEncoder
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.types.common import Camera
-from freerein_reward.model.image_encoder import ClipImageEncoder
 from freerein_reward.model.spec import DualEncoderSpec
 from freerein_reward.model.text_encoder import ClipTextEncoder
 from freerein_reward.model.tokenizer import Tokenizer
@@ -29,7 +29,7 @@ class DualEncoder(nn.Module):
         super().__init__()
         self.spec = spec
         self.tokenizer = Tokenizer(spec.vocabulary)
-        self.image = ClipImageEncoder(spec)
+        self.image = ClipImageEncoder(spec.image)
         self.text = ClipTextEncoder(spec, tokens=self.tokenizer.size)
         self.temperature = Temperature()
         self.in_distribution = InDistribution(_statistics_size(spec)) if spec.phrases else None

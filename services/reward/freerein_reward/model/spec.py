@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
+from freerein.learning.encoders.clip import ClipImageSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,3 +49,8 @@ class DualEncoderSpec:
                 f"{self.image_size}, {self.width} and {self.text_width}.",
                 hint="Leave sizes out for the defaults.",
             )
+
+    @property
+    def image(self) -> ClipImageSpec:
+        """Sizes of the image encoder."""
+        return ClipImageSpec(len(self.phrases), self.width, self.depth, self.hidden_size, self.embedding_dim)

@@ -7,12 +7,13 @@ what else is shown.
 """
 
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein_reward.model.spec import DualEncoderSpec
+from freerein.learning.config import bounded
 
 _EXPANSION = 4
 _HEAD_CHANNELS = 16
@@ -20,17 +21,36 @@ _HALF_MASS = 0.5
 """Sum of a phrase's squared heat at which its presence is 1/2."""
 
 
+@dataclass(frozen=True)
+class ClipImageSpec:
+    """Sizes of an image encoder.
+
+    Attributes:
+        phrases: Noun phrases whose relations are embedded; 0 for attention pooling.
+        width: Channels of the stem; a multiple of 8.
+        depth: Bottlenecks per stage.
+        hidden_size: Units of each of the two hidden layers of the relation pooling.
+        embedding_dim: Dimension of the embedding; with phrases, of each pair's.
+    """
+
+    phrases: int = bounded(0, least=0, most=64)
+    width: int = bounded(8, least=8, most=128)
+    depth: int = bounded(1, least=1, most=8)
+    hidden_size: int = bounded(64, least=1, most=4096)
+    embedding_dim: int = bounded(64, least=4, most=1024)
+
+
 class ClipImageEncoder(nn.Module):
     """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
 
-    def __init__(self, spec: DualEncoderSpec) -> None:
+    def __init__(self, spec: ClipImageSpec) -> None:
         super().__init__()
         width, channels = spec.width, 2 * _EXPANSION * spec.width
         self.stem = _stem(width)
         self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
         self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
         self.pool: AttentionPool | RelationPool = (
-            RelationPool(channels, len(spec.phrases), hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
+            RelationPool(channels, spec.phrases, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
             if spec.phrases
             else AttentionPool(channels, embedding_dim=spec.embedding_dim)
         )
