@@ -24,6 +24,7 @@ from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds
+from freerein_orchestrator.kinds.evaluate.sentences import confusion_matrix, told_is_done
 from freerein_reward.model import DualEncoder, DualEncoderSpec
 
 EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes": 4, "num_envs": 2}
@@ -211,6 +212,11 @@ def test_a_student_is_told_every_goal_text_in_every_task_and_compared_with_one_c
     assert figures["own_text_return"]["baseline"] == pytest.approx(constant[result["word_blind_text"]])
     assert constant[result["word_blind_text"]] == max(constant.values())
     assert figures["gain_by_words"]["value"] == pytest.approx(own - max(constant.values()))
+    assert figures["word_blind"]["value"] == pytest.approx(max(constant.values()))
+    assert [row["goal_text"] for row in result["confusion"]] == texts
+    for row in result["confusion"]:
+        assert list(row["done"]) == tasks
+        assert row["none"] + sum(row["done"].values()) == pytest.approx(1)  # starts are equal, goals exclude each other
 
 
 @pytest.mark.e2e
@@ -292,6 +298,18 @@ def test_what_is_no_configuration_of_a_form_is_refused(config: dict[str, Any]) -
 def flags(*rows: str) -> Any:
     """Returns bool (N, T) from rows of digits."""
     return np.array([[each == "1" for each in row] for row in rows])
+
+
+def test_what_was_done_is_set_against_what_was_told() -> None:
+    told_left, told_right = [[1, 1, 1, 0], [0, 0, 0, 0]], [[0, 0, 1, 0], [1, 1, 0, 0]]  # by task: left, right
+    successes = np.array([told_left, told_right], np.float64).swapaxes(0, 1)  # (tasks, texts, N)
+    assert confusion_matrix(successes, tasks=["left", "right"], texts=["to the left", "to the right"]) == [
+        {"goal_text": "to the left", "done": {"left": 0.75, "right": 0.0}, "none": 0.25},
+        {"goal_text": "to the right", "done": {"left": 0.25, "right": 0.5}, "none": 0.25},
+    ]
+    figure = told_is_done(successes, [0, 1], seed=0)["told_is_done"]
+    assert (figure.value, figure.baseline) == (5 / 6, 0.5)
+    assert told_is_done(np.zeros((2, 3, 4)), [0, 1], seed=0) == {}
 
 
 def test_landmarks_count_where_the_robot_was_while_it_pursued_them() -> None:

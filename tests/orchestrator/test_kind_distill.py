@@ -14,7 +14,10 @@ from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.types.reward import RewardRequest
+from freerein_orchestrator.envs.episodes import Episode
+from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.distill.rollouts import relabelled
 from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.policy_files import save_policy
 from freerein_orchestrator.rl.state import init_network
@@ -24,6 +27,7 @@ SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, featur
 TEACHERS = {"a" * 32: "pick up all", "b" * 32: "pick up nothing"}
 TINY = {"steps": 20, "batch_size": 4, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 5}
 DISTILL = {"teachers": list(TEACHERS), "rollouts": 3, "num_envs": 2, "dataset": "rollouts", "config": TINY}
+TWICE = {"dagger_iterations": 1}
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +68,12 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
     distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
 ) -> None:
     address = start_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none").address
-    undisturbed = distillation(dataset="undisturbed", model_name="undisturbed", imitation=address)
+    undisturbed = distillation(dataset="undisturbed", model_name="undisturbed", imitation=address, **TWICE)
     assert undisturbed.do()
     card_of_dataset = undisturbed.artifact("dataset.json")
     dataset = Dataset(dataset_path(data_dir, card_of_dataset["dataset"]))
-    assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3)
+    assert dataset.goal_texts == (*["pick up all"] * 3, *["pick up nothing"] * 3) * 2
+    assert Dataset(dataset_path(data_dir, "undisturbed.0")).goal_texts == dataset.goal_texts[:6]
     assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
     assert [each.terminated.any() for each in dataset] == [len(each.actions) < 50 for each in dataset]
     assert [teacher["goal_text"] for teacher in card_of_dataset["teachers"]] == ["pick up all", "pick up nothing"]
@@ -81,16 +86,21 @@ def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_datas
         True,
     )
 
-    killed = distillation(imitation=address)
-    killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) >= 4)
-    killed.kill_when(lambda: len(list((data_dir / "fits").rglob("request.json"))) >= 2)
+    killed = distillation(imitation=address, **TWICE)
+    trajectories, fits = killed.folder / "rollouts" / "data", data_dir / "fits"
+    killed.kill_when(lambda: len(list(trajectories.rglob("*.parquet"))) >= 4)
+    killed.kill_when(lambda: len(list(fits.rglob("request.json"))) >= 3)
+    killed.kill_when(lambda: len(list(trajectories.rglob("*.parquet"))) >= 10)
+    killed.kill_when(lambda: len(list(fits.rglob("request.json"))) >= 4)
     assert killed.do()
 
-    assert len(list((data_dir / "fits").rglob("request.json"))) == 2
+    assert len(list(fits.rglob("request.json"))) == 4
     assert killed.artifact("dataset.json") == card_of_dataset | {"dataset": "rollouts"}
     assert (killed.model.name, killed.model.version) == ("language", undisturbed.model.version)
     steps = [row["step"] for row in killed.rows]
     assert (steps == sorted(set(steps)), steps[:4], steps[-1]) == (True, [2, 3, 5, 6], killed.kind.steps(killed.config))
+    assert {28, 29, 31, 32} < set(steps)  # the student's rollouts, after those of its teachers and 20 updates
+    assert "fit-0/validation_loss" in next(row for row in killed.rows if row["step"] == 26)
     assert "fit/validation_loss" in killed.rows[-1]
 
 
@@ -121,10 +131,13 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         distillation(config={"cameras": ["front"]}).check()
 
 
-def test_a_name_that_a_dataset_has_already_is_refused(distillation: Callable[..., Any], data_dir: Path) -> None:
-    dataset_path(data_dir, "rollouts").mkdir(parents=True)
+@pytest.mark.parametrize("taken", ["rollouts", "rollouts.0"])
+def test_a_name_that_a_dataset_has_already_is_refused(
+    distillation: Callable[..., Any], data_dir: Path, taken: str
+) -> None:
+    dataset_path(data_dir, taken).mkdir(parents=True)
     with pytest.raises(AlreadyExists):
-        distillation().do()
+        distillation(**TWICE).do()
 
 
 def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_taken_name(
@@ -141,12 +154,37 @@ def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_tak
     assert raised.value.errno == errno.ENOTDIR
 
 
+def test_what_a_teacher_would_have_done_is_asked_of_every_frame_from_the_first_on() -> None:
+    """The teacher returns how many frames it has seen of an episode, and what the frame shows."""
+
+    class Counting:
+        def __init__(self) -> None:
+            self.seen = 0
+
+        def act(self, frames: Any, episode_starts: Any) -> PolicyOutput:
+            self.seen = 1 if episode_starts.all() else self.seen + 1
+            shown = frames["top"][:, 0, 0, 0]
+            return PolicyOutput(np.stack([np.full(len(shown), self.seen), shown], axis=1).astype(np.float32))
+
+    def episode(first: int, length: int) -> Episode:
+        frames = np.arange(first, first + length + 1, dtype=np.uint8)[:, None, None, None]
+        nothing = np.zeros((length, 2), np.float32), np.zeros(length, np.bool_), np.zeros((length + 1, 0))
+        return Episode({"top": frames}, *nothing, np.zeros(0, np.float32), False, None, None)
+
+    teacher = PolicyHandle(lambda _session: Counting(), {}, ("top",))
+    short, long = relabelled([episode(10, 2), episode(20, 4)], teacher)
+    assert short.actions.tolist() == [[1, 10], [2, 11]]
+    assert long.actions.tolist() == [[1, 20], [2, 21], [3, 22], [4, 23]]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
         {"teachers": []},
         {"teachers": ["../a"]},
         {"rollouts": 0},
+        {"dagger_iterations": -1},
+        {"dagger_iterations": 1, "dataset": "a" * 63},
         {"config": {"method": "skills"}},
         {"config": {"steps": -5}},
         {"task": "a"},

@@ -1,16 +1,23 @@
 """Kind `distill`: clones single-task policies into one policy that follows sentences.
 
-The teachers' rollouts become a dataset with goal texts; the imitation service fits a language policy on it.
+The teachers' rollouts become a dataset with goal texts; the imitation service fits a language policy on it. In further
+iterations that student's own rollouts are added, with what the teachers would have done in them, and a student is
+fitted again.
 
     <folder>/rollouts/                the dataset while it is recorded; then it moves to `<data>/datasets/<name>`
              artifacts/dataset.json   its name, size and fingerprint, once it is complete
-             parts/fit/               the fit, as kind `fit`
+             parts/fit/               the last fit, as kind `fit`
+             parts/fit-<i>/           those before; `<name>.<i>` are their datasets and models
 """
 
 import errno
 import json
-from collections.abc import Collection, Mapping, Sequence
+import os
+import shutil
+import tempfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,7 +26,7 @@ from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.config import bounded, parse
-from freerein.types.common import check_name
+from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_teachers
 from freerein_orchestrator.kinds import fit
 from freerein_orchestrator.kinds.collect import CARD
@@ -32,6 +39,7 @@ from freerein_orchestrator.rl.policy_files import StoredPolicy
 
 _TORCH_THREADS = 1
 _FIELD = "config.teachers"
+_MODEL = "model.json"
 _TEACHER_CARD = ("task", "goal_text", "reward", "supervision", "privileged", "sha256")
 
 
@@ -42,10 +50,12 @@ class DistillConfig:
     Attributes:
         teachers: The policies: ids of ppo runs, names of earlier steps of the same pipeline, or of policies among the
             models of the orchestrator. Each card holds the policy's goal text and task.
-        rollouts: Episodes per teacher; the dissertation has 50 (4.3).
+        rollouts: Episodes per teacher and iteration; the dissertation has 50 (4.3).
+        dagger_iterations: Iterations in which a student acts and the teachers say what they would have done; the
+            dissertation has none.
         num_envs: Number of parallel environments.
         stochastic: Whether teachers' actions are sampled; else the most likely one is taken.
-        keep: `all` rollouts, as in the dissertation, or those whose last frame the teacher's reward model rewards.
+        keep: `all` rollouts, as in the dissertation, or those of teachers whose last frame the reward model rewards.
         seed: Seed of every episode.
         dataset: Name for the dataset of rollouts; empty for the run's id.
         model_name: Name for the student.
@@ -57,6 +67,7 @@ class DistillConfig:
 
     teachers: tuple[str, ...]
     rollouts: int = bounded(50, least=1, most=100_000)
+    dagger_iterations: int = bounded(0, least=0, most=100)
     num_envs: int = bounded(10, least=1, most=64)
     stochastic: bool = False
     keep: Keep = "all"
@@ -72,9 +83,10 @@ class DistillConfig:
             )
         for name in self.teachers:
             check_name(name, field=_FIELD)
-        if self.dataset:
-            check_name(self.dataset, field="config.dataset")
-        check_name(self.model_name, field="config.model_name")
+        for iteration in range(self.dagger_iterations + 1):
+            if self.dataset:
+                check_name(self.name_of(self.dataset, iteration), field="config.dataset")
+            check_name(self.name_of(self.model_name, iteration), field="config.model_name")
         if self.config.get("method", "language") != "language":
             raise InvalidInput(
                 "The student follows sentences: `method` must be language; got another.",
@@ -83,16 +95,19 @@ class DistillConfig:
             )
         fit.check_steps(self.config)
 
-    @property
-    def fit(self) -> FitRunConfig:
-        """The student's fit."""
-        config = {**self.config, "method": "language"}
-        return FitRunConfig("imitation", self.dataset or "unnamed", self.model_name, config)
+    def fit(self, iteration: int) -> FitRunConfig:
+        """Returns the fit of the student of an iteration."""
+        dataset, model = (self.name_of(each, iteration) for each in (self.dataset or "unnamed", self.model_name))
+        return FitRunConfig("imitation", dataset, model, {**self.config, "method": "language"})
+
+    def name_of(self, name: str, iteration: int) -> str:
+        """Returns the name of a dataset or a model as it is after an iteration; the last one's has no addition."""
+        return name if iteration == self.dagger_iterations else f"{name}.{iteration}"
 
 
 def steps(config: DistillConfig) -> int:
-    """Returns the number of rollouts and of the fit's updates."""
-    return len(config.teachers) * config.rollouts + fit.KIND.steps(config.fit)
+    """Returns the number of rollouts and of the fits' updates."""
+    return (config.dagger_iterations + 1) * (_rollouts(config) + _updates(config))
 
 
 def check(config: DistillConfig, store: PolicyStore, earlier: Collection[str]) -> None:
@@ -112,16 +127,49 @@ def run(context: RunContext, config: DistillConfig) -> None:
     config = replace(config, dataset=config.dataset or context.key)
     torch.set_num_threads(_TORCH_THREADS)
     if not (context.artifacts / CARD).is_file():
-        if dataset_path(context.data_dir, config.dataset).exists():
-            raise _name_taken()
+        _check_names(context, config)
         context.policies.pin(config.teachers)
         policies = [context.policies.load(name, field=_FIELD, device=context.device) for name in config.teachers]
         _check_teachers(config, policies)
         plan = RolloutPlan(config.rollouts, config.num_envs, config.stochastic, config.seed, config.keep)
-        record_rollouts(context, policies, plan)
-        _write_card(context, config.dataset, policies)
+        students = list(_fitted(context, config))
+        for iteration in range(len(students), config.dagger_iterations + 1):
+            recording = replace(context, first_step=context.first_step + iteration * _updates(config))
+            record_rollouts(recording, policies, plan, students=students)
+            cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
+            save_teachers(context.folder / ROLLOUTS, cards)
+            if iteration < config.dagger_iterations:
+                _publish_copy(context, config.fit(iteration).dataset)
+                students.append(_fit(context, config, iteration))
+        _write_card(context, config, cards)
     _publish(context, config.dataset)
-    fit.run(context.child("fit", first_step=len(config.teachers) * config.rollouts), config.fit)
+    _fit(context, config, config.dagger_iterations)
+
+
+def _rollouts(config: DistillConfig) -> int:
+    return len(config.teachers) * config.rollouts
+
+
+def _updates(config: DistillConfig) -> int:
+    return fit.KIND.steps(config.fit(0))
+
+
+def _fit(context: RunContext, config: DistillConfig, iteration: int) -> ModelRef:
+    """Fits the student of an iteration, or finds it, and returns it."""
+    name = "fit" if iteration == config.dagger_iterations else f"fit-{iteration}"
+    first_step = (iteration + 1) * _rollouts(config) + iteration * _updates(config)
+    child = context.child(name, first_step=first_step)
+    fit.run(child, config.fit(iteration))
+    return ModelRef(**json.loads((child.folder / _MODEL).read_bytes()))
+
+
+def _fitted(context: RunContext, config: DistillConfig) -> Iterator[ModelRef]:
+    """Yields the students of the iterations that are over, the last one's excepted."""
+    for iteration in range(config.dagger_iterations):
+        path = context.folder / "parts" / f"fit-{iteration}" / _MODEL
+        if not path.is_file():
+            return
+        yield ModelRef(**json.loads(path.read_bytes()))
 
 
 def _parse(values: Mapping[str, Any]) -> DistillConfig:
@@ -145,19 +193,41 @@ def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> 
         )
 
 
-def _write_card(context: RunContext, name: str, policies: Sequence[StoredPolicy]) -> None:
+def _check_names(context: RunContext, config: DistillConfig) -> None:
+    """Raises AlreadyExists where a dataset has a name that this run needs and has not taken yet."""
+    is_begun = (context.folder / ROLLOUTS).is_dir()
+    iterations = range(config.dagger_iterations if is_begun else 0, config.dagger_iterations + 1)
+    names = [config.name_of(config.dataset, iteration) for iteration in iterations]
+    if any(dataset_path(context.data_dir, name).exists() for name in names):
+        raise _name_taken()
+
+
+def _write_card(context: RunContext, config: DistillConfig, teachers: Sequence[Mapping[str, Any]]) -> None:
     """Records, durably, that the dataset is complete; only then is it published."""
     dataset = Dataset(context.folder / ROLLOUTS)
-    cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
-    save_teachers(context.folder / ROLLOUTS, cards)
     card = {
-        "dataset": name,
+        "dataset": config.dataset,
         "trajectories": len(dataset),
         "timesteps": int(dataset.lengths.sum()),
         "fingerprint": dataset.fingerprint,
-        "teachers": cards,
+        "dagger_iterations": config.dagger_iterations,
+        "teachers": teachers,
     }
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
+
+
+def _publish_copy(context: RunContext, name: str) -> None:
+    """Publishes the dataset as it is now, unless that is done; files are shared, for they are never changed."""
+    rollouts, target = context.folder / ROLLOUTS, dataset_path(context.data_dir, name)
+    if target.exists():
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".new-dataset-", dir=target.parent) as staging:
+        copy = shutil.copytree(
+            rollouts, Path(staging) / name, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock")
+        )
+        copy.rename(target)
+    fsync_folder(target.parent)
 
 
 def _publish(context: RunContext, name: str) -> None:

@@ -1,7 +1,10 @@
-"""Recording policies' rollouts as a dataset, each with its policy's goal text.
+"""Recording rollouts as a dataset, each with the goal text of one teacher.
 
-Episodes are run in rounds of `num_envs`. A round depends on the seed and its position alone: an interrupted one is run
-again, and those of its episodes that are on disk are skipped.
+In the first iteration the teachers act. In later ones a student acts, told the goal text, and what is recorded is what
+the teacher would have done (DAgger, Ross et al. 2011): the student learns to return from where its own errors lead.
+
+Episodes are run in rounds of `num_envs`. A round depends on the seed, its position and the student alone: an
+interrupted one is run again, and those of its episodes that are on disk are skipped.
 
     <folder>/rollouts/                   the dataset
              checkpoints/rollouts.json   the number of episodes kept of each recorded round
@@ -9,7 +12,8 @@ again, and those of its episodes that are on disk are skipped.
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -19,10 +23,10 @@ from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
 from freerein.errors import FailedPrecondition
-from freerein.types.common import ModelRef, Trajectory
+from freerein.types.common import Goal, ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
-from freerein_orchestrator.envs.policies import stored_policy
+from freerein_orchestrator.envs.policies import PolicyHandle, PolicySession, served_policy, stored_policy
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
 from freerein_orchestrator.envs.reward_fns import LearnedReward
 from freerein_orchestrator.kinds.context import RunContext
@@ -58,13 +62,16 @@ class _Round:
     count: int
 
 
-def record_rollouts(context: RunContext, policies: Sequence[StoredPolicy], plan: RolloutPlan) -> None:
-    """Records the rollouts that are missing, in unprivileged sessions.
+def record_rollouts(
+    context: RunContext, policies: Sequence[StoredPolicy], plan: RolloutPlan, *, students: Sequence[ModelRef] = ()
+) -> None:
+    """Records the rollouts of an iteration that are missing, in unprivileged sessions.
 
     Args:
         context: The run's.
         policies: The teachers, of one spec.
         plan: What to record.
+        students: The student of each earlier iteration, of which the last acts; empty in the first iteration.
 
     Raises:
         Stopped: The run is to stop.
@@ -72,8 +79,8 @@ def record_rollouts(context: RunContext, policies: Sequence[StoredPolicy], plan:
             not know a word of its teacher's goal text.
         FailedPrecondition: No rollout of a teacher was kept.
     """
-    recording = _Recording(context, policies, plan)
-    if plan.keep == "rewarded":
+    recording = _Recording(context, policies, plan, students)
+    if plan.keep == "rewarded" and not students:
         recording.check_goal_texts()
     with recording.open() as writer:
         for number, each in enumerate(plan.rounds(len(policies))):
@@ -83,20 +90,29 @@ def record_rollouts(context: RunContext, policies: Sequence[StoredPolicy], plan:
 class _Recording:
     """Runs rounds and records their episodes."""
 
-    def __init__(self, context: RunContext, policies: Sequence[StoredPolicy], plan: RolloutPlan) -> None:
+    def __init__(
+        self,
+        context: RunContext,
+        policies: Sequence[StoredPolicy],
+        plan: RolloutPlan,
+        students: Sequence[ModelRef],
+    ) -> None:
         self._root = context.folder / ROLLOUTS
         self._policies = policies
         self._plan = plan
+        self._students = students
         self._retry = context.retry()
-        self._sim, self._reward = context.client("sim"), context.client("reward")
+        self._sim, self._reward, self._imitation = (context.client(each) for each in ("sim", "reward", "imitation"))
         self._tasks: list[Task] = [
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
         (self._camera,) = PolicyInterface.of_stored(policies[0]).cameras
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
-        recorded = list(plan.rounds(len(policies)))[: len(self._kept)]
-        self._episodes = sum(each.count for each in recorded)
+        rounds = list(plan.rounds(len(policies)))
+        self._earlier = len(students) * len(rounds)  # rounds of earlier iterations
+        recorded = rounds[: len(self._kept) - self._earlier]
+        self._episodes = len(students) * len(policies) * plan.rollouts + sum(each.count for each in recorded)
         self._metrics = context.metrics_logger(self._episodes)
 
     def check_goal_texts(self) -> None:
@@ -118,11 +134,11 @@ class _Recording:
         return open_writer(self._root) if self._root.is_dir() else create(self._root, spec)
 
     def record(self, writer: Writer, number: int, each: _Round) -> None:
-        """Runs a round and records the episodes to keep, unless that is done."""
-        if number < len(self._kept):
+        """Runs a round of this iteration and records the episodes to keep, unless that is done."""
+        if self._earlier + number < len(self._kept):
             return
         policy = self._policies[each.teacher]
-        kept = self._to_keep(policy, self._retry.call(lambda: self._run(each)))
+        kept = self._retry.call(lambda: self._run_student(each) if self._students else self._run_teacher(each))
         recorded = len(writer) - sum(self._kept)
         if recorded < 0:
             raise FailedPrecondition(
@@ -140,17 +156,36 @@ class _Recording:
             )
         self._finish(each, kept)
 
-    def _run(self, each: _Round) -> Sequence[Episode]:
-        task = self._tasks[each.teacher]
-        policy = stored_policy(self._policies[each.teacher], task, stochastic=self._plan.stochastic)
-        request = CreateSessionRequest(
-            task.name,
+    def _run_teacher(self, each: _Round) -> Sequence[Episode]:
+        """Returns the episodes to keep of a teacher."""
+        policy, handle = self._policies[each.teacher], self._teacher(each, stochastic=self._plan.stochastic)
+        request = self._session(each, handle)
+        return self._to_keep(policy, run_episodes(self._sim, request, handle, self._retry.interrupt))
+
+    def _run_student(self, each: _Round) -> Sequence[Episode]:
+        """Returns episodes of the student with the most likely actions of the teacher."""
+        teacher, goal = (
+            self._teacher(each, stochastic=False),
+            Goal(text=str(self._policies[each.teacher].card["goal_text"])),
+        )
+        request = self._session(each, teacher)
+        with ExitStack() as closing:
+            student = served_policy(self._imitation, self._students[-1], self._tasks[each.teacher], closing=closing)
+            episodes = run_episodes(self._sim, request, student, self._retry.interrupt, goals=[goal] * each.count)
+        return relabelled(episodes, teacher)
+
+    def _teacher(self, each: _Round, *, stochastic: bool) -> PolicyHandle:
+        return stored_policy(self._policies[each.teacher], self._tasks[each.teacher], stochastic=stochastic)
+
+    def _session(self, each: _Round, policy: PolicyHandle) -> CreateSessionRequest:
+        iteration = (len(self._students),) if self._students else ()
+        return CreateSessionRequest(
+            self._tasks[each.teacher].name,
             num_envs=each.count,
-            seed=derive_seed(self._plan.seed, each.teacher, each.first),
+            seed=derive_seed(self._plan.seed, each.teacher, each.first, *iteration),
             height=policy.height,
             width=policy.width,
         )
-        return run_episodes(self._sim, request, policy, self._retry.interrupt)
 
     def _to_keep(self, policy: StoredPolicy, episodes: Sequence[Episode]) -> Sequence[Episode]:
         if self._plan.keep == "all":
@@ -179,3 +214,27 @@ class _Recording:
                 hint="Train it longer, or keep all.",
             )
         write_atomic(self._path, json.dumps(self._kept).encode())
+
+
+def relabelled(episodes: Sequence[Episode], teacher: PolicyHandle) -> Sequence[Episode]:
+    """Returns episodes with the actions that a teacher would have taken at their frames, instead of the executed ones.
+
+    Args:
+        episodes: Of one task; their frames are what the teacher sees.
+        teacher: Any policy without goals; it sees each episode from its first frame on.
+    """
+    acting, count = teacher.start(PolicySession("", 0)), len(episodes)
+    lengths = [len(each.actions) for each in episodes]
+    steps = []
+    for t in range(max(lengths)):
+        frames = {
+            camera: np.stack(
+                [each.frames[camera][min(t, length)] for each, length in zip(episodes, lengths, strict=True)]
+            )
+            for camera in teacher.cameras
+        }
+        steps.append(acting.act(frames, np.full(count, t == 0)).actions)
+    return [
+        replace(each, actions=np.stack([step[env] for step in steps[:length]]))
+        for env, (each, length) in enumerate(zip(episodes, lengths, strict=True))
+    ]

@@ -1,7 +1,8 @@
 """Form `sentences`: a policy that is told in words what to do, told every goal text in every task.
 
 All goal texts are told in episodes from the same starts. The word-blind baseline is the one text that, told in all
-tasks, earns most: what a policy earns that ignores its goal.
+tasks, earns most: what a policy earns that ignores its goal. The confusion matrix says what was done when each text was
+told: the tasks whose goal held at the end.
 """
 
 from collections.abc import Sequence
@@ -9,14 +10,26 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.types.common import Goal
-from freerein_orchestrator.envs.episodes import run_episodes
+from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle
-from freerein_orchestrator.kinds.evaluate.form import Form, Result, Setup, Trial, mean_figure
+from freerein_orchestrator.kinds.evaluate.form import (
+    Figure,
+    Form,
+    Result,
+    Setup,
+    Trial,
+    mean_figure,
+    ratio_figure,
+)
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
+
+Values = npt.NDArray[np.float64]
+"""float64 (tasks, texts, N): a value of each of N trials."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,43 +87,86 @@ class SentencesEvaluation:
         }
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
-        """Returns trials `first` to `first + count`: each holds the return in each task, told each text."""
-        returns = np.array([[self._returns(task, text, first, count) for text in self._texts] for task in self._tasks])
-        own = self._own_texts(returns).mean(axis=0)
-        return [
-            Trial({"returns": returns[..., trial].tolist(), "own_text_return": float(own[trial])})
-            for trial in range(count)
-        ]
+        """Returns trials `first` to `first + count`: each holds return and success in each task, told each text."""
+        episodes = [[self._episodes(task, text, first, count) for text in self._texts] for task in self._tasks]
+        trials = []
+        for trial in range(count):
+            told = [[each[trial] for each in texts] for texts in episodes]
+            returns = np.array([[float(each.rewards.sum()) for each in texts] for texts in told])
+            successes = [[each.success for each in texts] for texts in told]
+            own = float(self._own_texts(returns).mean())
+            trials.append(Trial({"returns": returns.tolist(), "successes": successes, "own_text_return": own}))
+        return trials
 
-    def _returns(self, task: "_Task", text: str, first: int, count: int) -> list[float]:
+    def _episodes(self, task: "_Task", text: str, first: int, count: int) -> Sequence[Episode]:
         setup, policy = self._setup, task.policy
         request = setup.session(count, first, height=policy.height, width=policy.width)
-        episodes = run_episodes(
-            setup.sim, replace(request, task=task.name), policy, setup.interrupt, goals=[Goal(text=text)] * count
-        )
-        return [float(each.rewards.sum()) for each in episodes]
+        goals = [Goal(text=text)] * count
+        return run_episodes(setup.sim, replace(request, task=task.name), policy, setup.interrupt, goals=goals)
 
-    def _own_texts(self, returns: Any) -> Any:
-        """Returns the rows of each task told its own text: (tasks, N) of (tasks, texts, N)."""
-        return np.stack([returns[task, self._texts.index(text)] for task, text in enumerate(self._own)])
+    def _own_texts(self, values: Values) -> Values:
+        """Returns the values of each task told its own text: (tasks, ...) of (tasks, texts, ...)."""
+        return np.stack([values[task, self._texts.index(text)] for task, text in enumerate(self._own)])
 
     def result(self, trials: Sequence[Trial]) -> Result:
-        """Returns the return told the own texts, the gain over the best constant text, and the return of each text."""
-        returns = np.stack([np.array(trial.values["returns"]) for trial in trials], axis=-1)  # (tasks, texts, N)
+        """Returns the figures, the return of each text in each task, and the confusion matrix."""
+        returns, successes = (
+            np.stack([np.array(trial.values[name], np.float64) for trial in trials], axis=-1)  # (tasks, texts, N)
+            for name in ("returns", "successes")
+        )
         seed, own = self._setup.config.seed, self._own_texts(returns).mean(axis=0)
         constant = returns.mean(axis=0)  # (texts, N)
         best = int(constant.mean(axis=1).argmax())
+        word_blind = mean_figure(constant[best], seed=seed)
         figures = {
-            "own_text_return": mean_figure(own, seed=seed, baseline=float(constant[best].mean())),
+            "own_text_return": mean_figure(own, seed=seed, baseline=word_blind.value),
+            "word_blind": word_blind,
             "gain_by_words": mean_figure(own - constant[best], seed=seed, baseline=0.0),
+            **told_is_done(successes, [self._texts.index(text) for text in self._own], seed=seed),
         }
         told = [
             {"task": task.name, "goal_text": text, "return_mean": asdict(mean_figure(returns[row, column], seed=seed))}
             for row, task in enumerate(self._tasks)
             for column, text in enumerate(self._texts)
         ]
-        counts = {"episodes": returns.size, "trials": len(trials)}
-        return Result(figures, counts, {"word_blind_text": self._texts[best], "told": told})
+        confusion = confusion_matrix(successes, tasks=[task.name for task in self._tasks], texts=self._texts)
+        details = {"word_blind_text": self._texts[best], "told": told, "confusion": confusion}
+        return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details)
+
+
+def told_is_done(successes: Values, own: Sequence[int], *, seed: int) -> dict[str, Figure]:
+    """Returns, of the episodes told a task's own text that end in the goal of any task, the share in that task's goal.
+
+    There is no figure where no goal was reached.
+
+    Args:
+        successes: float64 (tasks, texts, N), 1 where the goal held at the end of an episode of a task, told a text.
+        own: For each task, which text is its own.
+        seed: Seed of the interval.
+    """
+    right = np.stack([successes[task, text] for task, text in enumerate(own)]).sum(axis=0)  # (N,)
+    any_goal = successes[:, own].sum(axis=(0, 1))  # (N,)
+    if not any_goal.any():
+        return {}
+    return {"told_is_done": ratio_figure(right[:, None], any_goal[:, None], seed=seed, baseline=1 / len(own))}
+
+
+def confusion_matrix(successes: Values, *, tasks: Sequence[str], texts: Sequence[str]) -> list[dict[str, Any]]:
+    """Returns for each text how often, told it, the goal of each task held at the end, and how often none did.
+
+    Args:
+        successes: As of `told_is_done`.
+        tasks: Names of the tasks.
+        texts: The texts.
+    """
+    return [
+        {
+            "goal_text": text,
+            "done": dict(zip(tasks, successes[:, column].mean(axis=1).tolist(), strict=True)),
+            "none": float((successes[:, column].max(axis=0) == 0).mean()),
+        }
+        for column, text in enumerate(texts)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
