@@ -17,15 +17,15 @@ TaggedText = list[tuple[str, Tag]]
 
 def _sides(side: str) -> tuple[str, ...]:
     plain = (f"to the {side} of", f"{side} of", f"on the {side} side of", f"to the {side} side of", f"at the {side} of")
-    return (*plain, f"{side} side of", f"just to the {side} of", f"directly {side} of")
+    return (*plain, f"{side} side of")
 
 
 WORDINGS: Mapping[Tag, tuple[str, ...]] = MappingProxyType(
     {
         Tag.LEFT_OF: _sides("left"),
         Tag.RIGHT_OF: _sides("right"),
-        Tag.ON_TOP_OF: ("on top of", "on the top of", "on", "onto", "upon", "above", "over", "atop", "directly on"),
-        Tag.BELOW: ("below", "under", "underneath", "beneath", "directly below"),
+        Tag.ON_TOP_OF: ("on top of", "on the top of", "on", "onto", "upon", "above", "over", "atop"),
+        Tag.BELOW: ("below", "under", "underneath", "beneath"),
         Tag.APART_FROM: ("apart from", "far apart from", "far from", "far away from", "away from"),
     }
 )
@@ -42,13 +42,17 @@ NOUNS = (
 _GENERIC_NOUNS = ("one", "object", "thing")
 _ARTICLES = ("a", "a", "the", "the", "the", "this", "that", "one", "")
 _VERBS = ("put", "place", "push", "set", "bring", "get", "keep")
-_COPULAS = ("is", "are", "should be", "must be", "lies", "sits", "rests", "stands", "is placed", "is lying")
+_COPULAS = (
+    *("is", "are", "should be", "must be", "lies", "sits", "rests", "stands", "is placed", "is lying"),
+    *("ends up", "belongs", "has to be", "that is"),
+)
+_ADVERBS = ("just", "directly", "immediately", "somewhere", "slightly", "close by and", "near and")
 _OTHER_TEXTS = (
     *("{verb} {phrase}", "{verb} {phrase} away", "look at {phrase}", "find {phrase}", "pick up {phrase}"),
     *("hold {phrase}", "turn {phrase} around", "open the gripper", "close the gripper", "go home", "stop", "wait"),
 )
 
-_SAME_NOUN, _OTHER_TEXT, _USUAL_WORDING, _INVERTED = 0.6, 0.12, 0.2, 0.25
+_SAME_NOUN, _OTHER_TEXT, _USUAL_WORDING, _ADVERB, _INVERTED = 0.6, 0.12, 0.2, 0.2, 0.25
 _COMMA, _COMMA_WHEN_INVERTED, _PLEASE, _END = 0.07, 0.5, 0.1, 0.2
 
 
@@ -71,6 +75,8 @@ def _statement(rng: np.random.Generator, first: TaggedText, second: TaggedText) 
     relation = tuple(WORDINGS)[rng.integers(len(WORDINGS))]
     usual, *others = WORDINGS[relation]
     related = _tagged(usual if rng.random() < _USUAL_WORDING else str(rng.choice(others)), relation)
+    if rng.random() < _ADVERB:
+        related = [*_tagged(str(rng.choice(_ADVERBS)), Tag.NOTHING), *related]
     verb = _tagged(str(rng.choice(_VERBS)), Tag.NOTHING)
     if rng.random() < _INVERTED:
         begin = [*related, *_comma(rng, _COMMA), *second, *_comma(rng, _COMMA_WHEN_INVERTED)]
