@@ -56,6 +56,16 @@ def test_nine_of_ten_held_out_wordings_and_converses_have_the_code_of_their_mean
     assert np.mean(right) >= 0.9
 
 
+def test_a_converse_differs_in_what_is_to_be_moved_and_less_than_any_other_goal(encode: Encode) -> None:
+    goal, converse = encode(statement("red", "left", "green")), encode(statement("green", "right", "red"))
+    others = [
+        encode(statement(*other))
+        for other in (("red", "right", "green"), ("red", "left", "yellow"), ("black", "left", "green"))
+    ]
+    difference = float((goal - converse).norm())
+    assert 0 < difference < min(float((goal - other).norm()) for other in others)
+
+
 def test_what_states_no_relation_is_between_all_statements(encode: Encode) -> None:
     left, right = (encode(statement("yellow", side, "green")) for side in ("left", "right"))
     for text in (*NO_STATEMENTS, statement("red", "left", "blue"), "a yellow block on top of a green block"):

@@ -1,8 +1,9 @@
 """Reads goal texts as statements that two noun phrases stand in a relation, by tagging the tokens of a text encoder.
 
 A mean of token states hardly says who is left of whom; the states of single tokens do. A reading is encoded so that
-texts with one meaning have nearly one code: `a red cube is left of the green one` as `put the green block to the right
-of a red block`. What a converse means is given here, not learned.
+texts with one meaning have nearly one code: `a red cube is left of the green one` as `put the red block to the left of
+a green block`. A converse, `the green block to the right of a red one`, differs in which object is to move, and in that
+alone. What a converse means is given here, not learned.
 """
 
 from enum import IntEnum
@@ -36,8 +37,13 @@ _PLACES = {
 }
 """Which part of a code is about the first phrase, and which about the second."""
 
-_OTHER_TEXT = 5
-_PARTS = 6
+_MOVED = 5
+_MOVED_WEIGHT = 0.5
+"""Of the first phrase, whose object is the one to move. It weighs less than the relation: where goals of training never
+differ in it, as in one task and its mirror image, a converse has the very code of the goal."""
+
+_OTHER_TEXT = 6
+_PARTS = 7
 _HIDDEN = 64
 
 
@@ -72,7 +78,8 @@ class GoalTextReader(nn.Module):
         """Returns a text's code, float32 (code_size,).
 
         A statement's code holds the sum of each phrase's word embeddings, in the place that the relation gives it: the
-        left one first, say. The code of any other text is its sentence embedding, in a place of its own.
+        left one first, say; and that of the first phrase once more. The code of any other text is its sentence
+        embedding, in a place of its own.
         """
         tokens = encoder.tokenize(text)
         probabilities = self(encoder.token_states(tokens)).softmax(dim=1)  # (L, tags)
@@ -85,4 +92,5 @@ class GoalTextReader(nn.Module):
         words = encoder.word_embeddings(tokens)  # (L, size)
         for tag, place in zip((Tag.FIRST, Tag.SECOND), _PLACES[relation], strict=True):
             code[place] += words[tags == tag].sum(dim=0)
+        code[_MOVED] = _MOVED_WEIGHT * words[tags == Tag.FIRST].sum(dim=0)
         return code.flatten()
