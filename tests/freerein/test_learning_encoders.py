@@ -6,19 +6,21 @@ from freerein.learning.encoders import (
     ENCODERS,
     CameraEncoders,
     ConvolutionalEncoder,
+    MomentsEncoder,
     PatchEncoder,
     SpatialEncoder,
 )
 from freerein.types.common import Camera
 
 SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1)]
-KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, ConvolutionalEncoder])
-STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder])
+KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, ConvolutionalEncoder])
+STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder])
 
-Kind = type[PatchEncoder] | type[SpatialEncoder] | type[ConvolutionalEncoder]
+Made = PatchEncoder | SpatialEncoder | MomentsEncoder | ConvolutionalEncoder
+Kind = type[PatchEncoder] | type[SpatialEncoder] | type[MomentsEncoder] | type[ConvolutionalEncoder]
 
 
-def make(kind: Kind, height: int, width: int, channels: int) -> PatchEncoder | SpatialEncoder | ConvolutionalEncoder:
+def make(kind: Kind, height: int, width: int, channels: int) -> Made:
     encoder = kind(height=height, width=width, channels=channels, features=16)
     weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
     encoder.fit_normalisation(frames(height, width, channels))
@@ -71,6 +73,25 @@ def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
     assert weights.sha256(make(kind, 33, 30, 3)) == weights.sha256(first)
     weights.initialise(first, generator=torch.Generator().manual_seed(1))
     assert weights.sha256(make(kind, 33, 30, 3)) != weights.sha256(first)
+
+
+def test_moments_follow_what_moves_to_half_a_pixel() -> None:
+    encoder = MomentsEncoder(height=64, width=64, channels=3, features=40)
+    weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
+    encoder.fit_normalisation(torch.cat([torch.zeros(1, 64, 64, 3), torch.full((1, 64, 64, 3), 100.0)]).byte())
+    torch.nn.init.zeros_(encoder.stem.bias)
+    torch.nn.init.zeros_(encoder.heat.bias)  # no heat from the background
+    encoder.heat.weight.data.mul_(100)  # so much heat that means are not shrunk
+    seen = torch.full((40, 64, 64, 3), 50, dtype=torch.uint8)
+    for shift, frame in enumerate(seen):
+        frame[20:30, 5 + shift : 15 + shift] = 255
+    mass, columns, rows = encoder(seen).view(40, 8, 5).detach().unbind(dim=2)[:3]
+    hottest = int(mass.mean(dim=0).argmax())
+    pixel = (columns[-1, hottest] - columns[0, hottest]) / 39
+    expected = columns[0, hottest] + pixel * torch.arange(40)
+    assert pixel > 0.1
+    torch.testing.assert_close(columns[:, hottest], expected, atol=float(pixel) / 2, rtol=0)
+    torch.testing.assert_close(rows[:, hottest], rows[:1, hottest].expand(40), atol=float(pixel) / 2, rtol=0)
 
 
 def test_a_layer_that_cannot_be_drawn_is_a_bug_found_at_once() -> None:

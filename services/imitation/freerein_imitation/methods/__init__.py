@@ -3,7 +3,7 @@
 from types import MappingProxyType
 
 from freerein.learning.methods import Methods
-from freerein_imitation.methods import goal_conditioned, inverse_model, language, skills
+from freerein_imitation.methods import goal_cloning, goal_conditioned, inverse_model, language, skills
 from freerein_imitation.model.policy import Policy
 
 METHODS: Methods[Policy] = Methods(
@@ -11,6 +11,7 @@ METHODS: Methods[Policy] = Methods(
     MappingProxyType(
         {
             "goal_conditioned": goal_conditioned.METHOD,
+            "goal_cloning": goal_cloning.METHOD,
             "skills": skills.METHOD,
             "language": language.METHOD,
             "inverse_model": inverse_model.METHOD,

@@ -10,6 +10,7 @@ from freerein.learning.encoders.cameras import CameraEncoders, Frames
 from freerein.learning.encoders.colour_codebook import ColourCodebook
 from freerein.learning.encoders.convolutional import ConvolutionalEncoder
 from freerein.learning.encoders.encoder import EncoderClass
+from freerein.learning.encoders.moments import MomentsEncoder
 from freerein.learning.encoders.patch import PatchEncoder
 from freerein.learning.encoders.spatial import SpatialEncoder
 
@@ -19,6 +20,7 @@ __all__ = [
     "ColourCodebook",
     "ConvolutionalEncoder",
     "Frames",
+    "MomentsEncoder",
     "PatchEncoder",
     "SpatialEncoder",
 ]
@@ -27,8 +29,9 @@ ENCODERS: Mapping[str, EncoderClass] = MappingProxyType(
     {
         "patch": PatchEncoder,
         "spatial": SpatialEncoder,
+        "moments": MomentsEncoder,
         "convolutional": ConvolutionalEncoder,
         "colour_codebook": ColourCodebook,
     }
 )
-"""`patch`, `spatial` and `colour_codebook` subtract a mean image or a background: for cameras that do not move."""
+"""All but `convolutional` subtract a mean image or a background: for cameras that do not move."""

@@ -1,0 +1,55 @@
+"""Goal-conditioned behavioural cloning, for goal images."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from freerein.learning import model_files
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
+from freerein.learning.methods import Method
+from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningPolicy, GoalCloningSpec
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.training.goal_cloning import GoalCloningConfig, GoalCloningLearner
+
+_REACHED_THRESHOLD = 0.5
+_MAX_STEPS_PER_GOAL = 12
+
+
+def _resolve(source: FitDataset, config: GoalCloningConfig) -> GoalCloningConfig:
+    _spec(source, config)  # rejects frames and actions that are out of bounds
+    return config
+
+
+def _prepare(source: FitDataset, config: GoalCloningConfig, device: torch.device) -> GoalCloningLearner:
+    training, validation = source.trajectories(config.cameras).split(
+        fraction=config.validation_fraction, seed=config.seed, min_length=config.far_steps + 2
+    )
+    fingerprint = source.dataset.fingerprint
+    return GoalCloningLearner(config, _spec(source, config), training, validation, fingerprint, device)
+
+
+def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[GoalCloningNetwork]) -> dict[str, Any]:
+    losses = learner.validation_losses(fitted.network)
+    control = ControlSpec(1 / source.dataset.spec.fps, _REACHED_THRESHOLD, _MAX_STEPS_PER_GOAL)
+    figures = {f"{name}_loss": term.item() for name, term in vars(losses).items()}
+    return {
+        **control.to_card(),
+        "figures": fitted.figures | figures,
+        "supervision": "images and executed actions of exploration",
+    }
+
+
+def _load(folder: Path, device: str) -> GoalCloningPolicy:
+    network = model_files.load_model(folder, GoalCloningSpec, GoalCloningNetwork, device=device)
+    return GoalCloningPolicy(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+
+def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
+    cameras, action = source.cameras(config.cameras), source.dataset.spec.action
+    return spec_of(config, GoalCloningSpec, cameras=cameras, action=action)
+
+
+METHOD = Method(GoalCloningConfig, _resolve, _prepare, _card, _load, GoalCloningLearner.calibrate)

@@ -1,0 +1,249 @@
+"""Training of goal-conditioned behavioural cloning and its goal recognizer, from frames and executed actions alone."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.optimiser import fit_step
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein_imitation import objectives
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningSpec
+from freerein_imitation.model.policy import confidence
+from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
+from freerein_imitation.training.goal_windows import (
+    ChangePairs,
+    GoalPairs,
+    GoalWindows,
+    Places,
+    lookalikes,
+    sample_change_pairs,
+    sample_goal_pairs,
+    sample_windows,
+    window_steps,
+)
+
+_NORMALISATION_FRAMES = 1500
+_EVALUATION_WINDOWS = 96
+_ODOMETRY_WEIGHT, _CHANGE_WEIGHT = 0.3, 0.5
+_NORMAL_MAD = 1.48  # standard deviations per median absolute deviation of a normal distribution
+_SPREAD_SHARE = 0.5  # of the residuals' spread; the rest is the lag of the robot behind its actions
+
+
+@dataclass(frozen=True)
+class GoalCloningConfig(DatasetFitConfig):
+    """Configuration of a fit of goal-conditioned behavioural cloning.
+
+    Attributes:
+        encoder: Image encoder.
+        max_goal_steps: Most actions from an observation to its goal.
+        close_steps: Frames at most so many actions apart show the same scene.
+        far_steps: Frames at least so many actions apart may show a changed one.
+        batch_size: Windows per update; each gives many pairs of observation and goal.
+        features: Image features per camera.
+        hidden_size: Units of the hidden layers.
+
+    Raises:
+        InvalidInput: `close_steps` is not below `far_steps`.
+    """
+
+    encoder: str = one_of(ENCODERS, "moments")
+    max_goal_steps: int = bounded(5, least=1, most=1000)
+    close_steps: int = bounded(3, least=1, most=1000)
+    far_steps: int = bounded(8, least=2, most=10_000)
+    steps: int = bounded(2500, least=1, most=10_000_000)
+    batch_size: int = bounded(8, least=1, most=1024)
+    lr: float = bounded(3e-3, least=1e-7, most=1.0)
+    features: int = bounded(80, least=8, most=1024)
+    hidden_size: int = bounded(256, least=8, most=1024)
+    evaluate_every: int = bounded(100, least=1, most=1_000_000)
+
+    def __post_init__(self) -> None:
+        if self.close_steps >= self.far_steps:
+            raise InvalidInput(
+                f"`close_steps` must be below `far_steps`; got {self.close_steps} and {self.far_steps}.",
+                field="config.close_steps",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class GoalCloningLosses:
+    """Loss terms, each float (): of actions, of odometry, in actions, and of telling whether a scene changed."""
+
+    action: Tensor
+    odometry: Tensor
+    change: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """The sum that is minimised."""
+        return self.action + _ODOMETRY_WEIGHT * self.odometry + _CHANGE_WEIGHT * self.change
+
+
+@dataclass(frozen=True, eq=False)
+class GoalCloningLearner:
+    """Learner of the network; an item is a window of a trajectory.
+
+    Attributes:
+        config: Configuration.
+        spec: Spec of the network.
+        training: Training trajectories.
+        validation: Validation trajectories.
+        fingerprint: Fingerprint of the dataset.
+        device: Device to train on.
+    """
+
+    config: GoalCloningConfig
+    spec: GoalCloningSpec
+    training: Trajectories
+    validation: Trajectories
+    fingerprint: str
+    device: torch.device
+
+    @cached_property
+    def _training_alike(self) -> list[Places]:
+        return _lookalikes(self.training, self.config)
+
+    @cached_property
+    def _validation_alike(self) -> list[Places]:
+        return _lookalikes(self.validation, self.config)
+
+    @cached_property
+    def _windows(self) -> Places:
+        return _windows(self.training, self.config)
+
+    @property
+    def size(self) -> int:
+        """Windows in an epoch."""
+        return len(self._windows)
+
+    def init(self, generator: torch.Generator) -> TrainState[GoalCloningNetwork]:
+        """Returns the state before the first update."""
+        network = GoalCloningNetwork(self.spec)
+        weights.initialise(network, generator=generator)
+        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
+        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        network.encoder.fit_normalisation(frames, generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
+
+    def update(
+        self, state: TrainState[GoalCloningNetwork], items: npt.NDArray[np.int64]
+    ) -> tuple[TrainState[GoalCloningNetwork], dict[str, float]]:
+        """Returns the state after one update on some windows, and its metrics."""
+        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
+        batch = self._sample(self.training, self._training_alike, self._windows[items].tolist(), rng)
+        losses = self._losses(state.network, batch, rng)
+        state, metrics = fit_step(state, losses.total, self.config)
+        return state, metrics | {f"{name}_loss": term.item() for name, term in vars(losses).items()}
+
+    def evaluate(self, state: TrainState[GoalCloningNetwork]) -> float:
+        """Returns the sum of the losses on validation trajectories."""
+        return self.validation_losses(state.network).total.item()
+
+    @torch.no_grad()
+    def validation_losses(self, network: GoalCloningNetwork) -> GoalCloningLosses:
+        """Returns the mean losses on validation trajectories, on the same windows and pairs each time."""
+        rng = np.random.default_rng(self.config.seed)
+        parts = [vars(self._losses(network, batch, rng)).values() for batch in self._validation_batches(rng)]
+        return GoalCloningLosses(*(torch.stack(terms).mean() for terms in zip(*parts, strict=True)))
+
+    @torch.no_grad()
+    def calibrate(self, network: GoalCloningNetwork) -> None:
+        """Fits the recognizer's spread and rate, and the in-distribution score, to held-out frames."""
+        rng, config = np.random.default_rng(self.config.seed), self.config
+        recognizer, reached = network.recognizer, []
+        features = [encode_trajectory(network.encoder, self.validation, item) for item in range(len(self.validation))]
+        if not self.spec.action.choices:
+            recognizer.spread.copy_(self._spread(network, features))
+        close = [self._close_logits(network, batch, rng) for batch in self._validation_batches(rng)]
+        recognizer.unchanged_rate.copy_(torch.cat(close).sigmoid().mean())
+        for each in features:
+            ahead = np.arange(len(each)) + rng.integers(1, config.far_steps, len(each), endpoint=True)
+            reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
+        held_out = trajectory_statistics(self.validation).to(self.device)
+        known = sampled_statistics(self.training).to(self.device)
+        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)))
+
+    def _validation_batches(self, rng: np.random.Generator) -> list[GoalWindows]:
+        items = _windows(self.validation, self.config)
+        items = items[:: math.ceil(len(items) / _EVALUATION_WINDOWS)]
+        chunks = np.array_split(items, math.ceil(len(items) / self.config.batch_size))
+        return [self._sample(self.validation, self._validation_alike, chunk.tolist(), rng) for chunk in chunks]
+
+    def _sample(
+        self, trajectories: Trajectories, alike: Sequence[Places], items: Sequence[int], rng: np.random.Generator
+    ) -> GoalWindows:
+        steps = self.config.max_goal_steps
+        return sample_windows(trajectories, alike, items, rng, max_goal_steps=steps, device=self.device)
+
+    def _losses(self, network: GoalCloningNetwork, batch: GoalWindows, rng: np.random.Generator) -> GoalCloningLosses:
+        """Returns the losses on pairs sampled from some windows."""
+        features = network.encoder(batch.frames)  # (N, D)
+        pairs = sample_goal_pairs(batch, rng, max_goal_steps=self.config.max_goal_steps)
+        at, goals, before = pairs.observations, pairs.goals, pairs.before
+        logits = network(features[at], features[goals], features[before], batch.previous[at])
+        executed = action_bins.encode(batch.actions[at], choices=self.spec.action.choices)  # (P, A, categories)
+        changes = self._change_pairs(network, batch, features, rng)
+        unchanged = network.recognizer.unchanged_logit(features[changes.first], features[changes.second])
+        is_close = torch.from_numpy(changes.is_close).to(self.device)
+        return GoalCloningLosses(
+            action=objectives.action_cross_entropy(logits, executed).mean(),
+            odometry=self._odometry_loss(network, features, batch, pairs),
+            change=functional.binary_cross_entropy_with_logits(unchanged, is_close),
+        )
+
+    def _odometry_loss(
+        self, network: GoalCloningNetwork, features: Tensor, batch: GoalWindows, pairs: GoalPairs
+    ) -> Tensor:
+        """Returns how far differences of places are from sums of actions; 0 where actions are discrete: float ()."""
+        if self.spec.action.choices:
+            return features.new_zeros(())
+        places = network.recognizer.places(features)  # (N, A)
+        moved = batch.odometer[pairs.goals] - batch.odometer[pairs.observations]
+        return objectives.absolute_error(places[pairs.goals] - places[pairs.observations], moved).mean()
+
+    def _change_pairs(
+        self, network: GoalCloningNetwork, batch: GoalWindows, features: Tensor, rng: np.random.Generator
+    ) -> ChangePairs:
+        recognizer, config = network.recognizer, self.config
+        places = (recognizer.places(features.detach()) / recognizer.tolerance).detach().cpu().numpy()  # (N, A)
+        return sample_change_pairs(batch, places, rng, close_steps=config.close_steps, far_steps=config.far_steps)
+
+    def _close_logits(self, network: GoalCloningNetwork, batch: GoalWindows, rng: np.random.Generator) -> Tensor:
+        """Returns the logits that nothing changed, float32 (P,), of sampled pairs that are close in time."""
+        features = network.encoder(batch.frames)  # (N, D)
+        pairs = self._change_pairs(network, batch, features, rng)
+        close = pairs.is_close > 0
+        return network.recognizer.unchanged_logit(features[pairs.first[close]], features[pairs.second[close]])
+
+    def _spread(self, network: GoalCloningNetwork, features: Sequence[Tensor]) -> Tensor:
+        """Returns how far places, of the features of each validation trajectory, are from the actions: float32 (A,)."""
+        residuals = []
+        for item, each in enumerate(features):
+            executed = torch.tensor(self.validation.actions[item], device=self.device)
+            residuals.append(network.recognizer.places(each).diff(dim=0) - executed[:-1])
+        return _SPREAD_SHARE * _NORMAL_MAD * torch.cat(residuals).abs().median(dim=0).values
+
+
+def _windows(trajectories: Trajectories, config: GoalCloningConfig) -> Places:
+    """Returns the trajectory of each window of an epoch, int64 (n,); every timestep counts about alike."""
+    counts = np.ceil(trajectories.lengths() / window_steps(config.max_goal_steps)).astype(np.int64)
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+def _lookalikes(trajectories: Trajectories, config: GoalCloningConfig) -> list[Places]:
+    statistics = torch.split(trajectory_statistics(trajectories), trajectories.lengths().tolist())
+    return [lookalikes(each, far_steps=config.far_steps) for each in statistics]
