@@ -18,7 +18,7 @@ from freerein_imitation.methods import METHODS
 from freerein_imitation.model.language import NEVER_REACHED, LanguagePolicy
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.training.goal_texts import GoalTextDataset, random_crop, split_by_text
+from freerein_imitation.training.goal_texts import GoalTextDataset, random_shift, split_by_text
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner
 
 CPU = torch.device("cpu")
@@ -160,14 +160,12 @@ def test_without_two_trajectories_of_one_goal_text_there_is_nothing_to_split_by_
         split_by_text(numbered((2, 2), ("a", "b")), fraction=0.5, seed=0)
 
 
-def test_a_crop_is_a_part_of_the_frame_that_fills_it() -> None:
-    frames = torch.arange(20 * 10, dtype=torch.uint8).reshape(1, 20, 10, 1).repeat(64, 1, 1, 1)
+def test_shifted_frames_hold_the_same_pixels_at_the_same_distances_and_repeat_their_edges() -> None:
+    frames = torch.arange(20 * 10, dtype=torch.uint8).reshape(1, 20, 10, 1).repeat(200, 1, 1, 1)
     generator = torch.Generator().manual_seed(0)
-    assert torch.equal(random_crop(frames, min_scale=1.0, generator=generator), frames)
-    cropped = random_crop(frames, min_scale=0.49, generator=generator)
-    rows, columns = cropped[..., 0].int() // 10, cropped[..., 0].int() % 10
-    assert cropped.shape == frames.shape
-    for places, length in ((rows[:, :, 0], 20), (columns[:, 0], 10)):
-        steps, extent = places.diff(dim=1), places[:, -1] - places[:, 0] + 1
-        assert set(steps.unique().tolist()) == {0, 1}
-        assert 0.6 * length <= extent.min() < extent.max() <= length
+    assert torch.equal(random_shift(frames, most=0.0, generator=generator), frames)
+    shifted = random_shift(frames, most=0.1, generator=generator)[..., 0].int()
+    for places, length, reach in ((shifted[:, :, 0] // 10, 20, 2), (shifted[:, 0] % 10, 10, 1)):
+        offset = places[:, length // 2] - length // 2
+        assert sorted(offset.unique().tolist()) == list(range(-reach, reach + 1))
+        assert torch.equal(places, (torch.arange(length) + offset[:, None]).clamp(0, length - 1))

@@ -97,23 +97,25 @@ def split_by_text(dataset: GoalTextDataset, *, fraction: float, seed: int) -> tu
     return dataset.subset(sorted(training)), dataset.subset(sorted(validation))
 
 
-def random_crop(frames: Tensor, *, min_scale: float, generator: torch.Generator) -> Tensor:
-    """Returns random crops of frames, of the same aspect ratio, resized to the whole frame (nearest neighbour).
+def random_shift(frames: Tensor, *, most: float, generator: torch.Generator) -> Tensor:
+    """Returns frames shifted by whole pixels, edges replicated: what is seen stays as far apart as it was.
 
     Args:
         frames: uint8 (B, H, W, C).
-        min_scale: Smallest area of a crop as a fraction of the frame's, in (0, 1].
+        most: Largest shift along each axis, as a share of the frame's side.
         generator: On the CPU.
     """
-    scale, *offsets = torch.rand(3, len(frames), 1, generator=generator)  # (B, 1) each
-    side = (min_scale + (1 - min_scale) * scale).sqrt()
-    rows, columns = (
-        ((torch.arange(length) + 0.5) * side + offset * (1 - side) * length).long()  # (B, length)
-        for length, offset in zip(frames.shape[1:3], offsets, strict=True)
-    )
+    rows, columns = (_places(len(frames), side, most=most, generator=generator) for side in frames.shape[1:3])
     frame = torch.arange(len(frames))[:, None]
     pixels = (frame * frames.shape[1] + rows)[:, :, None] * frames.shape[2] + columns[:, None]  # (B, H, W)
     return frames.flatten(0, 2).index_select(0, pixels.flatten().to(frames.device)).view(frames.shape)
+
+
+def _places(count: int, side: int, *, most: float, generator: torch.Generator) -> Tensor:
+    """Returns which row, or column, of its frame each of `side` pixels is taken from, int64 (count, side)."""
+    reach = round(most * side)
+    offset = torch.randint(-reach, reach + 1, (count, 1), generator=generator)
+    return (torch.arange(side) + offset).clamp(0, side - 1)
 
 
 def _stack(arrays: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:

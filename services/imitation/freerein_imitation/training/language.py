@@ -28,7 +28,7 @@ from freerein_imitation.model.language import LanguageNetwork, LanguageSpec, pri
 from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.training.frame_features import trajectory_statistics
 from freerein_imitation.training.goal_text_reader import fit_goal_text_reader
-from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_crop, split_by_text
+from freerein_imitation.training.goal_texts import GoalTextDataset, TimestepBatch, random_shift, split_by_text
 
 State = TrainState[LanguageNetwork]
 
@@ -43,7 +43,7 @@ class LanguageConfig(DatasetFitConfig):
 
     Attributes:
         encoder: Image encoder.
-        min_crop_scale: Smallest area of a random crop, as a fraction of the frame's; 1 for no crops.
+        max_shift: Largest random shift of a frame along each axis, as a share of its side; 0 for none.
         features: Image features per camera.
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
@@ -51,8 +51,9 @@ class LanguageConfig(DatasetFitConfig):
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
-    min_crop_scale: float = bounded(0.95, least=0.5, most=1.0)
-    steps: int = bounded(1000, least=1, most=10_000_000)
+    max_shift: float = bounded(0.03, least=0.0, most=0.25)
+    steps: int = bounded(3000, least=1, most=10_000_000)
+    batch_size: int = bounded(128, least=1, most=4096)
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
@@ -152,7 +153,7 @@ class LanguageLearner:
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one update on some timesteps, and its metrics."""
         batch = self.training.collate(items, device=self.device)
-        batch = replace(batch, frames=self._cropped(batch.frames, state.generator))
+        batch = replace(batch, frames=self._shifted(batch.frames, state.generator))
         loss = action_loss(state.network, batch).mean()
         return fit_step(state, loss, self.config)
 
@@ -169,18 +170,18 @@ class LanguageLearner:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = self.training.trajectories.sample_frames(KNOWN_FRAMES)
-        cropped = self._cropped({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
+        shifted = self._shifted({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
         held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
         network.in_distribution.fit(
-            image_statistics(cropped).to(self.device), held_out, held_out.new_ones(len(held_out))
+            image_statistics(shifted).to(self.device), held_out, held_out.new_ones(len(held_out))
         )
 
-    def _cropped(self, frames: Frames, generator: torch.Generator) -> Frames:
-        """Returns random crops of frames, as the configuration says."""
-        if self.config.min_crop_scale == 1:
+    def _shifted(self, frames: Frames, generator: torch.Generator) -> Frames:
+        """Returns frames shifted at random, as the configuration says."""
+        if not self.config.max_shift:
             return frames
-        crop = partial(random_crop, min_scale=self.config.min_crop_scale, generator=generator)
-        return {camera: crop(each) for camera, each in frames.items()}
+        shift = partial(random_shift, most=self.config.max_shift, generator=generator)
+        return {camera: shift(each) for camera, each in frames.items()}
 
 
 def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
