@@ -48,6 +48,7 @@ class LanguageConfig(DatasetFitConfig):
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
+        word_blind: Whether to ignore what goal texts say: the baseline of a policy that follows them.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
@@ -58,6 +59,7 @@ class LanguageConfig(DatasetFitConfig):
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
+    word_blind: bool = False
 
 
 def network_spec(
@@ -127,10 +129,12 @@ class LanguageLearner:
         """
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
         reader = fit_goal_text_reader(encoder, seed=config.seed)
-        dataset = GoalTextDataset(trajectories, {text: reader.encode(text, encoder).numpy() for text in distinct})
+        read = distinct[:1] * len(distinct) if config.word_blind else distinct
+        codes = {text: reader.encode(each, encoder).numpy() for text, each in zip(distinct, read, strict=True)}
+        dataset = GoalTextDataset(trajectories, codes)
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
-        codes = training.distinct_codes()
-        texts = {"text_components": principal_components(codes).shape[1], "known_texts": len(codes)}
+        known = training.distinct_codes()
+        texts = {"text_components": principal_components(known).shape[1], "known_texts": len(known)}
         spec = network_spec(config, cameras=cameras, action=action, text_size=encoder.size, **texts)
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
         return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
