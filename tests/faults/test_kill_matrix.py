@@ -33,6 +33,7 @@ TINY = {
     "camera": "top",
     "reward": "base",
     "reward_model": "default",
+    "encoder": "spatial",
     "iterations": 3,
     "num_envs": 2,
     "num_steps": 16,

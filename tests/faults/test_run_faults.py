@@ -27,6 +27,7 @@ TINY = {
     "camera": "top",
     "reward": "base",
     "reward_model": "default",
+    "encoder": "spatial",
     "iterations": 4,
     "num_envs": 2,
     "num_steps": 16,

@@ -139,7 +139,7 @@ def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
         "hidden_size": 8,
         "feature_size": 8,
     }
-    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", **small}
+    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", "encoder": "spatial", **small}
     words = {"steps": 10, "batch_size": 4, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 5}
     told = {"run": "student", "goal_text": "pick up all"}
     steps = [

@@ -24,6 +24,7 @@ TASKS = (replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(Unsa
 """
 PPO = {
     "reward": "oracle",
+    "encoder": "spatial",
     "iterations": 3,
     "num_envs": 2,
     "num_steps": 20,

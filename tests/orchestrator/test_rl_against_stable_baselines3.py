@@ -41,6 +41,8 @@ CARTPOLE = PPOConfig(
     gae_lambda=0.8,
     ent_coef=0.0,
     normalise_rewards=False,
+    hidden_size=64,
+    layer_norm=False,
 )
 
 

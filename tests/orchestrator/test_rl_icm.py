@@ -35,7 +35,17 @@ from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, Vec
 CPU = torch.device("cpu")
 CELLS = 32
 SMALL = ICMConfig(batch_size=32, hidden_size=64)
-PPO = PPOConfig(iterations=12, num_envs=4, num_steps=CELLS, batch_size=CELLS, lr=1e-3, gamma=0.99, ent_coef=0.01)
+PPO = PPOConfig(
+    iterations=12,
+    num_envs=4,
+    num_steps=CELLS,
+    epochs=4,
+    batch_size=CELLS,
+    gamma=0.99,
+    ent_coef=0.01,
+    hidden_size=64,
+    layer_norm=False,
+)
 
 
 @pytest.fixture(autouse=True)

@@ -48,7 +48,7 @@ class ScriptedEnvs:
 def test_values_are_the_networks_also_after_the_rollout_and_where_an_episode_was_truncated(recurrent: bool) -> None:
     envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
     network = init_network(ActorCriticSpec(vector_size=2, recurrent=recurrent), generator)
-    state = CollectorState.init(envs, network.spec, generator)
+    state = CollectorState.init(envs, network, generator)
     rollout, after = collect(network, envs, state, num_steps=40)
 
     seen = torch.cat([rollout.observations, after.observations[None]])
@@ -79,7 +79,7 @@ def test_values_are_the_networks_also_after_the_rollout_and_where_an_episode_was
 def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_led_to() -> None:
     envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
     network = init_network(ActorCriticSpec(vector_size=2), generator)
-    rollout, after = collect(network, envs, CollectorState.init(envs, network.spec, generator), num_steps=5)
+    rollout, after = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
     assert rollout.dones.tolist() == [[t == 2] * 3 for t in range(5)]
     assert rollout.terminated.tolist() == [[t == 2, False, t == 2] for t in range(5)]
     assert (rollout.truncated_values != 0).tolist() == [[False, t == 2, False] for t in range(5)]
@@ -101,7 +101,7 @@ def test_rewards_that_are_not_finite_reject_the_iteration() -> None:
     network = init_network(ActorCriticSpec(vector_size=2), generator)
     envs.reward = np.nan
     with pytest.raises(IterationRejected, match="finite"):
-        collect(network, envs, CollectorState.init(envs, network.spec, generator), num_steps=5)
+        collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
 
 
 def test_normalised_rewards_do_not_depend_on_the_unit_and_are_scaled_by_the_std_of_discounted_returns() -> None:
@@ -132,6 +132,6 @@ def test_normalised_rewards_do_not_depend_on_the_unit_and_are_scaled_by_the_std_
     ],
 )
 def test_an_invalid_configuration_is_refused(values: dict[str, object]) -> None:
-    assert parse(PPOConfig, {"num_steps": 64.0}).steps_per_iteration == 16
+    assert parse(PPOConfig, {"num_steps": 32.0}).steps_per_iteration == 20
     with pytest.raises(InvalidInput):
         parse(PPOConfig, values)

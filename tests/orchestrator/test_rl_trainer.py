@@ -27,6 +27,7 @@ FRAMES = PPOConfig(
     iterations=12,
     num_envs=8,
     num_steps=32,
+    epochs=4,
     batch_size=64,
     lr=2e-3,
     gamma=0.5,

@@ -59,7 +59,11 @@ class LearnedReward:
         return rewards[: len(frames)]
 
     def resolve_model(self, height: int, width: int, channels: int) -> ModelRef:
-        """Returns name and version of the model, after it has rewarded two blank frames of a size.
+        """Returns name and version of the model; as `resolve`."""
+        return self.resolve(height, width, channels).model
+
+    def resolve(self, height: int, width: int, channels: int) -> RewardResponse:
+        """Returns the model's answer to two blank frames of a size: which one it is, and how it reads the goal text.
 
         Raises:
             InvalidInput: The model does not know a word of the goal text, takes no such text, or no frames of this
@@ -74,7 +78,7 @@ class LearnedReward:
                 field="goal_text",
                 hint="Relate two noun phrases of the model, such as: the red block is on the blue one.",
             )
-        return answer.model
+        return answer
 
     def _request(self, frames: Frames) -> RewardResponse:
         request = RewardRequest(self.goal_text, {self.camera: frames}, mode=self.mode, model=self.model)

@@ -50,6 +50,7 @@ class RemoteVectorEnv:
         request: The session, as if it were one.
         camera: The camera that is observed.
         reward_fn: Rewards frames; called on a thread of its own.
+        action_repeat: Timesteps that each action is held for; frames and rewards are those of the last.
         snapshots: One per sim service, to restore; empty for new episodes.
         interrupt: Called before each step and while waiting; raises to stop.
 
@@ -64,6 +65,7 @@ class RemoteVectorEnv:
         *,
         camera: str,
         reward_fn: RewardFn,
+        action_repeat: int = 1,
         snapshots: Sequence[bytes] = (),
         interrupt: Callable[[], None] = lambda: None,
     ) -> None:
@@ -81,7 +83,7 @@ class RemoteVectorEnv:
         with ExitStack() as on_error:
             on_error.callback(self.close)
             for index, (sim, own) in enumerate(zip(sims, _split_request(request, shares), strict=True)):
-                session = _Session(sim, own, camera=camera)
+                session = _Session(sim, own, camera=camera, action_repeat=action_repeat)
                 self._sessions.append(session)
                 if snapshots:
                     session.restore(snapshots[index])
@@ -158,11 +160,12 @@ class _SessionStep:
 class _Session:
     """A session on one sim service."""
 
-    def __init__(self, sim: SyncClient, request: CreateSessionRequest, *, camera: str) -> None:
+    def __init__(self, sim: SyncClient, request: CreateSessionRequest, *, camera: str, action_repeat: int) -> None:
         self._sim = sim
         self._session: str = sim.create_session(request).session
         self._num_envs = request.num_envs
         self._camera = camera
+        self._action_repeat = action_repeat
         self._steps = 0
 
     def restore(self, snapshot: bytes) -> None:
@@ -173,11 +176,22 @@ class _Session:
         return cast(Frames, frames[self._camera])
 
     def step(self, actions: Actions) -> _SessionStep:
-        request = StepRequest(self._session, self._steps + 1, actions, cameras=(self._camera,))
-        reply: StepResponse = self._sim.step(request)
-        self._steps += 1
-        frames, done = reply.frames.get(self._camera), reply.terminated | reply.truncated
-        if frames is None or len(frames) != self._num_envs or len(done) != self._num_envs:
+        """Takes the actions as often as they are repeated.
+
+        An episode that ended before the last time has no final frame: nothing was rendered. Its first frame of the new
+        episode, which has begun, stands for it.
+        """
+        terminated, truncated = np.zeros((2, self._num_envs), np.bool_)
+        for left in reversed(range(self._action_repeat)):
+            cameras = () if left else (self._camera,)
+            reply: StepResponse = self._sim.step(StepRequest(self._session, self._steps + 1, actions, cameras=cameras))
+            self._steps += 1
+            if len(reply.terminated) != self._num_envs or len(reply.truncated) != self._num_envs:
+                raise _malformed()
+            done = reply.terminated | reply.truncated
+            terminated, truncated = terminated | reply.terminated, truncated | reply.truncated
+        frames = reply.frames.get(self._camera)
+        if frames is None or len(frames) != self._num_envs:
             raise _malformed()
         final = frames
         if done.any():
@@ -187,7 +201,7 @@ class _Session:
             final = frames.copy()
             final[done] = last
         oracle = None if reply.truth is None else reply.truth.reward
-        return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
+        return _SessionStep(frames, final, terminated, truncated, oracle)
 
     def snapshot(self) -> bytes:
         return cast(bytes, self._sim.snapshot(SnapshotRequest(self._session)).snapshot)

@@ -21,6 +21,7 @@ from freerein.clients import (
 )
 from freerein.clients.rpc import Client
 from freerein.ports import address, addresses
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.envs.retry import Retry
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
@@ -84,6 +85,12 @@ class RunContext:
         siblings = self.folder.parent if self.parents else None
         pins = self.folder / "checkpoints" / "pinned.json"
         return PolicyStore.open(self.data_dir, self.environ, siblings=siblings, pins=pins)
+
+    @property
+    def reward_models(self) -> ModelStore:
+        """The models of the reward service, whose encoders policies see with."""
+        shipped = Path(self.environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS)
+        return ModelStore(self.data_dir / "models" / "reward", shipped=shipped / "reward")
 
     def retry(self) -> Retry:
         """Returns what repeats work until services are available and the run is not to stop."""

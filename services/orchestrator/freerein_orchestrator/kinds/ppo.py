@@ -16,9 +16,10 @@ from typing import Any, Literal, TypeAlias, cast
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
-from freerein.learning.config import parse
+from freerein.learning.config import bounded, parse
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef
+from freerein.types.reward import RewardResponse
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
@@ -28,6 +29,7 @@ from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.networks import ActorCriticSpec
+from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
 from freerein_orchestrator.rl.policy_files import StoredPolicy, save_policy
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
 from freerein_orchestrator.rl.trainer import Trainer
@@ -55,6 +57,10 @@ class PPORunConfig(PPOConfig):
             goal text and frame by the grounding model; `oracle`, the true reward, to compare with.
         reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
             that is active when the run starts is used to its end.
+        encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or `spatial`, an
+            image encoder that is trained with the policy.
+        conditions: The task's conditions that it is trained under, such as a curriculum of starts.
+        action_repeat: Timesteps that each action is held for, in training and after it.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
             the orchestrator; empty for random weights.
     """
@@ -64,6 +70,9 @@ class PPORunConfig(PPOConfig):
     camera: str = ""
     reward: RewardForm = "learned"
     reward_model: str = ""
+    encoder: Literal["goal_eye", "spatial"] = "goal_eye"
+    conditions: tuple[str, ...] = ()
+    action_repeat: int = bounded(2, least=1, most=16)
     init_from: str = ""
 
 
@@ -86,6 +95,7 @@ def run(context: RunContext, config: PPORunConfig) -> None:
         metrics_log=context.metrics_logger,
         interrupt=training.retry.interrupt,
         log_line=context.log_line,
+        threads=config.threads,
     )
     state = trainer.train()
     save_policy(state.network, context.artifacts, card=_card(config, state))
@@ -108,8 +118,8 @@ class _Training:
     """The environments and rewards of a run.
 
     The state's `inputs` are what a run is bound to when it starts: `goal_text`, `camera`, `model` (name and version of
-    the reward model; empty for the oracle), the number of `sims`, the initial policy's sha256 and supervision (`init`),
-    and whether any of that is `privileged`.
+    the reward model; empty for the oracle), `eye` (those of the one whose encoder the policy sees with; empty without),
+    the number of `sims`, the initial policy's sha256 and supervision (`init`), and whether any of that is `privileged`.
     """
 
     def __init__(self, context: RunContext, config: PPORunConfig) -> None:
@@ -125,24 +135,35 @@ class _Training:
         """Returns the state before the first iteration."""
         config, task = self._config, find_task(self.sims[0], self._config.task)
         camera, goal_text = self._camera(task), config.goal_text or task.goal_text
+        eye = self._eye(goal_text, camera) if config.encoder == "goal_eye" else None
+        encoder = None if eye is None else self._object_encoder(eye, camera)
         spec = network_spec(
             config,
             observation=(camera.height, camera.width, camera.channels),
             action_size=task.action.size,
             action_choices=task.action.choices,
+            eye=encoder.spec if encoder else None,
+            action_repeat=config.action_repeat,
         )
         policy = self._initial_policy(spec)
         inputs: dict[str, JSON] = {
             "goal_text": goal_text,
             "camera": camera.name,
             "model": asdict(self._reward_model(goal_text, camera)),
+            "eye": {} if eye is None else asdict(eye.model),
             "sims": len(self.sims),
             "init": {name: policy.card.get(name) for name in ("supervision", "sha256")} if policy else {},
             "privileged": self._privileged or (policy is not None and policy.card.get("privileged") is True),
         }
         with closing(self._open_envs(zero_reward, camera.name, ())) as envs:
             return init_state(
-                config, spec, envs, device=self.device, init_from=policy.network if policy else None, inputs=inputs
+                config,
+                spec,
+                envs,
+                device=self.device,
+                init_from=policy.network if policy else None,
+                object_encoder=encoder.weights if encoder else None,
+                inputs=inputs,
             )
 
     def collector(self, state: PPOState) -> RecoveringCollector:
@@ -162,9 +183,18 @@ class _Training:
             raise InvalidInput(
                 f"The initial policy must have the network {spec}; it has {policy.network.spec}.",
                 field=_FIELD,
-                hint="Choose the task, feature_size, hidden_size and recurrent that it was trained with.",
+                hint="Choose the task and the configuration of the network that it was trained with.",
             )
         return policy
+
+    def _eye(self, goal_text: str, camera: Camera) -> RewardResponse:
+        """Returns the answer of the reward model whose encoder the policy sees with."""
+        model = self._learned_reward(goal_text, camera.name, ModelRef(self._config.reward_model))
+        return model.resolve(camera.height, camera.width, camera.channels)
+
+    def _object_encoder(self, eye: RewardResponse, camera: Camera) -> ObjectEncoder:
+        folder = self._context.reward_models.folder(eye.model)
+        return load_object_encoder(folder, goal_caption=eye.texts[0], camera=camera)
 
     def _camera(self, task: Task) -> Camera:
         cameras = {camera.name: camera for camera in task.cameras}
@@ -189,13 +219,18 @@ class _Training:
     def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> RemoteVectorEnv:
         config = self._config
         request = CreateSessionRequest(
-            config.task, num_envs=config.num_envs, seed=config.seed, privileged=self._privileged
+            config.task,
+            num_envs=config.num_envs,
+            seed=config.seed,
+            privileged=self._privileged,
+            conditions=config.conditions,
         )
         return RemoteVectorEnv(
             self.sims,
             request,
             camera=camera,
             reward_fn=reward_fn,
+            action_repeat=config.action_repeat,
             snapshots=snapshots,
             interrupt=self.retry.interrupt,
         )

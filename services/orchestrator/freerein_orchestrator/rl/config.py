@@ -10,7 +10,7 @@ _MAX_ROLLOUT = 131_072
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Hyperparameters of PPO; the defaults suit image observations and rewards of 0 and 1.
+    """Hyperparameters of PPO; the defaults suit rewards of 0 and 1, and actions of which 1 is a large one.
 
     Attributes:
         iterations: Number of rollouts, each followed by `epochs` passes over it.
@@ -19,7 +19,7 @@ class PPOConfig:
         epochs: Passes over each rollout.
         batch_size: Timesteps per minibatch. Divides `num_envs * num_steps`; a multiple of `num_steps` for a recurrent
             policy, which learns from whole sequences.
-        lr: Initial learning rate of Adam; decays to zero as a half cosine.
+        lr: Initial learning rate of Adam; falls linearly to a fifth.
         gamma: Discount factor.
         gae_lambda: Lambda of generalised advantage estimation.
         clip_range: PPO's clipping range of the probability ratio.
@@ -29,7 +29,10 @@ class PPOConfig:
         normalise_rewards: Whether rewards are divided by the running standard deviation of the discounted return.
         feature_size: Image features.
         hidden_size: Units per hidden layer, and of the LSTM.
+        layer_norm: Whether each hidden layer is normalised.
         init_log_std: Initial log standard deviation of continuous actions.
+        final_log_std: The last iteration's, which falls to it linearly; None for one that is learned.
+        explorations: Short sequences of random actions in each environment that an eye is fitted to; unused without.
         seed: Seed of the learner; environments have their own.
         threads: Torch threads on the CPU.
 
@@ -37,10 +40,10 @@ class PPOConfig:
         InvalidInput: A rollout is too large, or `batch_size` does not divide it.
     """
 
-    iterations: int = bounded(100, least=1, most=1_000_000)
+    iterations: int = bounded(94, least=1, most=1_000_000)
     num_envs: int = bounded(16, least=1, most=1024)
-    num_steps: int = bounded(32, least=2, most=65_536)
-    epochs: int = bounded(4, least=1, most=100)
+    num_steps: int = bounded(64, least=2, most=65_536)
+    epochs: int = bounded(10, least=1, most=100)
     batch_size: int = bounded(256, least=2, most=1_048_576)
     lr: float = bounded(1e-3, least=1e-7, most=1.0)
     gamma: float = bounded(0.98, least=0.0, most=1.0)
@@ -51,8 +54,11 @@ class PPOConfig:
     recurrent: bool = False
     normalise_rewards: bool = True
     feature_size: int = bounded(128, least=8, most=1024)
-    hidden_size: int = bounded(64, least=2, most=1024)
-    init_log_std: float = bounded(-0.5, least=-5.0, most=2.0)
+    hidden_size: int = bounded(128, least=2, most=1024)
+    layer_norm: bool = True
+    init_log_std: float = bounded(-1.2, least=-5.0, most=2.0)
+    final_log_std: float | None = -2.0
+    explorations: int = bounded(25, least=1, most=1000)
     seed: int = bounded(0, least=0, most=2**31 - 1)
     threads: int = bounded(1, least=1, most=256)
 
@@ -70,6 +76,11 @@ class PPOConfig:
                 field="batch_size",
                 hint=f"Choose {self.rollout_size // next(n for n in (4, 2, 1) if self.num_envs % n == 0)}.",
             )
+
+    def log_std(self, iteration: int) -> float:
+        """Returns the log standard deviation of continuous actions in an iteration, counted from 0."""
+        final = self.init_log_std if self.final_log_std is None else self.final_log_std
+        return self.init_log_std + (final - self.init_log_std) * iteration / max(1, self.iterations - 1)
 
     @property
     def rollout_size(self) -> int:

@@ -1,4 +1,4 @@
-"""Actor and critic with a shared image encoder and, optionally, a shared LSTM."""
+"""Actor and critic with a shared image encoder, or a frozen eye, and optionally a shared LSTM."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,6 +11,7 @@ from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein_orchestrator.rl.distributions import Categorical, Distribution, Gaussian
+from freerein_orchestrator.rl.eye import EyeSpec, GoalEye
 
 _HIDDEN_GAIN = 2**0.5
 _ACTOR_GAIN, _CRITIC_GAIN = 0.01, 1.0
@@ -31,9 +32,13 @@ class ActorCriticSpec:
         hidden_size: Units per hidden layer, and of the LSTM.
         recurrent: Whether there is an LSTM.
         init_log_std: Initial log standard deviation of continuous actions.
+        layer_norm: Whether each hidden layer is normalised.
+        eye: The frozen eye that sees the frames; None for an image encoder that is trained.
+        action_repeat: Timesteps that each action is held for, by whoever acts with the policy.
 
     Raises:
-        InvalidInput: There are 2 channels, or a discrete action has more than one number.
+        InvalidInput: There are 2 channels, or a discrete action has more than one number, or an eye has not frames in
+            colour and continuous actions.
     """
 
     action_size: int = bounded(1, least=1, most=256)
@@ -46,10 +51,19 @@ class ActorCriticSpec:
     hidden_size: int = bounded(64, least=2, most=1024)
     recurrent: bool = False
     init_log_std: float = bounded(-0.5, least=-5.0, most=2.0)
+    layer_norm: bool = False
+    eye: EyeSpec | None = None
+    action_repeat: int = bounded(1, least=1, most=16)
 
     def __post_init__(self) -> None:
         if self.channels == 2:
             raise InvalidInput("Frames must have 1 or 3 channels; got 2.", hint="Render frames as gray or RGB.")
+        if self.eye is not None and (self.channels != 3 or self.vector_size or self.action_choices):
+            raise InvalidInput(
+                "A goal eye needs RGB frames and continuous actions; got others.",
+                field="config.encoder",
+                hint="Choose the encoder `spatial`.",
+            )
         if self.action_choices and self.action_size > 1:
             raise InvalidInput(
                 f"A discrete action must be one number; got {self.action_size}.", hint="Number the combinations."
@@ -82,7 +96,9 @@ class ActorCriticOutput:
 
 
 class ActorCritic(nn.Module):
-    """Image encoder, optional LSTM, and an actor and a critic of two hidden layers each.
+    """Image encoder or eye, optional LSTM, and an actor and a critic of two hidden layers each.
+
+    With an eye, observations are vectors: the features of a frame, and the last action, since bodies have momentum.
 
     Args:
         spec: Observations, actions and sizes.
@@ -91,12 +107,16 @@ class ActorCritic(nn.Module):
     def __init__(self, spec: ActorCriticSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.image = None if spec.vector_size else _image_encoder(spec)
+        self.eye = None if spec.eye is None else _eye(spec, spec.eye)
+        self.image = None if spec.vector_size or spec.eye is not None else _image_encoder(spec)
         features = spec.vector_size or spec.feature_size
+        if self.eye is not None:
+            features = self.eye.size + spec.action_size
         self.lstm = nn.LSTM(features, spec.hidden_size) if spec.recurrent else None
         inputs = spec.hidden_size if spec.recurrent else features
-        self.actor = _mlp(inputs, spec.hidden_size, spec.action_choices or spec.action_size, gain=_ACTOR_GAIN)
-        self.critic = _mlp(inputs, spec.hidden_size, 1, gain=_CRITIC_GAIN)
+        outputs = spec.action_choices or spec.action_size
+        self.actor = _mlp(inputs, outputs, spec, gain=_ACTOR_GAIN)
+        self.critic = _mlp(inputs, 1, spec, gain=_CRITIC_GAIN)
         self.gaussian = None if spec.action_choices else _DiagonalGaussian(spec.action_size, spec.init_log_std)
 
     def calibrate(self, observations: Tensor) -> None:
@@ -104,11 +124,30 @@ class ActorCritic(nn.Module):
         if self.image is not None:
             self.image.fit_normalisation(observations)
 
+    @torch.no_grad()
+    def set_log_std(self, log_std: float) -> None:
+        """Sets the log standard deviation of continuous actions; does nothing for discrete ones."""
+        if self.gaussian is not None:
+            self.gaussian.log_std.fill_(log_std)
+
+    @torch.no_grad()
+    def observe(self, observations: Tensor, last_actions: Tensor) -> Tensor:
+        """Returns observations of N environments as `forward` takes them, on the CPU.
+
+        Args:
+            observations: As environments return them, uint8 (N, H, W, C) or float32 (N, D).
+            last_actions: Executed before, float32 (N, A), 0 where an episode starts; not read without an eye.
+        """
+        if self.eye is None:
+            return observations
+        features = self.eye(observations.to(self.eye.grasp.device)).cpu()
+        return torch.cat([features, last_actions], dim=1)
+
     def forward(self, observations: Tensor, episode_starts: Tensor, recurrent_state: Tensor) -> ActorCriticOutput:
         """Returns action distributions and values of T timesteps of B environments.
 
         Args:
-            observations: uint8 (T, B, H, W, C) or float32 (T, B, D).
+            observations: From `observe`, uint8 (T, B, H, W, C) or float32 (T, B, D).
             episode_starts: bool (T, B); the recurrent state is reset there.
             recurrent_state: Before the first timestep, float32 (B, recurrent_size).
         """
@@ -128,6 +167,10 @@ def _image_encoder(spec: ActorCriticSpec) -> SpatialEncoder:
     return SpatialEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size)
 
 
+def _eye(spec: ActorCriticSpec, eye: EyeSpec) -> GoalEye:
+    return GoalEye(eye, height=spec.height, width=spec.width, action_size=spec.action_size)
+
+
 def _run_lstm(lstm: nn.LSTM, features: Tensor, starts: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
     """Returns an LSTM's outputs (T, B, hidden) and its state after them, (B, 2 * hidden).
 
@@ -143,14 +186,14 @@ def _run_lstm(lstm: nn.LSTM, features: Tensor, starts: Tensor, state: Tensor) ->
     return torch.cat(outputs), torch.cat([hidden, cell], dim=-1)[0]
 
 
-def _mlp(inputs: int, hidden: int, outputs: int, *, gain: float) -> nn.Sequential:
-    return nn.Sequential(
-        _OrthogonalLinear(inputs, hidden, gain=_HIDDEN_GAIN),
-        nn.Tanh(),
-        _OrthogonalLinear(hidden, hidden, gain=_HIDDEN_GAIN),
-        nn.Tanh(),
-        _OrthogonalLinear(hidden, outputs, gain=gain),
-    )
+def _mlp(inputs: int, outputs: int, spec: ActorCriticSpec, *, gain: float) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for size in (inputs, spec.hidden_size):
+        layers.append(_OrthogonalLinear(size, spec.hidden_size, gain=_HIDDEN_GAIN))
+        if spec.layer_norm:
+            layers.append(nn.LayerNorm(spec.hidden_size))
+        layers.append(nn.Tanh())
+    return nn.Sequential(*layers, _OrthogonalLinear(spec.hidden_size, outputs, gain=gain))
 
 
 class _OrthogonalLinear(nn.Linear):
@@ -167,7 +210,7 @@ class _OrthogonalLinear(nn.Linear):
 
 
 class _DiagonalGaussian(nn.Module):
-    """Turns means into Gaussians whose standard deviation is learned and the same in every state."""
+    """Turns means into Gaussians whose standard deviation is the same in every state."""
 
     def __init__(self, size: int, init_log_std: float) -> None:
         super().__init__()

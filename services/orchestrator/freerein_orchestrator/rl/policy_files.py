@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
@@ -68,7 +69,7 @@ def load_policy(folder: Path, *, device: str) -> StoredPolicy:
 
 
 class NetworkPolicy:
-    """Acts with a network in N environments.
+    """Acts with a network in N environments, holding each action for as many timesteps as the network's spec says.
 
     Args:
         network: Not changed.
@@ -78,7 +79,7 @@ class NetworkPolicy:
     def __init__(self, network: ActorCritic, *, generator: torch.Generator | None = None) -> None:
         self._network = network
         self._generator = generator
-        self._recurrent_state: torch.Tensor | None = None
+        self._memory: _Memory | None = None
 
     @torch.no_grad()
     def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
@@ -91,11 +92,51 @@ class NetworkPolicy:
         Raises:
             InvalidInput: The frames are not what the network takes.
         """
-        spec, device = self._network.spec, next(self._network.parameters()).device
-        observations = observation_tensor(frames, spec, len(episode_starts))[None].to(device)
-        state = self._recurrent_state
-        state = torch.zeros(len(episode_starts), spec.recurrent_size, device=device) if state is None else state
-        outputs = self._network(observations, torch.from_numpy(episode_starts)[None].to(device), state)
-        self._recurrent_state = outputs.recurrent_state
+        spec, starts = self._network.spec, torch.from_numpy(episode_starts)
+        observations = observation_tensor(frames, spec, len(starts))
+        memory = _Memory.init(spec, len(starts)) if self._memory is None else self._memory.reset(starts)
+        due = memory.held == 0
+        if due.any():
+            actions, recurrent_state = self._choose(observations[due], starts[due], memory, due)
+            memory.actions[due], memory.recurrent_state[due] = actions, recurrent_state
+        held = (memory.held + 1) % spec.action_repeat
+        self._memory = _Memory(memory.actions, memory.recurrent_state, held)
+        return env_actions(memory.actions)
+
+    def _choose(self, observations: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns new actions and recurrent states of the environments that are `due`."""
+        device = next(self._network.parameters()).device
+        seen = self._network.observe(observations, memory.actions[due].clamp(-1, 1))
+        state = memory.recurrent_state[due].to(device)
+        outputs = self._network(seen[None].to(device), starts[None].to(device), state)
         actions = outputs.actions.mode() if self._generator is None else outputs.actions.sample(self._generator)
-        return env_actions(actions[0])
+        return actions[0].cpu(), outputs.recurrent_state.cpu()
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What a policy remembers of each environment.
+
+    Attributes:
+        actions: The present one, float32 (N, A) or int64 (N, 1); 0 before the first.
+        recurrent_state: float32 (N, recurrent_size).
+        held: Timesteps that it has been held for; 0 where a new one is due. int64 (N,).
+    """
+
+    actions: Tensor
+    recurrent_state: Tensor
+    held: Tensor
+
+    @classmethod
+    def init(cls, spec: ActorCriticSpec, num_envs: int) -> "_Memory":
+        """Returns the memory before the first action."""
+        dtype = torch.int64 if spec.action_choices else torch.float32
+        return cls(
+            torch.zeros(num_envs, spec.action_size, dtype=dtype),
+            torch.zeros(num_envs, spec.recurrent_size),
+            torch.zeros(num_envs, dtype=torch.int64),
+        )
+
+    def reset(self, starts: Tensor) -> "_Memory":
+        """Returns the memory without that of the episodes that ended; recurrent states are reset by the network."""
+        return _Memory(self.actions * ~starts[:, None], self.recurrent_state, self.held * ~starts)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.distributions import Distribution
@@ -23,6 +23,7 @@ from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
 _EPSILON = 1e-8
+_LR_FALL = 0.8
 
 
 def update(
@@ -51,7 +52,7 @@ def update(
         interrupt()
         minibatch = batch.select(learner.sampler.next_batch(config.batch_size // config.sequence_length))
         losses = evaluate(state.network, minibatch, clip_range=config.clip_range)
-        lr = cosine_lr(config.lr, state.step, warmup_steps=1, steps=config.iterations * config.steps_per_iteration)
+        lr = config.lr * (1 - _LR_FALL * state.step / (config.iterations * config.steps_per_iteration))
         state = optimiser_step(state, losses.total(config), lr=lr)
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}

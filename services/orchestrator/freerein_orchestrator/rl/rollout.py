@@ -6,9 +6,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.vec_env import (
-    Observations,
     VecEnv,
     env_actions,
     observation_tensor,
@@ -22,7 +21,7 @@ class RolloutBuffer:
     """T timesteps of N environments; all on the CPU.
 
     Attributes:
-        observations: uint8 (T, N, H, W, C) or float32 (T, N, D).
+        observations: As the network takes them, uint8 (T, N, H, W, C) or float32 (T, N, D).
         episode_starts: Whether an episode starts there, bool (T, N).
         actions: As sampled, float32 (T, N, A) or int64 (T, N, 1).
         log_probs: float32 (T, N).
@@ -69,7 +68,7 @@ class CollectorState:
     """Everything that the next rollout depends on, besides the network; all on the CPU.
 
     Attributes:
-        observations: Present ones, uint8 (N, H, W, C) or float32 (N, D).
+        observations: Present ones as the network takes them, uint8 (N, H, W, C) or float32 (N, D).
         episode_starts: Whether an episode starts with them, bool (N,).
         recurrent_state: float32 (N, recurrent_size).
         generator: State of the generator that samples actions, uint8.
@@ -83,15 +82,15 @@ class CollectorState:
     env_snapshots: tuple[bytes, ...]
 
     @classmethod
-    def init(cls, envs: VecEnv, spec: ActorCriticSpec, generator: torch.Generator) -> "CollectorState":
+    def init(cls, envs: VecEnv, network: ActorCritic, generator: torch.Generator) -> "CollectorState":
         """Resets the environments and returns the state before the first rollout.
 
         Raises:
             InvalidInput: The observations are not what the network takes.
         """
-        observations: Observations = envs.reset()
+        spec, first = network.spec, observation_tensor(envs.reset(), network.spec, envs.num_envs)
         return cls(
-            observations=observation_tensor(observations, spec, envs.num_envs),
+            observations=network.observe(first, torch.zeros(envs.num_envs, spec.action_size)),
             episode_starts=torch.ones(envs.num_envs, dtype=torch.bool),
             recurrent_state=torch.zeros(envs.num_envs, spec.recurrent_size),
             generator=generator.get_state(),
@@ -142,6 +141,9 @@ def collect(
         step = envs.step(env_actions(actions[0]))
         following, final = step_observations(step, network.spec, num_envs)
         terminated, dones = torch.tensor(step.terminated), torch.from_numpy(step.terminated | step.truncated)
+        executed = actions[0].cpu().clamp(-1, 1)
+        following = network.observe(following, executed * ~dones[:, None])
+        final = network.observe(final, executed[dones])
         recurrent_state = outputs.recurrent_state.cpu()
         row = {
             "observations": observations,

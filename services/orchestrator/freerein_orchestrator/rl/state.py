@@ -3,6 +3,7 @@
 No rollout is saved: the collector's state says where the next one starts, environments included.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import TypeAlias, cast
@@ -16,8 +17,10 @@ from freerein.learning import train_state, weights
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
+from freerein_orchestrator.rl.body import Exploration
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
+from freerein_orchestrator.rl.eye import EyeSpec
 from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rewards import EnvRewards, RewardLearner
@@ -25,6 +28,7 @@ from freerein_orchestrator.rl.rollout import CollectorState
 from freerein_orchestrator.rl.vec_env import Observations, VecEnv, env_actions, observation_tensor
 
 _CALIBRATION_STEPS = 64
+_EXPLORATION_STEPS, _EXPLORATION_RANGE = 8, 0.5
 _ADAM_EPSILON = 1e-5
 
 MakeRewardLearner: TypeAlias = Callable[[ActorCritic], RewardLearner]
@@ -74,12 +78,20 @@ class PPOState:
 
     @property
     def timesteps(self) -> int:
-        """Environment steps so far."""
-        return self.iteration * self.config.rollout_size
+        """Environment steps so far: those of rollouts, and those of exploration for the eye."""
+        explorations = 0 if self.network.eye is None else self.config.explorations
+        explored = explorations * _EXPLORATION_STEPS * self.config.num_envs
+        return (self.iteration * self.config.rollout_size + explored) * self.network.spec.action_repeat
 
 
 def network_spec(
-    config: PPOConfig, *, observation: tuple[int, ...], action_size: int = 1, action_choices: int = 0
+    config: PPOConfig,
+    *,
+    observation: tuple[int, ...],
+    action_size: int = 1,
+    action_choices: int = 0,
+    eye: EyeSpec | None = None,
+    action_repeat: int = 1,
 ) -> ActorCriticSpec:
     """Returns the network of a configuration.
 
@@ -88,6 +100,8 @@ def network_spec(
         observation: Shape of an observation: (H, W, C) or (D,).
         action_size: Numbers per action.
         action_choices: Number of discrete actions, 0 if continuous.
+        eye: The frozen eye that sees the frames, if any.
+        action_repeat: Timesteps that each action is held for.
 
     Raises:
         InvalidInput: There is no network for such observations or actions.
@@ -107,6 +121,9 @@ def network_spec(
         hidden_size=config.hidden_size,
         recurrent=config.recurrent,
         init_log_std=config.init_log_std,
+        layer_norm=config.layer_norm,
+        eye=eye,
+        action_repeat=action_repeat,
     )
 
 
@@ -117,12 +134,13 @@ def init_state(
     *,
     device: torch.device,
     init_from: ActorCritic | None = None,
+    object_encoder: Mapping[str, Tensor] | None = None,
     make_reward_learner: MakeRewardLearner = env_rewards,
     inputs: Mapping[str, JSON] | None = None,
 ) -> PPOState:
     """Returns the state before the first iteration; resets the environments.
 
-    The image encoder of new weights is calibrated on the frames that random actions lead to.
+    The image encoder of new weights is calibrated on the frames that random actions lead to; an eye is fitted to them.
 
     Args:
         config: Hyperparameters.
@@ -130,6 +148,7 @@ def init_state(
         envs: The environments.
         device: Where the network is trained.
         init_from: A network of the same spec to copy.
+        object_encoder: Weights of the eye's encoder of objects; needed by a network with an eye that is not copied.
         make_reward_learner: Returns the reward learner.
         inputs: What else the training must be resumed with.
 
@@ -142,12 +161,15 @@ def init_state(
     network, generator = learner.state.network, learner.state.generator
     if init_from is not None:
         network.load_state_dict(init_from.state_dict())
+    elif network.eye is not None:
+        network.eye.load_objects(object_encoder or {})
+        network.eye.fit(explore(network.spec, envs, generator, count=config.explorations), generator)
     else:
         calibrate(network, envs, generator)
     return PPOState(
         config=config,
         learner=learner,
-        collector=CollectorState.init(envs, spec, generator),
+        collector=CollectorState.init(envs, network, generator),
         episodes=EpisodeStats.init(config.num_envs),
         normaliser=ReturnNormaliser.init(config.num_envs) if config.normalise_rewards else None,
         reward_learner=make_reward_learner(network),
@@ -168,16 +190,39 @@ def calibrate(network: ActorCritic, envs: VecEnv, generator: torch.Generator) ->
     if spec.vector_size:
         return
     frames: list[Observations] = [envs.reset()]
-    size = envs.num_envs, spec.action_size
     for _ in range(_CALIBRATION_STEPS):
-        if spec.action_choices:
-            actions = torch.randint(spec.action_choices, size, generator=generator)
-        else:
-            actions = 2 * torch.rand(size, generator=generator) - 1
-        frames.append(envs.step(env_actions(actions)).observations)
+        frames.append(envs.step(env_actions(_random_actions(spec, envs.num_envs, generator))).observations)
     envs.rewards()  # unused
     seen = torch.cat([observation_tensor(each, spec, envs.num_envs) for each in frames])
     network.calibrate(seen.to(next(network.parameters()).device))
+
+
+def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, count: int) -> Exploration:
+    """Returns `count` short sequences of small random actions in each environment, from the starts of episodes.
+
+    Those in which an episode ended are left out.
+    """
+    sequences, moves = [], []
+    for _ in range(count):
+        frames = [observation_tensor(envs.reset(), spec, envs.num_envs)]
+        actions, has_ended = [], torch.zeros(envs.num_envs, dtype=torch.bool)
+        for _ in range(_EXPLORATION_STEPS):
+            actions.append(_EXPLORATION_RANGE * _random_actions(spec, envs.num_envs, generator))
+            step = envs.step(env_actions(actions[-1]))
+            frames.append(observation_tensor(step.observations, spec, envs.num_envs))
+            has_ended |= torch.from_numpy(step.terminated | step.truncated)
+        sequences.append(torch.stack(frames, dim=1)[~has_ended])
+        moves.append(torch.stack(actions, dim=1)[~has_ended])
+    envs.rewards()  # unused
+    return Exploration(torch.cat(sequences), torch.cat(moves))
+
+
+def _random_actions(spec: ActorCriticSpec, num_envs: int, generator: torch.Generator) -> Tensor:
+    """Returns uniform actions, (num_envs, A)."""
+    size = num_envs, spec.action_size
+    if spec.action_choices:
+        return torch.randint(spec.action_choices, size, generator=generator)
+    return 2 * torch.rand(size, generator=generator) - 1
 
 
 def to_checkpoint(state: PPOState) -> Checkpoint:
@@ -251,7 +296,10 @@ def from_checkpoint(
 def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device) -> FitLoopState[ActorCritic]:
     generator = torch.Generator().manual_seed(config.seed)
     network = init_network(spec, generator).to(device)
-    optimiser = torch.optim.Adam(network.parameters(), config.lr, eps=_ADAM_EPSILON, fused=True)
+    if network.gaussian is not None:
+        network.gaussian.log_std.requires_grad_(config.final_log_std is None)
+    trainable = [parameter for parameter in network.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.Adam(trainable, config.lr, eps=_ADAM_EPSILON, fused=True)
     sequences = config.rollout_size // config.sequence_length
     sampler = BatchSampler.start(sequences, rng=np.random.default_rng(config.seed))
     return FitLoopState(TrainState(network, optimiser, generator), sampler)
@@ -259,7 +307,7 @@ def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device
 
 def _identity(config: PPOConfig, network: ActorCritic, inputs: Mapping[str, JSON]) -> dict[str, JSON]:
     return {
-        "config": asdict(config),
+        "config": json.loads(json.dumps(asdict(config))),  # tuples as the lists that a checkpoint holds
         "network": asdict(network.spec),
         "torch": torch.__version__,
         "device": str(next(network.parameters()).device),

@@ -60,6 +60,7 @@ class Trainer:
         interrupt: Called often; raises `Stopped` to stop.
         log_line: Writes a line to the log.
         recorder: Keeps the rollouts; None to discard them.
+        threads: Torch threads on the CPU.
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class Trainer:
     interrupt: Callable[[], None] = lambda: None
     log_line: Callable[[str], None] = lambda _: None
     recorder: Recorder | None = None
+    threads: int = 1
 
     def train(self) -> PPOState:
         """Returns the state after the last iteration. A rejected iteration is repeated from the last checkpoint.
@@ -82,6 +84,8 @@ class Trainer:
             OutOfStorage: Three checkpoints in a row could not be saved.
             ServiceError: What else `init`, `load` or collecting raises.
         """
+        torch.set_num_threads(self.threads)
+        torch.set_flush_denormal(True)
         rejected = 0
         while True:
             state = self._saved_state()
@@ -100,8 +104,6 @@ class Trainer:
                     ) from error
 
     def _run(self, state: PPOState, rejected: int) -> PPOState:
-        torch.set_num_threads(state.config.threads)
-        torch.set_flush_denormal(True)
         saver = _Saver(self.folder / "checkpoints", self.log_line)
         if state.iteration == 0:
             saver.save(state)
@@ -127,6 +129,8 @@ class Trainer:
     def _iterate(self, state: PPOState, collector: Collector) -> tuple[PPOState, RolloutBuffer]:
         """One iteration of PPO: collect, reward, update the policy, update the reward learner."""
         self.interrupt()
+        if state.config.final_log_std is not None:
+            state.network.set_log_std(state.config.log_std(state.iteration))
         rollout, after = collector.collect(state.network, state.collector)
         rewards = state.reward_learner.rewards(rollout)
         episodes, ended = state.episodes.update(rewards, rollout.dones)

@@ -150,6 +150,11 @@ def _ppo_config(config: CollectConfig) -> PPOConfig:
         iterations=math.ceil(config.count / config.num_envs),  # each records a trajectory per environment at least
         num_envs=config.num_envs,
         num_steps=config.length,
+        epochs=4,
+        hidden_size=64,
+        layer_norm=False,
+        init_log_std=-0.5,
+        final_log_std=None,
         batch_size=config.num_envs * config.length // minibatches,
         gamma=0.99,
         ent_coef=0.01,

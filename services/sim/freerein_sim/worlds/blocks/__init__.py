@@ -85,7 +85,13 @@ def _make_goal(spec: WorldSpec, goal: BlockGoal, conditions: Collection[str] = (
     variation = Variation.of(conditions, blocks=2, fewest_blocks=2)
     colours = (goal.first, goal.second) if variation.blocks == 2 else COLOURS
     interval_m = initial_states.UNSEEN_M if variation.is_start_unseen else initial_states.SEEN_M
-    draw = partial(initial_states.pair, goal=goal, count=variation.blocks, interval_m=interval_m)
+    draw = partial(
+        initial_states.pair,
+        goal=goal,
+        count=variation.blocks,
+        interval_m=interval_m,
+        is_on_the_way=variation.is_start_on_the_way,
+    )
     return simulation.BlocksWorld(spec, colours, draw, variation, goal=goal)
 
 

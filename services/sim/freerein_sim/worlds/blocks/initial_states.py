@@ -39,6 +39,10 @@ _GRASP_PROBABILITY = 0.3
 """Probability of trying a grasp. About one in six has no room, so a block is held in a quarter of the states."""
 
 _GRASP_ABOVE_M = (0.0, 0.03)
+_NEARNESS = 2.5
+"""Exponent of a uniform number: the share of the way from a block to the gripper's own place. Half of the starts are
+nearer than a sixth of it."""
+
 _PALM_HALF_Y_M, _PALM_ABOVE_M = 0.063, 0.032
 """Half width of the palm, and its height above the midpoint of the fingers."""
 
@@ -95,11 +99,12 @@ def pair(
     goal: BlockGoal,
     count: int = 2,
     interval_m: float = SEEN_M,
+    is_on_the_way: bool = False,
 ) -> InitialState:
     """Returns a goal's two blocks on the table, apart, in either order, and bystanders of drawn colours.
 
     Each of the two lies within an interval of that width. Bystanders stand where the expert needs no room. The blocks
-    of a goal are always on show, whatever is wanted.
+    of a goal are always on show, whatever is wanted. For a curriculum of starts the gripper may begin on its way.
     """
     goal_blocks = [COLOURS.index(goal.first), COLOURS.index(goal.second)]
     while True:
@@ -116,7 +121,29 @@ def pair(
             others = [i for i in range(len(COLOURS)) if i not in goal_blocks]
             shown = rng.permutation(others)[: count - 2]
             blocks[shown] = np.stack([(0, y, BLOCK_M / 2) for y in bystanders])
-        return InitialState(blocks, start.gripper)
+        drawn = InitialState(blocks, start.gripper)
+        return _on_the_way(rng, drawn, goal_blocks[0]) if is_on_the_way else drawn
+
+
+def _on_the_way(rng: np.random.Generator, start: InitialState, first: int) -> InitialState:
+    """Returns a state on the way from `start` to a goal whose block `first` is moved, for a curriculum of starts.
+
+    In a third each the start itself, the gripper on its way to the block, and the block in the gripper, anywhere.
+    """
+    blocks = start.blocks.copy()
+    others = np.delete(blocks, first, axis=0)
+    others = others[others[:, 0] == 0, 1:]  # not the hidden ones
+    match rng.integers(3):
+        case 0:
+            return start
+        case 1:
+            return InitialState(blocks, _approaching(rng, blocks[first, 1:], others, start.gripper))
+    while True:
+        block = rng.uniform(_LOW_M, _HIGH_M)
+        gripper = _grasp(rng, block[None])
+        if gripper is not None and _is_clear(gripper, others) and (np.abs(others - block).max(axis=1) > BLOCK_M).all():
+            blocks[first, 1:] = block
+            return InitialState(blocks, gripper)
 
 
 def scatter(
@@ -207,6 +234,17 @@ def _free_gripper(rng: np.random.Generator, blocks: Point) -> GripperState:
         finger_m = rng.uniform(*scene.FINGER_M)
         gripper = GripperState(rng.uniform(*limits), finger_m, finger_m)
         if _is_clear(gripper, blocks):
+            return gripper
+
+
+def _approaching(rng: np.random.Generator, block: Point, others: Point, own: GripperState) -> GripperState:
+    """Draws a gripper between a block, around which it is open, and its own place; mostly near the block."""
+    while True:
+        grasp = np.add(block, (0.0, rng.uniform(*_GRASP_ABOVE_M)))
+        at = grasp + rng.random() ** _NEARNESS * (own.at - grasp)
+        finger_m = rng.uniform(*scene.FINGER_M)
+        gripper = GripperState(at, finger_m, finger_m)
+        if at[1] > scene.GRIPPER_Z_M[0] and _is_clear(gripper, np.vstack([block, others])):
             return gripper
 
 

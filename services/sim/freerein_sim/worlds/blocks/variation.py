@@ -10,7 +10,7 @@ _COUNTS = {f"blocks-{count}": count for count in (2, 3, 4)}
 _SPEEDS = {"speed-0.5": 0.5, "speed-2": 2.0}
 _SHIFTS_M = {"camera-5cm": 0.05}
 _TURNS_DEG = {"camera-3deg": 3.0}
-START_UNSEEN = "start-unseen"
+START_UNSEEN, START_ON_THE_WAY = "start-unseen", "start-on-the-way"
 
 T = TypeVar("T")
 
@@ -29,6 +29,7 @@ FREE_CONDITIONS = (
 GOAL_CONDITIONS = (
     *_SEEN,
     Condition(START_UNSEEN, "start", "each block begins within twice the interval"),
+    Condition(START_ON_THE_WAY, "start", "in two of three episodes the gripper is near the first block or holds it"),
 )
 
 
@@ -43,6 +44,7 @@ class Variation:
         camera_shift_m: How far each camera is moved.
         camera_turn_deg: How far each camera is turned.
         is_start_unseen: Whether blocks begin within the wider interval.
+        is_start_on_the_way: Whether episodes may begin near the first block, or holding it.
         speed: Factor of the expert's speed of travel.
     """
 
@@ -52,6 +54,7 @@ class Variation:
     camera_shift_m: float = 0.0
     camera_turn_deg: float = 0.0
     is_start_unseen: bool = False
+    is_start_on_the_way: bool = False
     speed: float = 1.0
 
     @classmethod
@@ -64,6 +67,7 @@ class Variation:
             camera_shift_m=_first(_SHIFTS_M, conditions, 0.0),
             camera_turn_deg=_first(_TURNS_DEG, conditions, 0.0),
             is_start_unseen=START_UNSEEN in conditions,
+            is_start_on_the_way=START_ON_THE_WAY in conditions,
             speed=_first(_SPEEDS, conditions, 1.0),
         )
 

@@ -1,0 +1,93 @@
+"""Self-localisation: where a policy's own body is in a frame, learned from its own random actions.
+
+A body is what one's actions move: the encoder's output changes between two frames by the sum of the actions between
+them. It reads keypoints by spatial softmax (Finn et al. 2016), since a body looks alike wherever it is.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein.learning import weights
+
+_CHANNELS, _KEYPOINTS = 16, 16
+_PIXEL_SCALE = 64.0
+_SHARPNESS = 2.0
+_BATCH, _LR = 64, 4e-3
+_EPOCHS = 6
+"""How often each action is the first of a pair of frames, on average."""
+
+_MAX_SPAN = 4
+_MEDIAN_FRAMES = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """B sequences of T random actions.
+
+    Attributes:
+        frames: uint8 (B, T + 1, H, W, 3), before each action and after the last.
+        actions: As executed, float32 (B, T, A).
+    """
+
+    frames: Tensor
+    actions: Tensor
+
+
+class BodyEncoder(nn.Module):
+    """Locates the body in frames uint8 (N, height, width, 3) by one number per component of the actions."""
+
+    def __init__(self, *, height: int, width: int, action_size: int) -> None:
+        super().__init__()
+        self.register_buffer("background", torch.zeros(3, height, width))
+        self.background: Tensor
+        self.conv1 = nn.Conv2d(3, _CHANNELS, 5, stride=2, padding=2)
+        self.conv2 = nn.Conv2d(_CHANNELS, _CHANNELS, 3, padding=1)
+        self.conv3 = nn.Conv2d(_CHANNELS, _KEYPOINTS, 3, padding=2, dilation=2)
+        self.readout = nn.Linear(2 * _KEYPOINTS, action_size)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Returns where the body is, float32 (N, A): the sum of the actions that would lead there from the mean."""
+        pixels = (frames.permute(0, 3, 1, 2) - self.background) / _PIXEL_SCALE  # (N, 3, H, W)
+        heat = self.conv3(functional.relu(self.conv2(functional.relu(self.conv1(pixels)))))  # (N, K, h, w)
+        share = (_SHARPNESS * heat.flatten(start_dim=2)).softmax(dim=2).view_as(heat)
+        rows, columns = (torch.linspace(-1, 1, cells, device=heat.device) for cells in heat.shape[2:])
+        places = torch.cat([share.sum(dim=2) @ columns, share.sum(dim=3) @ rows], dim=1)  # (N, 2 K)
+        found: Tensor = self.readout(places)
+        return found
+
+
+def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator) -> None:
+    """Trains an encoder on random actions, from new weights.
+
+    The loss is absolute, so that actions without effect, at the ends of a joint's range, count little.
+
+    Args:
+        body: Changed in place.
+        seen: Random actions and the frames around them.
+        generator: Source of all randomness, on the CPU.
+    """
+    weights.initialise(body, generator=generator)
+    frames, device = seen.frames.flatten(end_dim=1), body.background.device
+    chosen = torch.randperm(len(frames), generator=generator)[:_MEDIAN_FRAMES]
+    body.background.copy_(frames[chosen].float().median(dim=0).values.permute(2, 0, 1))
+    count, length = seen.actions.shape[:2]
+    moved = functional.pad(seen.actions.cumsum(dim=1), (0, 0, 1, 0))  # (B, T + 1, A)
+    optimiser, steps = torch.optim.Adam(body.parameters(), _LR), math.ceil(_EPOCHS * count * length / _BATCH)
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = _LR * (1 - step / steps)
+        which = torch.randint(count, (_BATCH,), generator=generator)
+        start = torch.randint(length, (_BATCH,), generator=generator)
+        end = (start + torch.randint(1, _MAX_SPAN + 1, (_BATCH,), generator=generator)).clamp(max=length)
+        before, after = body(torch.cat([seen.frames[which, start], seen.frames[which, end]]).to(device)).chunk(2)
+        loss = functional.l1_loss(after - before, (moved[which, end] - moved[which, start]).to(device))
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
+        optimiser.step()
+    with torch.no_grad():
+        parts = torch.split(frames[chosen], _BATCH)
+        body.readout.bias.sub_(torch.cat([body(each.to(device)) for each in parts]).mean(dim=0))

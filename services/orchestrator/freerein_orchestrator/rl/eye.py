@@ -1,0 +1,138 @@
+"""The frozen eye of a policy: from a frame to where the goal's two objects and the policy's own body are.
+
+A reward model's image encoder locates the two noun phrases of a goal text. A `BodyEncoder` locates the body, and the
+objects that it moved tell where in the frame that is (hand-eye calibration). Nothing of it is trained by rewards.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from freerein.learning.config import bounded
+from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
+from freerein_orchestrator.rl.body import BodyEncoder, Exploration, fit_body
+
+_OBJECT_WIDTH = 0.2
+"""Width of an object in a frame that is 2 wide: eps of table 4.1."""
+
+_BODY_SCALE = 2.0
+_LEAST_PRESENCE, _SEEN = 0.2, 0.5
+"""Presence that a place is divided by at least, and from which an object counts as seen."""
+
+_MOVED, _LEAST_MOVES = 0.04, 32
+"""Change of place of an object that was moved, in frames 2 wide, and the fewest such changes that are regressed on."""
+
+_REGRESSION_ROUNDS, _NOISE = 10, 0.02
+_FRAMES_AT_ONCE = 16
+
+
+@dataclass(frozen=True)
+class EyeSpec:
+    """What an eye looks for.
+
+    Attributes:
+        image: Sizes of the reward model's image encoder.
+        first: Number of the goal text's first noun phrase, among those that the encoder locates.
+        second: Number of its second one.
+    """
+
+    image: ClipImageSpec
+    first: int = bounded(0, least=0, most=63)
+    second: int = bounded(1, least=0, most=63)
+
+
+class GoalEye(nn.Module):
+    """Turns frames uint8 (N, height, width, 3) into features; frozen.
+
+    Args:
+        spec: What it looks for.
+        height: Frame height in pixels.
+        width: Frame width in pixels.
+        action_size: Numbers per action.
+    """
+
+    def __init__(self, spec: EyeSpec, *, height: int, width: int, action_size: int) -> None:
+        super().__init__()
+        self.size = action_size + 8
+        self._pair = [spec.first, spec.second]
+        self.objects = ClipImageEncoder(spec.image).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.body = BodyEncoder(height=height, width=width, action_size=action_size)
+        self.register_buffer("hand_eye", torch.zeros(action_size, 2))
+        self.register_buffer("grasp", torch.zeros(2))
+        self.hand_eye: Tensor
+        self.grasp: Tensor
+        self.requires_grad_(False)
+        self.train(False)
+
+    def train(self, _mode: bool = True) -> "GoalEye":
+        """Stays in evaluation mode: it is frozen."""
+        return super().train(False)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Returns features, float32 (N, size).
+
+        They are the body's place; offsets between the place where it holds things and both objects, and between these,
+        in object widths to the right and up; and the presence of both objects.
+        """
+        body, (places, presence) = self.body(frames), self.locate(frames)
+        first, second = places.unbind(dim=1)
+        held = body @ self.hand_eye + self.grasp  # (N, 2)
+        offsets = torch.cat([held - first, held - second, first - second], dim=1) / _OBJECT_WIDTH
+        return torch.cat([_BODY_SCALE * body, offsets, presence], dim=1)
+
+    def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the objects' places, float32 (N, 2, 2), to the right and up in [-1, 1], and presences (N, 2)."""
+        keypoints = self.objects.relation_pool.keypoints(self.objects.feature_maps(frames))[:, self._pair]
+        presence = keypoints[:, :, 2]  # (N, 2)
+        down, right = (keypoints[:, :, :2] / presence[:, :, None].clamp(min=_LEAST_PRESENCE)).unbind(dim=2)
+        return torch.stack([right, -down], dim=2), presence
+
+    def load_objects(self, encoder: Mapping[str, Tensor]) -> None:
+        """Copies the weights of a reward model's image encoder, by name."""
+        self.objects.load_state_dict(encoder)
+
+    def fit(self, seen: Exploration, generator: torch.Generator) -> None:
+        """Learns to locate the body from random actions; the objects' encoder stays as it is."""
+        self.body.requires_grad_(True)
+        fit_body(self.body, seen, generator)
+        self.body.requires_grad_(False)
+        self._fit_hand_eye(seen)
+
+    @torch.no_grad()
+    def _fit_hand_eye(self, seen: Exploration) -> None:
+        """Fits `hand_eye` and `grasp` to objects that moved, all but some of them with the body.
+
+        Where too few did, they stay zero: offsets from the body are then places in the frame.
+        """
+        shape, device = seen.frames.shape[:2], self.grasp.device
+        parts = [each.to(device) for each in torch.split(seen.frames.flatten(end_dim=1), _FRAMES_AT_ONCE)]
+        body = torch.cat([self.body(part) for part in parts]).view(*shape, -1)  # (B, T + 1, A)
+        located = [self.locate(part) for part in parts]
+        places = torch.cat([place for place, _ in located]).view(*shape, 2, 2)
+        presence = torch.cat([each for _, each in located]).view(*shape, 2)
+        is_seen = presence > _SEEN
+        change = places.diff(dim=1)  # (B, T, 2, 2)
+        has_moved = (change.abs().amax(dim=3) > _MOVED) & is_seen[:, 1:] & is_seen[:, :-1]  # (B, T, 2)
+        if has_moved.sum() < _LEAST_MOVES:
+            return
+        moves = body.diff(dim=1)[:, :, None].expand(-1, -1, 2, -1)[has_moved]  # (M, A)
+        coefficients, errors = _robust_regression(moves, change[has_moved])
+        together = errors < _MOVED
+        after = body[:, 1:, None].expand(-1, -1, 2, -1)[has_moved][together]
+        self.hand_eye.copy_(coefficients)
+        self.grasp.copy_((places[:, 1:][has_moved][together] - after @ coefficients).median(dim=0).values)
+
+
+def _robust_regression(inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns coefficients (A, 2) that minimise absolute errors of inputs (M, A) and targets (M, 2), and errors (M,).
+
+    By iteratively reweighted least squares.
+    """
+    weight = torch.ones(len(inputs), 1, device=inputs.device)
+    for _ in range(_REGRESSION_ROUNDS):
+        coefficients = torch.linalg.lstsq(inputs * weight, targets * weight).solution
+        errors = (targets - inputs @ coefficients).abs().amax(dim=1)
+        weight = errors.clamp(min=_NOISE).rsqrt()[:, None]
+    return coefficients, errors
