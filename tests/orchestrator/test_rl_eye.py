@@ -1,0 +1,127 @@
+"""The eye of a policy: it locates a body that it moved by random actions, what that carried, and the goal's objects."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.types.common import Camera, ModelRef
+from freerein_orchestrator.rl.body import BodyEncoder, Exploration, fit_body
+from freerein_orchestrator.rl.eye import GoalEye
+from freerein_orchestrator.rl.object_encoder import load_object_encoder
+
+STEP = 10.0
+"""Pixels by which an action of 1 moves the body."""
+
+GRASP = 12
+"""Pixels from the body down to what it carries."""
+
+CAPTION = "a yellow block to the left of a green block"
+CAMERA = Camera("front", 64, 64, 3)
+
+
+def draw(body: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Returns a frame, uint8 (64, 64, 3), of a white body, a yellow and a green square at (column, row)."""
+    frame = np.full((64, 64, 3), (120, 135, 147), np.uint8)
+    for place, colour, half in ((second, (30, 168, 40), 4), (first, (250, 204, 15), 4), (body, (210, 212, 216), 5)):
+        column, row = np.rint(place).astype(int)
+        frame[max(0, row - half) : row + half, max(0, column - half) : column + half] = colour
+    return frame
+
+
+def explore(rng: np.random.Generator, sequences: int) -> tuple[Exploration, np.ndarray]:
+    """Returns explorations, and the body's places (B, T + 1, 2). In half of the sequences it carries the first."""
+    frames, actions, places = [], [], []
+    for number in range(sequences):
+        body = rng.uniform((16, 8), (48, 36))
+        first, second = rng.uniform(8, 56, size=(2, 2))
+        moves = rng.uniform(-0.5, 0.5, size=(8, 2))
+        seen, walked = [], []
+        for move in (*moves, np.zeros(2)):
+            carried = np.add(body, (0, GRASP)) if number % 2 else first
+            seen.append(draw(body, carried, second))
+            walked.append(body)
+            body = body + STEP * move * (1, -1)  # the second component moves up
+        frames.append(np.stack(seen))
+        actions.append(moves)
+        places.append(np.stack(walked))
+    drawn = torch.from_numpy(np.stack(frames)), torch.from_numpy(np.stack(actions)).float()
+    return Exploration(*drawn), np.stack(places)
+
+
+@pytest.fixture(scope="module")
+def folder() -> Path:
+    store = ModelStore(CLONE_MODELS / "reward")
+    return store.folder(ModelRef("default", store.active_version("default")))
+
+
+def test_an_eye_finds_its_body_and_where_that_holds_things(folder: Path) -> None:
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)  # as a training does
+    encoder = load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+    assert (encoder.spec.first, encoder.spec.second) == (2, 1)
+    eye = GoalEye(encoder.spec, height=64, width=64, action_size=2)
+    eye.load_objects(encoder.weights)
+    seen, _ = explore(np.random.default_rng(0), 100)
+    eye.fit(seen, torch.Generator().manual_seed(0))
+
+    new, places = explore(np.random.default_rng(1), 40)
+    carrying = new.frames[1::2].flatten(end_dim=1)
+    features = eye(carrying)
+    body = features[:, :2].numpy() / 2 * STEP * (1, -1)
+    off = body - places[1::2].reshape(-1, 2)
+    assert np.abs(off - np.median(off, axis=0)).mean() < 2.5  # pixels; guessing: 8
+    held = features[:, 2:4]  # from where it holds things to the first object, in object widths
+    assert held.abs().median() < 0.25
+    assert all(not parameter.requires_grad for parameter in eye.parameters())
+    assert not eye.train().training
+
+
+def test_where_nothing_moved_with_the_body_places_stay_those_in_the_frame(folder: Path) -> None:
+    encoder = load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+    eye = GoalEye(encoder.spec, height=64, width=64, action_size=2)
+    eye.load_objects(encoder.weights)
+    frame = torch.from_numpy(draw(np.array([32, 10]), np.array([12, 40]), np.array([44, 40])))
+    eye.fit(Exploration(frame.expand(2, 3, 64, 64, 3), torch.zeros(2, 2, 2)), torch.Generator().manual_seed(0))
+
+    first_x, first_up, second_x, second_up = (-0.2 * eye(frame[None])[0, 2:6]).tolist()
+
+    assert first_x < -0.3 < 0.3 < second_x
+    assert first_up == pytest.approx(second_up, abs=0.05)
+
+
+def test_an_encoder_is_fitted_to_the_same_bits() -> None:
+    seen, _ = explore(np.random.default_rng(0), 4)
+
+    def fitted() -> BodyEncoder:
+        body = BodyEncoder(height=64, width=64, action_size=2)
+        fit_body(body, seen, torch.Generator().manual_seed(3))
+        return body
+
+    first, again = fitted().state_dict(), fitted().state_dict()
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+@pytest.mark.parametrize(
+    ("caption", "camera", "expected"),
+    [
+        ("a yellow block", CAMERA, "two objects"),
+        (CAPTION, Camera("left", 64, 64, 3), "must see left"),
+        (CAPTION, Camera("front", 32, 32, 3), "at 32 x 32"),
+    ],
+)
+def test_a_reward_model_that_an_eye_cannot_use_is_refused(
+    folder: Path, caption: str, camera: Camera, expected: str
+) -> None:
+    with pytest.raises(InvalidInput, match=expected):
+        load_object_encoder(folder, goal_caption=caption, camera=camera)
+
+
+def test_a_grounding_model_is_no_encoder_of_objects() -> None:
+    store = ModelStore(CLONE_MODELS / "reward")
+    folder = store.folder(ModelRef("grounding", store.active_version("grounding")))
+    with pytest.raises(InvalidInput):
+        load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
