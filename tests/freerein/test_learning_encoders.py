@@ -128,5 +128,4 @@ def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> No
     features = encoders(seen)
     assert features.shape == (4, encoders.size) == (4, 24)
     assert features.isfinite().all()
-    assert encoders.is_trained == any(each.requires_grad for each in encoders.parameters())
     torch.testing.assert_close(encoders(seen | {"wrist": seen["wrist"].flip(0)})[:, :12], features[:, :12])

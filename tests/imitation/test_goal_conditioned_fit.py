@@ -8,7 +8,7 @@ import pytest
 from freerein.data import DatasetSpec, create, dataset_path, labels
 from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput
-from freerein.learning.encoders.colour_codebook import MOMENTS
+from freerein.learning.encoders import MomentsEncoder
 from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 
@@ -68,11 +68,12 @@ def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_
 
 
 @pytest.mark.parametrize("method", ["goal_conditioned", "inverse_model"])
-def test_an_embedding_too_small_for_one_colour_is_refused_before_a_fit_begins(data_dir: Path, method: str) -> None:
-    asked = LEFT | {"method": method, "encoder": "colour_codebook", "embedding_size": MOMENTS}
-    assert METHODS.resolve(data_dir, "play", asked, threads=1)["embedding_size"] == MOMENTS
-    with pytest.raises(InvalidInput, match="at least 5 with the encoder colour_codebook; got 4") as error:
-        METHODS.resolve(data_dir, "play", asked | {"embedding_size": MOMENTS - 1}, threads=1)
+def test_an_embedding_too_small_for_one_heat_map_is_refused_before_a_fit_begins(data_dir: Path, method: str) -> None:
+    least = MomentsEncoder.min_features
+    asked = LEFT | {"method": method, "encoder": "moments", "embedding_size": least}
+    assert METHODS.resolve(data_dir, "play", asked, threads=1)["embedding_size"] == least
+    with pytest.raises(InvalidInput, match="at least 5 with the encoder moments; got 4") as error:
+        METHODS.resolve(data_dir, "play", asked | {"embedding_size": least - 1}, threads=1)
     assert error.value.field == "config.embedding_size"
 
 

@@ -201,7 +201,7 @@ def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None
             GoalConditionedConfig.from_mapping(wrong)
 
 
-@pytest.mark.parametrize("encoder", ["spatial", "colour_codebook"])
+@pytest.mark.parametrize("encoder", ["spatial", "moments"])
 def test_two_cameras_of_different_sizes_are_both_learned_from(encoder: str) -> None:
     """The front camera shows rows alone, and the side camera, which is larger, columns alone."""
     both, config = explore(8, seed=0), replace(FAST, encoder=encoder, features=30, embedding_size=15, lr=3e-3)

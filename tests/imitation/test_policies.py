@@ -14,8 +14,6 @@ from torch import nn
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
-from freerein.learning.encoders import ColourCodebook
-from freerein.learning.encoders.colour_codebook import MOMENTS, shift_horizontally
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
@@ -28,7 +26,7 @@ from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsS
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
 GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)
-SKILLS = SkillsSpec(**INPUTS, skills=("pick", "push"), features=20)
+SKILLS = SkillsSpec(**INPUTS, skills=("pick", "push"), hidden_size=16)
 DISCRETE: dict[str, Any] = {
     "cameras": (Camera("front", 24, 20, 1),),
     "action": ActionSpec(1, 4, ("up", "down", "left", "right")),
@@ -62,10 +60,7 @@ def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     made, generator = SkillsNetwork(spec), torch.Generator().manual_seed(0)
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
-    made.encoder.fit_normalisation(frames, generator=generator)
-    with torch.no_grad():
-        features = made.encoder(frames)
-        made.fit_feature_normalisation(features, generator=generator)
+    made.fit_normalisation(frames, torch.ones(1, spec.action.size))
     made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
     return made
 
@@ -116,9 +111,7 @@ CASES = {
     "goals-discrete": goal_case(replace(GOALS, **DISCRETE)),
     "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional")),
     "skills": skills_case(SKILLS),
-    "skills-discrete": skills_case(replace(SKILLS, **DISCRETE, features=17)),
-    "skills-spatial": skills_case(replace(SKILLS, encoder="spatial")),
-    "skills-two-cameras": skills_case(replace(SKILLS, **TWO)),
+    "skills-gripper": skills_case(replace(SKILLS, action=ActionSpec(3, 0, ("dy", "dz", "gripper")))),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 CONTINUOUS = pytest.mark.parametrize("case", [CASES["goals"], CASES["skills"]], ids=["goals", "skills"])
@@ -255,47 +248,3 @@ def test_a_discrete_action_is_one_hot_and_no_action_is_zeros() -> None:
     code = action_bins.encode(torch.tensor([[2], [-1]]), choices=3)
     assert code.tolist() == [[[0, 0, 1]], [[0, 0, 0]]]
     assert action_bins.decode(code[:1], choices=3).tolist() == [[2]]
-
-
-# --- colour codebook
-
-
-def picture(*blobs: tuple[int, int, tuple[int, int, int]]) -> torch.Tensor:
-    """Returns a dark frame, uint8 (1, 21, 41, 3), with a 3 x 3 blob of a colour around each (row, column)."""
-    frame = np.full((1, 21, 41, 3), 20, np.uint8)
-    for row, column, colour in blobs:
-        frame[0, row - 1 : row + 2, column - 1 : column + 2] = colour
-    return torch.from_numpy(frame)
-
-
-RED, BLUE = (220, 30, 30), (30, 30, 220)
-
-
-@pytest.fixture
-def codebook() -> ColourCodebook:
-    """A codebook of red and blue."""
-    made = ColourCodebook(height=21, width=41, channels=3, features=2 * MOMENTS)
-    frames = [picture((4, 3 * i + 2, RED), (15, 38 - 3 * i, BLUE)) for i in range(12)]
-    made.fit_normalisation(torch.cat(frames), generator=torch.Generator().manual_seed(0))
-    return made
-
-
-def test_a_codebook_finds_foreground_colours_and_their_positions(codebook: ColourCodebook) -> None:
-    assert {tuple(colour) for colour in codebook.colours.round().int().tolist()} == {RED, BLUE}
-    red = int(codebook.colours[:, 0].argmax())
-    moments = codebook(picture((5, 30, RED)))[0].view(2, MOMENTS)
-    expected = np.array([30 / 20 - 1, 5 / 10 - 1]) * 9 / 9.5  # shrunk to the centre by half a pixel in nine
-    np.testing.assert_allclose(moments[red, 1:3], expected, atol=1e-3)
-    np.testing.assert_allclose(moments[1 - red], 0, atol=1e-3)
-
-
-def test_shifted_moments_are_those_of_a_shifted_frame(codebook: ColourCodebook) -> None:
-    pictures = picture((5, 12, RED), (9, 20, BLUE)), picture((5, 18, RED), (9, 26, BLUE))
-    here, there = (codebook(each).view(1, 2, MOMENTS) for each in pictures)
-    np.testing.assert_allclose(shift_horizontally(here, torch.tensor([6 / 20])), there, atol=2e-3)
-
-
-def test_a_codebook_of_frames_without_foreground_is_no_error() -> None:
-    made = ColourCodebook(height=21, width=41, channels=3, features=4 * MOMENTS)
-    made.fit_normalisation(torch.cat([picture()] * 3), generator=torch.Generator().manual_seed(0))
-    assert torch.equal(made(picture()), torch.zeros(1, 4 * MOMENTS))

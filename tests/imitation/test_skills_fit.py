@@ -12,7 +12,7 @@ from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model.skills import SkillsPolicy
 
-ASKED = {"method": "skills", "steps": 2, "batch_size": 2, "features": 10, "hidden_size": 8, "recurrent_size": 8}
+ASKED = {"method": "skills", "steps": 2, "batch_size": 2, "hidden_size": 8}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 

@@ -8,26 +8,21 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skills import SkillsPolicy
 from freerein_imitation.training.skill_segments import (
-    SegmentDataset,
     SkillSegment,
-    collate,
+    end_at_waypoints,
     find_segments,
+    relabelled,
     split_segments,
+    steps_of,
 )
-from freerein_imitation.training.skills import (
-    TERMINATION_THRESHOLD,
-    SkillsConfig,
-    SkillsLearner,
-    encode,
-    network_spec,
-)
+from freerein_imitation.training.skill_waypoints import Waypoints
+from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
 
 SKILLS = ("to-red", "to-blue")
 MORE_SKILLS = ("wave", *SKILLS, "jump")
@@ -36,17 +31,7 @@ HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
 CPU = torch.device("cpu")
 CAMERAS = (Camera("front", 8, SIDE, 3),)
 ACTION = ActionSpec(1, 0, ("right",))
-FAST = SkillsConfig(
-    steps=250,
-    batch_size=8,
-    lr=5e-3,
-    min_segment_steps=2,
-    start_jitter=1,
-    features=15,
-    hidden_size=32,
-    recurrent_size=16,
-    evaluate_every=125,
-)
+FAST = SkillsConfig(steps=1200, batch_size=32, lr=5e-3, min_segment_steps=2, hidden_size=32, evaluate_every=400)
 
 
 def picture(hand: float, red: float, blue: float) -> npt.NDArray[np.uint8]:
@@ -128,6 +113,27 @@ def test_recipes_never_demonstrated_are_executed(policy: SkillsPolicy) -> None:
         assert abs(hand - goal) < 1.5
 
 
+def test_the_hand_is_found_by_its_own_motion_alone() -> None:
+    cloned = learner(replace(FAST, steps=6000))  # 420 of them for the hand
+    state, rng = cloned.init(torch.Generator().manual_seed(0)), np.random.default_rng(0)
+    for _ in range(400):
+        state, _ = cloned.update(state, rng.integers(0, cloned.size, 32))
+    columns = np.linspace(2, SIDE - 3, 12)
+    frames = torch.from_numpy(np.stack([picture(column, 6.0, 17.0) for column in columns]))
+    with torch.inference_mode():
+        places = state.network.hand(state.network.pixels({"front": frames}))[:, 0].numpy()
+    assert np.abs(np.polyval(np.polyfit(places, columns, 1), places) - columns).max() < 1.5  # pixels, of 24
+
+
+def test_where_an_object_goes_is_chosen_once(policy: SkillsPolicy) -> None:
+    goal, nothing = policy.encode_goals(["to-red"]), np.zeros((1, 1), np.float32)
+    start = np.zeros((1, policy.spec.recurrent_size), np.float32)
+    chosen = policy.step({"front": picture(20.0, 5.0, 17.0)[None]}, goal, nothing, start).recurrent
+    elsewhere = {"front": picture(3.0, 9.0, 17.0)[None]}
+    np.testing.assert_array_equal(policy.step(elsewhere, goal, nothing, chosen).recurrent, chosen)
+    assert not np.allclose(policy.step(elsewhere, goal, nothing, start).recurrent, chosen, atol=0.05)
+
+
 def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_low_ones(policy: SkillsPolicy) -> None:
     demonstrations, labels = demonstrate(60, seed=1)
     told: list[float] = []
@@ -148,55 +154,28 @@ def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_lo
     assert policy.step(noise, policy.encode_goals(["to-red"] * 100), *start).in_distribution.max() < 0.05
 
 
-@pytest.mark.parametrize("encoder", ["spatial", "convolutional"])
-def test_skills_are_learned_by_an_encoder_that_is_trained_with_them(encoder: str, tmp_path: Path) -> None:
-    demonstrations, labels = demonstrate(12, seed=0)
-    config = replace(FAST, encoder=encoder, features=16, steps=60, lr=3e-3, evaluate_every=60)
-    cloned = prepare(demonstrations, labels, config=config)
-    before = cloned.init(torch.Generator().manual_seed(0))
-    fitted = fit(cloned, tmp_path)
-    assert fitted is not None
-    assert fitted.network.attention is None
-    assert fitted.validation_loss < 0.8 * cloned.evaluate(before)
-    assert not torch.equal(*(next(each.encoder.parameters()) for each in (fitted.network, before.network)))
-
-
-def test_a_frozen_encoder_keeps_the_weights_that_made_the_features(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SpatialEncoder, "is_trained", False)
-    demonstrations, labels = demonstrate(6, seed=0)
-    cloned = prepare(demonstrations, labels, config=replace(FAST, encoder="spatial", features=16))
-    state, _ = cloned.update(cloned.init(torch.Generator().manual_seed(0)), np.arange(4))
-    assert cloned.training.features is not None
-    assert torch.equal(encode(state.network.encoder, demonstrations, [0])[0], cloned.training.features[0])
-
-
-@pytest.mark.parametrize("encoder", ["colour_codebook", "spatial"])
-def test_two_cameras_of_different_sizes_are_both_learned_from(encoder: str) -> None:
-    demonstrations, labels = demonstrate(6, seed=0)
-    front = [demonstrations.frames["front"][item] for item in range(6)]
-    wrist = [each[:, ::2, :16, :1] for each in front]
-    cameras = (*CAMERAS, Camera("wrist", 4, 16, 1))
-    both = Trajectories({"front": front, "wrist": wrist}, demonstrations.actions)
-    cloned = prepare(both, labels, config=replace(FAST, encoder=encoder, features=17), cameras=cameras)
-    state, figures = cloned.update(cloned.init(torch.Generator().manual_seed(0)), np.arange(4))
-    assert np.isfinite(list(figures.values())).all()
-    assert np.isfinite(cloned.evaluate(state))
-    policy = SkillsPolicy(state.network, ControlSpec(0.1, 0.5, 30))
-    previous, recurrent = np.zeros((2, 1), np.float32), np.zeros((2, policy.spec.recurrent_size), np.float32)
-    frames, goals = {"front": front[0][:2], "wrist": wrist[0][:2]}, policy.encode_goals(["to-red", "to-blue"])
-    for camera, seen in frames.items():
-        steps = [policy.step(each, goals, previous, recurrent) for each in (frames, frames | {camera: 255 - seen})]
-        assert not np.allclose(steps[0].actions, steps[1].actions)
-
-
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
-        config = replace(FAST, steps=3, seed=seed)
-        fitted = fit(learner(config), tmp_path / name)
+        fitted = fit(learner(replace(FAST, steps=8, seed=seed)), tmp_path / name)
         assert fitted is not None
         return weights.sha256(fitted.network)
 
     assert digest("first", 0) == digest("again", 0) != digest("other", 1)
+
+
+def test_each_part_of_a_fit_trains_its_own_layers() -> None:
+    cloned = learner(replace(FAST, steps=100))
+    state = cloned.init(torch.Generator().manual_seed(0))
+    changed = []
+    for step in (0, 7, 13):
+        before = {name: each.clone() for name, each in state.network.state_dict().items()}
+        state, _ = cloned.update(replace(state, step=step), np.arange(32))
+        changed.append(
+            {name.split(".")[0] for name, each in state.network.state_dict().items() if (each != before[name]).any()}
+        )
+    assert changed[:2] == [{"hand"}, {"maps"}]
+    assert not changed[2] & {"hand", "maps"}
+    assert {"input_layer", "waypoint_head", "termination_head"} <= changed[2]
 
 
 def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
@@ -208,57 +187,82 @@ def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
     ]
 
 
-def segments(*items: SkillSegment) -> SegmentDataset:
-    """Returns segments of one trajectory of 6 timesteps in which action t is t / 10."""
-    actions = np.arange(6, dtype=np.float32)[:, None] / 10
-    frames = np.arange(6, dtype=np.uint8)[:, None, None, None]
-    return SegmentDataset(items, Trajectories({"front": [frames]}, [actions]), {0: torch.arange(6.0)[:, None]})
+# Two skills of a hand, right and gripper by timestep: it goes right, closes, goes left, opens and retreats.
+HANDLING = np.repeat(
+    np.array([[1, 0], [0, -1], [-1, 0], [0, 1], [1, 0], [-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]], np.float32),
+    [4, 2, 4, 2, 3, 5, 2, 4, 2, 3],
+    axis=0,
+)
+GRIPPER = (False, True)
 
 
-def test_a_segment_is_followed_by_timesteps_that_only_the_end_head_learns_from() -> None:
-    some = segments(SkillSegment(0, 1, 4, 1), SkillSegment(0, 4, 6, 0))
-    batch = collate(some, some.segments, [2, 4], steps_after=1, device=CPU)
-    assert batch.skills.tolist() == [1, 0]
-    assert isinstance(batch.images, torch.Tensor)
-    assert (batch.images[:, 0].tolist(), batch.lengths) == ([2, 3, 4, 4, 5], [3, 2])
-    assert batch.previous[0, :, 0].tolist() == pytest.approx([0.1, 0.2, 0.3])
-    assert batch.actions[0, :, 0].tolist() == pytest.approx([0.2, 0.3, 0.4])
-    assert batch.inside.tolist() == [[True, True, False], [True, True, False]]
-    assert batch.terminates.tolist() == [[False, True, True], [False, True, False]]
+def handled(labelled_stop: int) -> tuple[list[SkillSegment], Trajectories, list[Waypoints]]:
+    """Returns the segments of both skills, the first labelled up to some timestep; truly it ends at 15."""
+    frames = np.zeros((len(HANDLING), 4, 4, 1), np.uint8)
+    trajectories = Trajectories({"front": [frames]}, [HANDLING])
+    segments = [SkillSegment(0, 0, labelled_stop, 0), SkillSegment(0, labelled_stop, len(HANDLING), 1)]
+    return segments, trajectories, [Waypoints.of(HANDLING)]
 
 
-def test_before_the_first_timestep_nothing_was_executed() -> None:
-    some = segments(SkillSegment(0, 0, 3, 0))
-    assert collate(some, some.segments, [0], steps_after=0, device=CPU).previous[0, 0].tolist() == [0]
-    chosen = Trajectories(some.trajectories.frames, [np.arange(6)[:, None]])
-    discrete = SegmentDataset(some.segments, chosen, some.features)
-    assert collate(discrete, some.segments, [0], steps_after=0, device=CPU).previous[0, :, 0].tolist() == [-1, 0, 1]
+@pytest.mark.parametrize("labelled_stop", [13, 15, 18])
+def test_a_skill_ends_at_the_waypoint_after_its_release_whatever_its_label_says(labelled_stop: int) -> None:
+    segments, trajectories, waypoints = handled(labelled_stop)
+    exact = end_at_waypoints(segments, trajectories, waypoints, is_gripper=GRIPPER)
+    assert [(each.start, each.stop) for each in exact] == [(0, 15), (15, 31)]
+    untouched = end_at_waypoints(segments, trajectories, waypoints, is_gripper=(False, False))
+    assert untouched == segments
+
+
+def test_an_object_is_where_the_hand_grasps_carries_and_has_released_it() -> None:
+    segments, trajectories, waypoints = handled(15)
+    steps = steps_of(segments[:1], trajectories, waypoints, is_gripper=GRIPPER, steps_after=2)
+    assert steps.object_at.tolist() == [5] * 6 + [6, 7, 8, 9] + [10] * 7
+    assert steps.place_at.tolist() == [10] * 17
+    assert steps.is_inside.tolist() == [True] * 15 + [False] * 2
+    assert steps.terminates.tolist() == [False] * 14 + [True] * 3
+    assert steps.previous[:3, 0].tolist() == [0, 1, 1]
+    without = steps_of(segments[:1], trajectories, waypoints, is_gripper=(False, False), steps_after=0)
+    assert without.object_at.tolist() == without.place_at.tolist() == [14] * 15
+
+
+def test_waypoints_are_where_a_path_turns_without_noise_or_pauses() -> None:
+    rng = np.random.default_rng(0)
+    straight = np.repeat([[0.8, 0.0], [0.0, 0.0], [0.0, 0.8]], [6, 3, 5], axis=0)
+    noisy = (straight + 0.03 * rng.standard_normal(straight.shape)).astype(np.float32)
+    found = Waypoints.of(noisy)
+    np.testing.assert_allclose(found.displacement[0], [4.8, 0], atol=0.3)
+    np.testing.assert_allclose(found.displacement[3], [2.4, 0], atol=0.3)
+    for pause in (6, 7, 8):
+        np.testing.assert_allclose(found.displacement[pause], [0, 4], atol=0.3)
+    assert len(found.timesteps) <= 4
 
 
 def test_whole_trajectories_are_for_validation() -> None:
-    demonstrations, labels = demonstrate(20, seed=0)
-    found = SegmentDataset(find_segments(labels, min_steps=1), demonstrations)
+    found = find_segments(demonstrate(20, seed=0)[1], min_steps=1)
     training, validation = split_segments(found, fraction=0.2, seed=0)
-    parts = [{item.trajectory for item in part.segments} for part in (training, validation)]
+    parts = [{item.trajectory for item in part} for part in (training, validation)]
     assert (len(parts[0]), len(parts[1]), parts[0] & parts[1]) == (16, 4, set())
     with pytest.raises(InvalidInput, match="at least 2 trajectories"):
-        split_segments(segments(SkillSegment(0, 0, 3, 0)), fraction=0.2, seed=0)
+        split_segments([SkillSegment(0, 0, 3, 0)], fraction=0.2, seed=0)
+    assert relabelled([SkillSegment(0, 0, 3, 4), SkillSegment(0, 3, 6, 1)], [1, 4])[0].skill == 1
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_only_skills_that_were_learned_are_offered(seed: int) -> None:
     demonstrations, labels = demonstrate(6, seed=0)
     told = [each + 1 for each in labels]  # "wave" is never shown
-    held_out = set(range(6)) - {
+    shown = {
         item.trajectory
-        for item in prepare(demonstrations, told, config=replace(FAST, seed=seed), skills=MORE_SKILLS).training.segments
+        for item in prepare(demonstrations, told, config=replace(FAST, seed=seed), skills=MORE_SKILLS).segments
     }
-    told[held_out.pop()][:6] = 3  # "jump" is shown once, by the trajectory that is held out
+    told[(set(range(6)) - shown).pop()][:6] = 3  # "jump" is shown once, by the trajectory that is held out
     cloned = prepare(demonstrations, told, config=replace(FAST, seed=seed), skills=MORE_SKILLS)
     assert cloned.spec.skills == SKILLS
-    for part in (cloned.training, cloned.validation):
-        assert part.segments
-        assert all(set(told[item.trajectory][item.start : item.stop]) == {item.skill + 1} for item in part.segments)
+    for steps in (cloned.training, cloned.validation):
+        assert len(steps)
+        inside = steps[steps.is_inside]
+        for item, timestep, skill in zip(inside.trajectory, inside.timestep, inside.skill, strict=True):
+            assert told[item][timestep] == skill + 1
 
 
 def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by() -> None:
@@ -268,18 +272,16 @@ def test_skills_held_out_that_nobody_else_shows_are_nothing_to_choose_weights_by
         prepare(demonstrations, told, skills=MORE_SKILLS)
 
 
-def test_discrete_actions_are_learned_too() -> None:
+def test_several_cameras_and_discrete_actions_are_refused() -> None:
     demonstrations, labels = demonstrate(6, seed=0)
-    moves = Trajectories(demonstrations.frames, [np.sign(done).astype(np.int64) + 1 for done in demonstrations.actions])
-    discrete = prepare(moves, labels, action=ActionSpec(1, 3, ("left", "hold", "right")))
-    state, figures = discrete.update(discrete.init(torch.Generator().manual_seed(0)), np.arange(4))
-    assert state.step == 1
-    assert np.isfinite(list(figures.values())).all()
-    assert np.isfinite(discrete.evaluate(state))
+    with pytest.raises(InvalidInput, match="1 camera; got 2"):
+        prepare(demonstrations, labels, cameras=(*CAMERAS, Camera("wrist", 4, 16, 1)))
+    with pytest.raises(InvalidInput, match="3 discrete choices"):
+        prepare(demonstrations, labels, action=ActionSpec(1, 3, ("left", "hold", "right")))
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
-    assert SkillsConfig.from_mapping({"steps": 20.0, "encoder": "spatial"}) == SkillsConfig(steps=20, encoder="spatial")
-    for wrong in ({"labels": True}, {"steps": 0}, {"encoder": "eye"}, {"random_start_fraction": 1.5}):
+    assert SkillsConfig.from_mapping({"steps": 20.0, "hidden_size": 64}) == SkillsConfig(steps=20, hidden_size=64)
+    for wrong in ({"labels": True}, {"steps": 0}, {"encoder": "spatial"}, {"termination_weight": -1}):
         with pytest.raises(InvalidInput):
             SkillsConfig.from_mapping(wrong)

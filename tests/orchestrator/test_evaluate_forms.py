@@ -1,5 +1,6 @@
 """The forms of runs of kind `evaluate`, with real services and shipped models."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -151,8 +152,11 @@ def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by
 def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"policy": "expert"})
     result = finish_after_a_stop(run)
-    check_figures(result, "skills_completed", "skills_lifted")
+    check_figures(result, "skills_completed", "skills_lifted", "whole")
     assert result["figures"]["skills_completed"]["value"] > 0.7
+    rounds = (run.folder / "checkpoints" / "trials.jsonl").read_text().splitlines()
+    completed = [trial["completed"] for each in rounds for trial in json.loads(each)["trials"]]
+    assert result["figures"]["whole"]["value"] == np.mean([all(each) for each in completed])
     assert result["figures"]["skills_completed"]["baseline"] < 0.3
     assert result["counts"] == {"episodes": 2, "skills": 8}
 
@@ -162,7 +166,7 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
 def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"num_envs": 2})
     assert run.do()
-    check_figures(run.artifact("result.json"), "skills_completed", "skills_lifted")
+    check_figures(run.artifact("result.json"), "skills_completed", "skills_lifted", "whole")
     assert run.artifact("result.json")["model"]["name"] == "skills"
 
 

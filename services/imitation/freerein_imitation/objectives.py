@@ -68,3 +68,29 @@ def termination_loss(logits: Tensor, terminates: Tensor, continues: Tensor) -> T
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Returns the mean of the values where the mask is true, 0 where it is true nowhere: float ()."""
     return values.where(mask, 0.0).sum() / mask.sum().clamp(min=1)
+
+
+def relative_error(predicted: Tensor, target: Tensor) -> Tensor:
+    """Returns the mean over the last axis of absolute errors, smaller where the target is far: float (...).
+
+    An error of a target of 2 counts half, and that of a larger one in proportion to it.
+
+    Args:
+        predicted: float (..., D).
+        target: float (..., D).
+    """
+    return ((predicted - target).abs() / (1 + target.abs() / 2)).mean(dim=-1)
+
+
+def heat_map_cross_entropy(logits: Tensor, centres: Tensor, place: Tensor, *, width: Tensor) -> Tensor:
+    """Returns the cross-entropy of a heat map and a Gaussian around a place: float (N,).
+
+    Args:
+        logits: Of cells, float (N, cells).
+        centres: Places of the cells, float (cells, 2).
+        place: float (N, 2).
+        width: Standard deviation along each axis, float (2,).
+    """
+    offsets = (centres - place[:, None]) / width  # (N, cells, 2)
+    target = (-offsets.square().sum(dim=2) / 2).softmax(dim=1)
+    return -(target * logits.log_softmax(dim=1)).sum(dim=1)

@@ -36,7 +36,7 @@ def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNe
     figures = {
         "action_loss": losses.action.item(),
         "termination_loss": losses.termination.item(),
-        "segments": len(learner.training) + len(learner.validation),
+        "segments": len(learner.segments),
     }
     control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, learner.max_steps_per_skill)
     return {

@@ -1,4 +1,8 @@
-"""The skill policies of section 2.4 as one recurrent network that takes a skill, with a termination head."""
+"""The skill policies of section 2.4 as one network that takes a skill, with a termination head.
+
+A skill is seen as pick and place in the frame: where the hand is, where the object is, and where it will be put. The
+policy moves to the next waypoint of demonstrations, and not as they moved at each timestep.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,23 +17,23 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
-from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.config import bounded
+from freerein.learning.encoders import Frames
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.model import action_bins
-from freerein_imitation.model.colour_attention import ColourAttention
-from freerein_imitation.model.policy import (
-    CameraFrames,
-    ControlSpec,
-    LSTMState,
-    PolicyOutput,
-    TorchPolicy,
-    confidence,
-    flat_lstm_state,
-    lstm_state,
-)
+from freerein_imitation.model.keypoints import Hand, ReluLinear, SkillHeatMaps
+from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
+
+GRIPPER = "gripper"
+"""In the name of an action's number that opens and closes a gripper."""
+
+_CROP_FEATURES = 64
+_CONTEXT, _CONTEXT_FEATURES = 8, 24
+_OFFSET_GAIN = 5.0
+_PLACES = 8  # numbers: two offsets and two places
+_STATE = 3  # x and y of the chosen place, and 1 once it is chosen
+_SPEED_QUANTILE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,101 +42,129 @@ class SkillsSpec(InputSpec):
 
     Attributes:
         skills: Names of the skills.
-        encoder: Image encoder.
-        features: Image features per camera.
         hidden_size: Units of the hidden layers.
-        recurrent_size: Units of the LSTM.
 
     Raises:
-        InvalidInput: There are no skills, or cameras or actions are out of bounds.
+        InvalidInput: There are no skills, there is more than one camera, or actions are discrete or out of bounds.
     """
 
     skills: tuple[str, ...]
-    encoder: str = one_of(ENCODERS, "colour_codebook")
-    features: int = bounded(160, least=8, most=1280)
-    hidden_size: int = bounded(128, least=8, most=1024)
-    recurrent_size: int = bounded(64, least=8, most=1024)
+    hidden_size: int = bounded(192, least=8, most=1024)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.skills:
             raise InvalidInput("A policy must have at least 1 skill; got 0.", hint="Label the dataset with skills.")
+        if len(self.cameras) > 1:
+            raise InvalidInput(
+                f"Skill policies see the frames of 1 camera; got {len(self.cameras)}.",
+                field="config.cameras",
+                hint="Name the one that sees hand and objects best.",
+            )
+        if self.action.choices:
+            raise InvalidInput(
+                f"Skill policies need actions that displace a hand; got {self.action.choices} discrete choices.",
+                field="dataset",
+                hint="Record continuous actions.",
+            )
+
+    @property
+    def is_gripper(self) -> tuple[bool, ...]:
+        """Which numbers of an action move a gripper's fingers, and not the hand."""
+        return tuple(GRIPPER in name for name in self.action.names)
 
 
 class SkillsNetwork(nn.Module):
-    """pi(a_t | x_1..x_t, a_{t-1}, skill), and the probability that the skill terminates at x_t.
+    """Hand keypoint, heat maps of a skill, and the next waypoint given both.
 
     Args:
         spec: Inputs, outputs and sizes.
 
     Attributes:
-        attention: Of skills over colours; None where features are no colour moments.
+        hand: The hand's place and its gripper.
+        maps: Places of the object, and where the skill will put it.
     """
 
-    feature_mean: Tensor
-    feature_std: Tensor
+    mean_image: Tensor
+    pixel_std: Tensor
+    speed: Tensor
 
     def __init__(self, spec: SkillsSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
-        size, cameras, skills = self.encoder.size, len(spec.cameras), len(spec.skills)
-        moments = self.encoder.has_colour_moments
-        self.attention = ColourAttention(cameras=cameras, features=spec.features, skills=skills) if moments else None
-        attended = self.attention.size if self.attention else 0
-        self.input_layer = nn.Linear(size + attended + spec.encoded_action_size + skills, spec.hidden_size)
-        self.hidden_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
-        self.lstm = nn.LSTM(spec.hidden_size, spec.recurrent_size, batch_first=True)
-        self.trunk = nn.Linear(spec.recurrent_size + spec.hidden_size, spec.hidden_size)
-        self.action_layer = nn.Linear(spec.hidden_size, spec.hidden_size)
-        self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
+        (camera,) = spec.cameras
+        size = spec.action.size
+        self.hand = Hand(camera, is_gripper=spec.is_gripper)
+        self.maps = SkillHeatMaps(camera, skills=len(spec.skills))
+        known = _PLACES + self.hand.openings
+        self.crop_layer = ReluLinear(self.hand.crop_size, _CROP_FEATURES)
+        self.context_layer = ReluLinear(_CONTEXT * _CONTEXT * camera.channels, _CONTEXT_FEATURES)
+        self.input_layer = ReluLinear(_CROP_FEATURES + _CONTEXT_FEATURES + known + size, spec.hidden_size)
+        self.hidden1 = ReluLinear(spec.hidden_size, spec.hidden_size)
+        self.hidden2 = ReluLinear(spec.hidden_size, spec.hidden_size)
+        self.waypoint_head = nn.Linear(spec.hidden_size, size)
+        self.direct = nn.Linear(known, size)
         self.termination_head = nn.Linear(spec.hidden_size, 1)
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
-        self.register_buffer("feature_mean", torch.zeros(size))
-        self.register_buffer("feature_std", torch.ones(size))
+        self.register_buffer("mean_image", torch.zeros(camera.channels, camera.height, camera.width))
+        self.register_buffer("pixel_std", torch.ones(()))
+        self.register_buffer("speed", torch.ones(()))
 
     @torch.no_grad()
-    def fit_feature_normalisation(self, features: Tensor, *, generator: torch.Generator) -> None:
-        """Sets mean and deviation of a frozen encoder's features, float32 (N, D), and draws attention weights."""
-        self.feature_mean.copy_(features.mean(dim=0))
-        self.feature_std.copy_(features.std(dim=0) + 0.01)
-        if self.attention is not None:
-            self.attention.draw(generator)
-
-    def forward(
-        self, features: Tensor, skill: Tensor, previous: Tensor, state: LSTMState | None = None
-    ) -> tuple[Tensor, Tensor, LSTMState]:
-        """Returns actions, termination logits, and the LSTM state after the last timestep.
+    def fit_normalisation(self, frames: Frames, actions: Tensor) -> None:
+        """Sets mean image and deviation of pixels, and the speed of the hand.
 
         Args:
-            features: Image features, float32 (B, T, D), from `encoder`.
-            skill: One-hot, float32 (B, skills).
-            previous: a_{t-1}, float32 (B, T, A), zeros for no action, or int64 (B, T, 1), -1 for no action.
-            state: LSTM state before the first timestep; None at the start of a skill.
-
-        Returns:
-            Actions, float32 (B, T, A), not clipped, or logits of discrete ones, (B, T, 1, choices); termination
-            logits, float32 (B, T); the LSTM state.
+            frames: Some training frames, uint8 (N, H, W, C).
+            actions: Executed ones, float32 (M, A).
         """
-        skills = skill[:, None].expand(-1, features.shape[1], -1)  # (B, T, skills)
-        attended = [self.attention(features, skills)] if self.attention is not None else []
-        normalised = (features - self.feature_mean) / self.feature_std  # (B, T, D)
-        inputs = torch.cat([normalised, *attended, self._previous(previous), skills], dim=2)
-        hidden = functional.relu(self.hidden_layer(functional.relu(self.input_layer(inputs))))  # (B, T, hidden_size)
-        recurrent, state = self.lstm(hidden, state)  # (B, T, recurrent_size)
-        trunk = functional.relu(self.trunk(torch.cat([recurrent, hidden], dim=2)))  # (B, T, hidden_size)
-        action = self.action_head(functional.relu(self.action_layer(trunk)))  # (B, T, A or choices)
-        terminations = self.termination_head(trunk)[..., 0]  # (B, T)
-        return action[:, :, None] if self.spec.action.choices else action, terminations, state
+        (only,) = frames.values()
+        pixels = only.permute(0, 3, 1, 2).float()
+        self.mean_image.copy_(pixels.mean(dim=0))
+        self.pixel_std.copy_((pixels - self.mean_image).std().clamp(min=1.0))
+        moves = actions[:, ~self._is_gripper()].abs()
+        if moves.numel():
+            self.speed.copy_(torch.quantile(moves.amax(dim=1)[:: 1 + len(moves) // 100_000], _SPEED_QUANTILE))
 
-    def _previous(self, previous: Tensor) -> Tensor:
-        if self.spec.action.choices:
-            return action_bins.encode(previous, choices=self.spec.action.choices).flatten(2)  # (B, T, choices)
-        return previous
+    def pixels(self, frames: Frames) -> Tensor:
+        """Returns normalised pixels, float32 (N, C, H, W), of frames uint8 (N, H, W, C) of the one camera."""
+        (only,) = frames.values()
+        return (only.permute(0, 3, 1, 2).float() - self.mean_image) / self.pixel_std
+
+    def forward(
+        self, pixels: Tensor, hand: Tensor, target: Tensor, place: Tensor, previous: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Returns the displacement to the next waypoint, in actions, float32 (N, A), and termination logits (N,).
+
+        Args:
+            pixels: float32 (N, C, H, W).
+            hand: Place of the hand, float32 (N, 2).
+            target: Place of the object, float32 (N, 2).
+            place: Where the skill will put it, float32 (N, 2).
+            previous: a_{t-1}, float32 (N, A); zeros for none.
+        """
+        crop, context = self.hand.crop(pixels, hand), functional.adaptive_avg_pool2d(pixels, _CONTEXT).flatten(1)
+        offsets = _OFFSET_GAIN * torch.cat([target - hand, place - hand], dim=1)
+        known = torch.cat([offsets, 2 * hand, 2 * target, self.hand.opening(crop).detach()], dim=1)
+        features = [functional.relu(self.crop_layer(crop)), functional.relu(self.context_layer(context))]
+        x = functional.relu(self.input_layer(torch.cat([*features, known, previous], dim=1)))
+        x = functional.relu(self.hidden1(x))
+        x = x + functional.relu(self.hidden2(x))
+        return self.waypoint_head(x) + self.direct(known), self.termination_head(x)[:, 0]
+
+    def actions(self, displacement: Tensor) -> Tensor:
+        """Returns the actions towards waypoints, float32 (N, A) in [-1, 1]: straight, and no faster than shown."""
+        gripper = self._is_gripper()
+        moves = displacement.masked_fill(gripper, 0.0)
+        furthest = moves.abs().amax(dim=1, keepdim=True).clamp(min=1e-6)
+        return torch.where(gripper, displacement, moves * (self.speed / furthest).clamp(max=1)).clamp(-1, 1)
+
+    def _is_gripper(self) -> Tensor:
+        return torch.tensor(self.spec.is_gripper, device=self.speed.device)
 
 
 class SkillsPolicy(TorchPolicy[SkillsNetwork]):
-    """Executes skills by name.
+    """Executes skills by name. Where a skill puts its object is chosen when it begins, and kept as recurrent state.
 
     Args:
         network: Trained.
@@ -141,8 +173,7 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
 
     def __init__(self, network: SkillsNetwork, control: ControlSpec) -> None:
         spec = network.spec
-        size = 2 * spec.recurrent_size
-        super().__init__(network, spec, control, goal_form="recipe", skills=spec.skills, recurrent_size=size)
+        super().__init__(network, spec, control, goal_form="recipe", skills=spec.skills, recurrent_size=_STATE)
 
     @classmethod
     def load(cls, folder: Path, device: str) -> "SkillsPolicy":
@@ -175,18 +206,18 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
         recurrent: npt.NDArray[np.float32],
     ) -> PolicyOutput:
         """Returns the output for B observations; arguments as in `Policy.step`."""
-        seen, score = self._tensors(frames), self._network.in_distribution
-        actions, termination, state = self._network(
-            self._network.encoder(seen)[:, None],
-            self._tensor(goals),
-            self._tensor(previous)[:, None],
-            lstm_state(self._tensor(recurrent)),
+        network, seen, state = self._network, self._tensors(frames), self._tensor(recurrent)
+        pixels = network.pixels(seen)
+        targets, places = network.maps(pixels, self._tensor(goals))
+        cells, is_chosen = network.maps.cells, state[:, 2:] > 0
+        place = torch.where(is_chosen, state[:, :2], cells.likeliest_place(places))
+        displacement, termination = network(
+            pixels, network.hand(pixels), cells.mode(targets), place, self._tensor(previous)
         )
-        reached = termination[:, 0].sigmoid()
-        chosen = actions.argmax(dim=3) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, 1, A)
+        reached, score = termination.sigmoid(), network.in_distribution
         return PolicyOutput(
-            actions=chosen.cpu().numpy(),
+            actions=network.actions(displacement)[:, None].cpu().numpy(),
             reached=reached.cpu().numpy(),
-            recurrent=flat_lstm_state(state).cpu().numpy(),
+            recurrent=torch.cat([place, torch.ones_like(place[:, :1])], dim=1).cpu().numpy(),
             in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
         )

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.trajectories import Trajectories
-from freerein_imitation.training.skill_segments import SegmentDataset
 
 _ENCODE_BATCH = 256
 
@@ -40,16 +39,6 @@ def trajectory_statistics(trajectories: Trajectories) -> Tensor:
     """Returns image statistics of every frame, trajectory after trajectory, float32 (N, D)."""
     items = range(len(trajectories))
     return torch.cat([_statistics({name: each[item] for name, each in trajectories.frames.items()}) for item in items])
-
-
-def segment_statistics(dataset: SegmentDataset) -> Tensor:
-    """Returns image statistics of every timestep of the segments, one after the other, float32 (N, D)."""
-    frames = dataset.trajectories.frames.items()
-    parts = [
-        _statistics({name: each[segment.trajectory][segment.start : segment.stop] for name, each in frames})
-        for segment in dataset.segments
-    ]
-    return torch.cat(parts)
 
 
 def _statistics(frames: Mapping[str, npt.NDArray[np.uint8]]) -> Tensor:

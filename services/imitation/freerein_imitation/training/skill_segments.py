@@ -1,20 +1,22 @@
-"""Training data of skill policies: segments of demonstrations with one predicted skill label."""
+"""Training data of skill policies: timesteps of demonstrations' segments with one predicted skill label."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
-from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
-from freerein.learning.encoders import Frames
 from freerein.learning.split import train_validation_split
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation.training.previous_actions import previous_actions
+from freerein_imitation.training.skill_waypoints import Waypoints, find_handling
+
+_LABEL_ERROR = 12  # timesteps, at most, by which a label's end is off
+
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -34,40 +36,7 @@ class SkillSegment:
     skill: int
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentDataset:
-    """Segments, and the demonstrations that they are parts of.
-
-    Attributes:
-        segments: The segments.
-        trajectories: The demonstrations.
-        features: By trajectory, image features of each frame, float32 (T, D); None where the encoder is trained, so
-            that batches hold frames.
-    """
-
-    segments: Sequence[SkillSegment]
-    trajectories: Trajectories
-    features: Mapping[int, Tensor] | None = None
-
-    def __len__(self) -> int:
-        return len(self.segments)
-
-    def lengths(self) -> npt.NDArray[np.int64]:
-        """Returns the timesteps of each segment, int64 (n,)."""
-        return np.array([each.stop - each.start for each in self.segments], np.int64)
-
-    @property
-    def shown(self) -> list[int]:
-        """Trajectories that the segments are of, ascending."""
-        return sorted({each.trajectory for each in self.segments})
-
-    def only(self, skills: Sequence[int]) -> "SegmentDataset":
-        """Returns the segments of some skills, relabelled by their indices in `skills`."""
-        kept = [replace(each, skill=skills.index(each.skill)) for each in self.segments if each.skill in skills]
-        return replace(self, segments=kept)
-
-
-def find_segments(labels: Sequence[npt.NDArray[np.int64]], *, min_steps: int) -> list[SkillSegment]:
+def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegment]:
     """Returns the runs of equal labels that are long enough.
 
     Args:
@@ -85,13 +54,15 @@ def find_segments(labels: Sequence[npt.NDArray[np.int64]], *, min_steps: int) ->
     return found
 
 
-def split_segments(dataset: SegmentDataset, *, fraction: float, seed: int) -> tuple[SegmentDataset, SegmentDataset]:
+def split_segments(
+    segments: Sequence[SkillSegment], *, fraction: float, seed: int
+) -> tuple[list[SkillSegment], list[SkillSegment]]:
     """Returns training and validation segments; `fraction` of the trajectories are for validation.
 
     Raises:
         InvalidInput: The segments are of fewer than 2 trajectories.
     """
-    trajectories = sorted({each.trajectory for each in dataset.segments})
+    trajectories = sorted({each.trajectory for each in segments})
     if len(trajectories) < 2:
         raise InvalidInput(
             f"A fit needs segments of at least 2 trajectories, one of them for validation; got {len(trajectories)}.",
@@ -99,78 +70,124 @@ def split_segments(dataset: SegmentDataset, *, fraction: float, seed: int) -> tu
             hint="Record more demonstrations, and label them.",
         )
     sides = [set(side) for side in train_validation_split(trajectories, fraction=fraction, seed=seed)]
-    training, validation = (
-        replace(dataset, segments=[each for each in dataset.segments if each.trajectory in side]) for side in sides
-    )
+    training, validation = ([each for each in segments if each.trajectory in side] for side in sides)
     return training, validation
 
 
+def relabelled(segments: Sequence[SkillSegment], skills: Sequence[int]) -> list[SkillSegment]:
+    """Returns the segments of some skills, labelled by their indices in `skills`."""
+    return [replace(each, skill=skills.index(each.skill)) for each in segments if each.skill in skills]
+
+
 @dataclass(frozen=True, eq=False)
-class SegmentBatch:
-    """Segments, padded to the longest, each with some timesteps after its end.
+class SkillSteps:
+    """Timesteps of segments, and of the few after each, in which its skill has terminated.
 
     Attributes:
-        images: Features of N observed timesteps, float32 (N, D), or their frames by camera, uint8 (N, H, W, C);
-            segment after segment, without padding.
-        lengths: Observed timesteps of each segment, with sum N.
-        skills: Indices of skills, int64 (B,).
-        previous: Executed before each timestep, float32 (B, T, A), or int64 (B, T, 1) with -1 for no action.
-        actions: Executed after it, as `previous`.
-        inside: Timesteps of the segment, bool (B, T).
-        terminates: Timesteps in which the skill terminates, bool (B, T).
+        trajectory: Index of the trajectory, int64 (N,).
+        timestep: int64 (N,).
+        skill: Index of the skill, int64 (N,).
+        previous: Executed before it, float32 (N, A).
+        displacement: To the next waypoint, float32 (N, A).
+        is_inside: Whether the timestep is in the segment, bool (N,).
+        terminates: Whether the skill terminates, or has terminated, bool (N,).
+        object_at: Timestep at which the hand was, or is, where the object is, int64 (N,).
+        place_at: Timestep at which the hand released the object, int64 (N,).
     """
 
-    images: Tensor | Frames
-    lengths: list[int]
-    skills: Tensor
-    previous: Tensor
-    actions: Tensor
-    inside: Tensor
-    terminates: Tensor
+    trajectory: Ints
+    timestep: Ints
+    skill: Ints
+    previous: npt.NDArray[np.float32]
+    displacement: npt.NDArray[np.float32]
+    is_inside: Flags
+    terminates: Flags
+    object_at: Ints
+    place_at: Ints
+
+    def __len__(self) -> int:
+        return len(self.timestep)
+
+    def __getitem__(self, items: Ints | slice | Flags) -> "SkillSteps":
+        """Returns some of the timesteps."""
+        return SkillSteps(**{each.name: getattr(self, each.name)[items] for each in fields(self)})
 
 
-def collate(
-    dataset: SegmentDataset,
+def end_at_waypoints(
     segments: Sequence[SkillSegment],
-    starts: Sequence[int],
+    trajectories: Trajectories,
+    waypoints: Sequence[Waypoints],
     *,
-    steps_after: int,
-    device: torch.device,
-) -> SegmentBatch:
-    """Returns a batch of segments.
+    is_gripper: Sequence[bool],
+) -> list[SkillSegment]:
+    """Returns segments with exact bounds, where labels are off by a few timesteps.
+
+    A skill that releases an object ends at the next waypoint, and what follows begins there. Others keep their bounds.
 
     Args:
-        dataset: Dataset of the segments.
-        segments: Segments of the batch.
-        starts: First timestep of each in the batch, which may differ from its labelled start.
-        steps_after: Timesteps after each segment, where the trajectory has them.
-        device: Device of the tensors.
+        segments: The segments of each trajectory, in order.
+        trajectories: The demonstrations.
+        waypoints: Of each trajectory.
+        is_gripper: For each number of an action, whether it is a gripper's.
     """
-    places = [
-        (each.trajectory, slice(start, each.stop + steps_after)) for each, start in zip(segments, starts, strict=True)
+    moved: dict[tuple[int, int], int] = {}
+    for each in segments:
+        executed = np.asarray(trajectories.actions[each.trajectory][each.start : each.stop], np.float32)
+        handling = find_handling(executed, is_gripper)
+        if handling is not None:
+            reached = waypoints[each.trajectory].timesteps
+            ends = reached[(reached > each.start + handling.end) & (np.abs(reached - each.stop) <= _LABEL_ERROR)]
+            moved[each.trajectory, each.stop] = int(ends[0]) if len(ends) else each.stop
+    exact = [
+        replace(
+            each,
+            start=moved.get((each.trajectory, each.start), each.start),
+            stop=moved.get((each.trajectory, each.stop), each.stop),
+        )
+        for each in segments
     ]
-    actions = [torch.tensor(dataset.trajectories.actions[item][at]) for item, at in places]
-    previous = [torch.tensor(previous_actions(dataset.trajectories.actions[item])[at]) for item, at in places]
-    lengths = [len(each) for each in actions]
-    time = torch.arange(max(lengths))
-    observed = time < torch.tensor(lengths)[:, None]  # (B, T)
-    left = torch.tensor([each.stop - start for each, start in zip(segments, starts, strict=True)])[:, None]  # (B, 1)
-    return SegmentBatch(
-        images=_images(dataset, places, device),
-        lengths=lengths,
-        skills=torch.tensor([each.skill for each in segments], device=device),
-        previous=pad_sequence(previous, batch_first=True).to(device),
-        actions=pad_sequence(actions, batch_first=True).to(device),
-        inside=(observed & (time < left)).to(device),
-        terminates=(observed & (time >= left - 1)).to(device),
+    return [each for each in exact if each.start < each.stop]
+
+
+def steps_of(
+    segments: Sequence[SkillSegment],
+    trajectories: Trajectories,
+    waypoints: Sequence[Waypoints],
+    *,
+    is_gripper: Sequence[bool],
+    steps_after: int,
+) -> SkillSteps:
+    """Returns the timesteps of segments.
+
+    Args:
+        segments: The segments, at least one.
+        trajectories: The demonstrations that they are parts of.
+        waypoints: Of each trajectory.
+        is_gripper: For each number of an action, whether it is a gripper's.
+        steps_after: Timesteps after each segment, where the trajectory has them.
+    """
+
+    def steps_of_one(segment: SkillSegment) -> SkillSteps:
+        executed = np.asarray(trajectories.actions[segment.trajectory], np.float32)
+        last = segment.stop - 1  # where the object is that is not handled
+        handling = find_handling(executed[segment.start : segment.stop], is_gripper)
+        grasp, release = (
+            (segment.start + handling.grasp, segment.start + handling.release) if handling else (last, last)
+        )
+        timestep = np.arange(segment.start, min(segment.stop + steps_after, len(executed)))  # (n,)
+        return SkillSteps(
+            trajectory=np.full(len(timestep), segment.trajectory),
+            timestep=timestep,
+            skill=np.full(len(timestep), segment.skill),
+            previous=previous_actions(executed)[timestep],
+            displacement=waypoints[segment.trajectory].displacement[timestep],
+            is_inside=timestep < segment.stop,
+            terminates=timestep >= segment.stop - 1,
+            object_at=np.clip(timestep, grasp, release),
+            place_at=np.full(len(timestep), release),
+        )
+
+    parts = [steps_of_one(each) for each in segments]
+    return SkillSteps(
+        **{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(SkillSteps)}
     )
-
-
-def _images(dataset: SegmentDataset, places: Sequence[tuple[int, slice]], device: torch.device) -> Tensor | Frames:
-    """Returns the images of some timesteps as a batch holds them."""
-    if dataset.features is not None:
-        return torch.cat([dataset.features[item][at] for item, at in places]).to(device)
-    return {
-        camera: torch.from_numpy(np.concatenate([arrays[item][at] for item, at in places])).to(device)
-        for camera, arrays in dataset.trajectories.frames.items()
-    }

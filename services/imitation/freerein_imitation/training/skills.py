@@ -1,49 +1,70 @@
-"""Behavioural cloning of skills from frames, executed actions and predicted skill labels."""
+"""Behavioural cloning of skills from frames, executed actions and predicted skill labels.
+
+A fit has three parts, each of which learns from what the one before has found:
+
+1. the hand: a keypoint whose motion, with what changes around it, tells the actions executed between two frames;
+2. heat maps: where the hand was when a skill grasped and released its object is where the object was and was put;
+3. the policy: the next waypoint, and termination, given these places.
+"""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
-from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import spec_of
-from freerein.learning.optimiser import fit_step
+from freerein.learning.optimiser import cosine_lr, optimiser_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
-from freerein_imitation.model import action_bins
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
-from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, segment_statistics
+from freerein_imitation.training.frame_features import sampled_statistics
 from freerein_imitation.training.skill_segments import (
-    SegmentBatch,
-    SegmentDataset,
+    Ints,
     SkillSegment,
-    collate,
+    SkillSteps,
+    end_at_waypoints,
     find_segments,
+    relabelled,
     split_segments,
+    steps_of,
 )
+from freerein_imitation.training.skill_waypoints import Waypoints
 
 State = TrainState[SkillsNetwork]
 
 TERMINATION_THRESHOLD = 0.5
 """Probability from which on a skill has terminated; the loss gives both classes equal weight."""
 
+_HAND_SHARE, _MAPS_SHARE = 0.07, 0.06
+"""Shares of a fit's steps for the hand, and for the heat maps."""
+
 _NORMALISATION_FRAMES = 500
-_LEAST_STEPS_LEFT = 5
 _STEP_LIMIT_FACTOR = 1.5
 _STEP_LIMIT_PERCENTILE = 95
+_EVALUATED_STEPS = 1000
+_FRAMES_AT_ONCE = 256
+_ODOMETRY_BETA = 0.2  # actions; larger errors count linearly
+_PLACE_WEIGHT = 0.5
+_MAP_WIDTH = 0.8  # cells
+_HAND_NOISE, _OBJECT_NOISE, _PLACE_NOISE = 0.004, 0.01, 0.015
+"""Standard deviations of the noise of places that the policy is trained with: errors of frames never seen are larger
+than those of training frames."""
+
+_NO_PREVIOUS = 0.2
+"""Share of timesteps for which the policy is not told the previous action, so that it does not merely repeat it."""
 
 
 @dataclass(frozen=True)
@@ -51,36 +72,22 @@ class SkillsConfig(DatasetFitConfig):
     """Configuration of a fit of skills.
 
     Attributes:
-        encoder: Image encoder. `colour_codebook` finds places from few demonstrations, for a camera that does not move.
         min_segment_steps: Shorter segments are taken for label errors, as in section 2.4.
-        start_jitter: Timesteps by which a segment's start is moved at random, either way.
-        random_start_fraction: Fraction of segments started at a random timestep, so that time alone does not determine
-            the action.
         termination_steps: Timesteps after a segment's last in which the termination target stays 1.
-        random_shift: Largest random horizontal shift of a frame's contents, with the colour codebook only; 1 is half of
-            the frame.
         termination_weight: Weight of the termination loss relative to the action loss.
-        batch_size: Segments per update.
-        features: Image features per camera; the colour codebook has 5 per colour.
+        batch_size: Timesteps per update.
         hidden_size: Units of the hidden layers.
-        recurrent_size: Units of the LSTM.
     """
 
-    encoder: str = one_of(ENCODERS, "colour_codebook")
     min_segment_steps: int = bounded(5, least=1, most=1000)
-    start_jitter: int = bounded(3, least=0, most=1000)
-    random_start_fraction: float = bounded(0.5, least=0.0, most=1.0)
     termination_steps: int = bounded(3, least=0, most=1000)
-    random_shift: float = bounded(0.3, least=0.0, most=1.0)
     termination_weight: float = bounded(0.1, least=0.0, most=100.0)
-    steps: int = bounded(2500, least=1, most=10_000_000)
-    batch_size: int = bounded(12, least=1, most=1024)
-    features: int = bounded(160, least=8, most=1280)
-    hidden_size: int = bounded(128, least=8, most=1024)
-    recurrent_size: int = bounded(64, least=8, most=1024)
-    evaluate_every: int = bounded(200, least=1, most=1_000_000)
-    checkpoint_every: int = bounded(500, least=1, most=1_000_000)
-    log_every: int = bounded(20, least=1, most=1_000_000)
+    steps: int = bounded(12_000, least=1, most=10_000_000)
+    batch_size: int = bounded(64, least=1, most=4096)
+    hidden_size: int = bounded(192, least=8, most=1024)
+    evaluate_every: int = bounded(1000, least=1, most=1_000_000)
+    checkpoint_every: int = bounded(2000, least=1, most=1_000_000)
+    log_every: int = bounded(50, least=1, most=1_000_000)
 
 
 def network_spec(
@@ -95,11 +102,20 @@ def network_spec(
 
 
 @dataclass(frozen=True, eq=False)
+class Places:
+    """Places in N frames, float32 (N, 2) each: of the hand, of the skill's object, and where that will be put."""
+
+    hand: Tensor
+    target: Tensor
+    place: Tensor
+
+
+@dataclass(frozen=True, eq=False)
 class SkillsLosses:
     """Loss terms, each float ().
 
     Attributes:
-        action: Over all timesteps of segments.
+        action: Of the displacement to the next waypoint, over timesteps of segments.
         termination: Of the termination head.
     """
 
@@ -107,27 +123,43 @@ class SkillsLosses:
     termination: Tensor
 
 
-@dataclass(frozen=True, eq=False)
-class SkillsLearner:
-    """Learner of skills; an item is a segment.
+@dataclass(eq=False)
+class _Found:
+    """What finished parts of a fit have found in the training frames; computed again after a resume.
 
     Attributes:
-        config: Configuration.
-        spec: Spec of the network.
-        encoder: Normalised by the demonstrations' frames. A frozen one has encoded them all.
-        training: Training segments.
-        validation: Validation segments.
+        hands: By trajectory, places of the hand, float32 (T, 2).
+        targets: By training timestep, places of the object, float32 (N, 2).
+    """
+
+    hands: list[Tensor] | None = None
+    targets: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SkillsLearner:
+    """The learner of `freerein.learning.fit`. Its items are training timesteps.
+
+    Attributes:
+        config: Configuration of the fit.
+        spec: Spec of the network; its skills are those of the training segments.
+        demonstrations: The demonstrations.
+        segments: Training segments.
+        training: Their timesteps.
+        validation: Timesteps of held-out trajectories' segments.
         fingerprint: Fingerprint of the dataset and its labels.
         device: Device to train on.
     """
 
     config: SkillsConfig
     spec: SkillsSpec
-    encoder: CameraEncoders
-    training: SegmentDataset
-    validation: SegmentDataset
+    demonstrations: Trajectories
+    segments: Sequence[SkillSegment]
+    training: SkillSteps
+    validation: SkillSteps
     fingerprint: str
     device: torch.device
+    _found: _Found = field(default_factory=_Found)
 
     @classmethod
     def prepare(
@@ -135,16 +167,16 @@ class SkillsLearner:
         config: SkillsConfig,
         spec: SkillsSpec,
         demonstrations: Trajectories,
-        labels: Sequence[npt.NDArray[np.int64]],
+        labels: Sequence[Ints],
         *,
         fingerprint: str,
         device: torch.device,
     ) -> "SkillsLearner":
-        """Returns the learner for labelled demonstrations; a frozen encoder encodes every frame once.
+        """Returns the learner of labelled demonstrations.
 
         Args:
-            config: Configuration.
-            spec: Spec of the network for all skills. Those without a training segment are left out.
+            config: Configuration of the fit.
+            spec: Spec of the network, with all skills that the labels may name.
             demonstrations: Frames and executed actions.
             labels: By trajectory, the predicted skill at each timestep, int64 (T,).
             fingerprint: Fingerprint of the dataset and its labels.
@@ -153,143 +185,211 @@ class SkillsLearner:
         Raises:
             InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
         """
-        encoder = _normalised_encoder(spec, demonstrations, seed=config.seed)
-        features = None if encoder.is_trained else encode(encoder, demonstrations, range(len(demonstrations)))
-        segments = find_segments(labels, min_steps=config.min_segment_steps)
-        dataset = SegmentDataset(segments, demonstrations, features)
-        training, validation = split_segments(dataset, fraction=config.validation_fraction, seed=config.seed)
-        trained = sorted({each.skill for each in training.segments})
-        training, validation = training.only(trained), validation.only(trained)
-        if not len(validation):
+        executed = [np.asarray(demonstrations.actions[item], np.float32) for item in range(len(demonstrations))]
+        waypoints = [Waypoints.of(each) for each in executed]
+        found = find_segments(labels, min_steps=config.min_segment_steps)
+        segments = end_at_waypoints(found, demonstrations, waypoints, is_gripper=spec.is_gripper)
+        training, validation = split_segments(segments, fraction=config.validation_fraction, seed=config.seed)
+        trained = sorted({each.skill for each in training})
+        training, validation = relabelled(training, trained), relabelled(validation, trained)
+        if not validation:
             raise InvalidInput(
                 "The validation trajectories must show a skill that the training ones show; they show none.",
                 field="dataset",
                 hint="Record more demonstrations, and label them.",
             )
-        spec = replace(spec, skills=tuple(spec.skills[skill] for skill in trained))
-        return cls(config, spec, encoder, training, validation, fingerprint, device)
+        steps = [
+            steps_of(each, demonstrations, waypoints, is_gripper=spec.is_gripper, steps_after=config.termination_steps)
+            for each in (training, validation)
+        ]
+        every = 1 + len(steps[1]) // _EVALUATED_STEPS
+        return cls(
+            config,
+            replace(spec, skills=tuple(spec.skills[skill] for skill in trained)),
+            demonstrations,
+            training,
+            steps[0],
+            steps[1][::every],
+            fingerprint,
+            device,
+        )
 
     @property
     def size(self) -> int:
-        """Training segments."""
+        """Training timesteps."""
         return len(self.training)
 
     @property
     def max_steps_per_skill(self) -> int:
         """Control steps after which a skill is abandoned: 1.5 times the 95th percentile of segment lengths."""
-        return math.ceil(_STEP_LIMIT_FACTOR * float(np.percentile(self.training.lengths(), _STEP_LIMIT_PERCENTILE)))
+        lengths = [each.stop - each.start for each in self.segments]
+        return math.ceil(_STEP_LIMIT_FACTOR * float(np.percentile(lengths, _STEP_LIMIT_PERCENTILE)))
 
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update."""
         network = SkillsNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        if self.encoder.is_trained:
-            for own, normalised in zip(network.encoder.buffers(), self.encoder.buffers(), strict=True):
-                own.copy_(normalised)
-        else:
-            network.encoder.load_state_dict(self.encoder.state_dict())
-        if self.training.features is not None:
-            network.fit_feature_normalisation(torch.cat(list(self.training.features.values())), generator=generator)
+        shown = self.demonstrations.subset(self._shown)
+        frames = {name: torch.from_numpy(each) for name, each in shown.sample_frames(_NORMALISATION_FRAMES).items()}
+        executed = np.concatenate([shown.actions[item] for item in range(len(shown))])
+        network.fit_normalisation(frames, torch.from_numpy(np.asarray(executed, np.float32)))
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one update on some segments, and its metrics."""
-        config, network = self.config, state.network
+        """Returns the state after one update on some timesteps, and its metrics."""
         rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
-        segments = [self.training.segments[item] for item in items.tolist()]
-        starts = [_sample_start(each, rng, config) for each in segments]
-        batch = collate(self.training, segments, starts, steps_after=config.termination_steps, device=self.device)
-        features = self._shifted(network, padded_features(network, batch), rng)
-        losses = skill_losses(network, features, batch)
-        loss = losses.action + config.termination_weight * losses.termination
-        state, metrics = fit_step(state, loss, config)
-        return state, metrics | {
-            "action_loss": losses.action.item(),
-            "termination_loss": losses.termination.item(),
-        }
+        ends = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
+        parts: tuple[tuple[int, int, Callable[..., Tensor]], ...] = (
+            (0, ends[0], self._hand_loss),
+            (ends[0], ends[1], self._maps_loss),
+            (ends[1], self.config.steps, self._policy_loss),
+        )
+        start, stop, loss_of = next(each for each in parts if state.step < each[1])
+        loss = loss_of(state.network, items, rng)
+        lr = cosine_lr(self.config.lr, state.step - start, warmup_steps=self.config.warmup_steps, steps=stop - start)
+        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
 
     def evaluate(self, state: State) -> float:
-        """Returns the training loss on validation segments."""
+        """Returns the loss of the policy on validation timesteps."""
         losses = self.validation_losses(state.network)
         return (losses.action + self.config.termination_weight * losses.termination).item()
 
     @torch.no_grad()
     def validation_losses(self, network: SkillsNetwork) -> SkillsLosses:
-        """Returns the losses on validation segments, each from its labelled start."""
-        batch = self._validation_batch(network)
-        return skill_losses(network, padded_features(network, batch), batch)
+        """Returns the losses on validation timesteps, with places as the network finds them."""
+        parts = [self._predict(network, each) for each in self._validation_parts()]
+        displacement, termination = (torch.cat(each) for each in zip(*parts, strict=True))
+        return self._losses(displacement, termination, self.validation)
 
     @torch.no_grad()
     def calibrate(self, network: SkillsNetwork) -> None:
-        """Fits the network's in-distribution score, to training frames as they were seen and to held-out segments."""
-        known = sampled_statistics(self.training.trajectories.subset(self.training.shown))
-        batch = self._validation_batch(network)
-        _, terminations = _predict(network, padded_features(network, batch), batch)
-        reached = terminations[batch.inside].sigmoid()  # (N,)
-        network.in_distribution.fit(
-            known.to(self.device), segment_statistics(self.validation).to(self.device), confidence(reached)
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
+        known = sampled_statistics(self.demonstrations.subset(self._shown))
+        parts, terminations = [], []
+        for steps in self._validation_parts():
+            inside = steps[steps.is_inside]
+            parts.append(image_statistics(self._frames(inside.trajectory, inside.timestep)))
+            terminations.append(self._predict(network, inside)[1])
+        reached = torch.cat(terminations).sigmoid()
+        network.in_distribution.fit(known.to(self.device), torch.cat(parts), confidence(reached))
+
+    @property
+    def _shown(self) -> list[int]:
+        """Trajectories of the training segments, ascending."""
+        return sorted({each.trajectory for each in self.segments})
+
+    def _hand_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+        """Returns the error of the actions executed between pairs of timesteps, as the hand's motion tells them."""
+        first = self.training[items]
+        lengths = np.array([len(self.demonstrations.actions[item]) for item in first.trajectory])
+        ends = rng.integers(0, lengths)
+        pairs = list(zip(first.trajectory.tolist(), first.timestep.tolist(), ends.tolist(), strict=True))
+        executed = np.stack([self._executed(item, stop) - self._executed(item, start) for item, start, stop in pairs])
+        before = np.stack([self._previous(item, stop) - self._previous(item, start) for item, start, stop in pairs])
+        pixels = self._pixels(network, np.tile(first.trajectory, 2), np.append(first.timestep, ends))
+        hands = network.hand(pixels)
+        openings = network.hand.opening(network.hand.crop(pixels, hands.detach()))
+        moved, opened = (each[len(items) :] - each[: len(items)] for each in (hands, openings))
+        told = network.hand.executed(moved, opened, self._tensor(before))
+        return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
+
+    def _maps_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], _: np.random.Generator) -> Tensor:
+        """Returns the cross-entropies of both heat maps."""
+        steps, cells, hands = self.training[items], network.maps.cells, self._hands(network)
+        maps = network.maps(self._pixels(network, steps.trajectory, steps.timestep), self._skills(steps))
+        target, place = (
+            objectives.heat_map_cross_entropy(
+                logits, cells.centres, self._at(hands, steps.trajectory, at), width=_MAP_WIDTH * cells.pitch
+            ).mean()
+            for logits, at in zip(maps, (steps.object_at, steps.place_at), strict=True)
+        )
+        return target + _PLACE_WEIGHT * place
+
+    def _policy_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+        """Returns the losses of action and termination, with noisy places."""
+        steps, hands, targets = self.training[items], self._hands(network), self._targets(network)
+        hand, target, place = (
+            each + noise * self._tensor(rng.standard_normal(each.shape).astype(np.float32))
+            for each, noise in (
+                (self._at(hands, steps.trajectory, steps.timestep), _HAND_NOISE),
+                (targets[torch.from_numpy(items).to(self.device)], _OBJECT_NOISE),
+                (self._at(hands, steps.trajectory, steps.place_at), _PLACE_NOISE),
+            )
+        )
+        previous = self._tensor(steps.previous * (rng.random((len(items), 1)) >= _NO_PREVIOUS).astype(np.float32))
+        pixels = self._pixels(network, steps.trajectory, steps.timestep)
+        displacement, termination = network(pixels, hand, target, place, previous)
+        losses = self._losses(displacement, termination, steps)
+        return losses.action + self.config.termination_weight * losses.termination
+
+    def _losses(self, displacement: Tensor, termination: Tensor, steps: SkillSteps) -> SkillsLosses:
+        inside, terminates = self._tensor(steps.is_inside), self._tensor(steps.terminates)
+        error = objectives.relative_error(displacement, self._tensor(steps.displacement))  # (N,)
+        return SkillsLosses(
+            objectives.masked_mean(error, inside), objectives.termination_loss(termination, terminates, ~terminates)
         )
 
-    def _shifted(self, network: SkillsNetwork, features: Tensor, rng: np.random.Generator) -> Tensor:
-        """Returns features, float32 (B, T, D), with a random shift each, as the configuration says."""
-        if network.attention is None:
-            return features
-        shift = self.config.random_shift * torch.tensor(rng.uniform(-1, 1, len(features)), dtype=torch.float32)
-        return network.attention.shift(features, shift.to(self.device))
+    def _predict(self, network: SkillsNetwork, steps: SkillSteps) -> tuple[Tensor, Tensor]:
+        """Returns displacements and termination logits; only where the object will be put is told, by what was done."""
+        pixels = self._pixels(network, steps.trajectory, steps.timestep)
+        targets, _ = network.maps(pixels, self._skills(steps))
+        place = network.hand(self._pixels(network, steps.trajectory, steps.place_at))
+        displacement, termination = network(
+            pixels, network.hand(pixels), network.maps.cells.mode(targets), place, self._tensor(steps.previous)
+        )
+        return displacement, termination
 
-    def _validation_batch(self, network: SkillsNetwork) -> SegmentBatch:
-        """Returns the validation segments, each from its labelled start, with features."""
-        dataset = self.validation
-        if network.encoder.is_trained:
-            dataset = replace(dataset, features=encode(network.encoder, dataset.trajectories, dataset.shown))
-        starts = [each.start for each in dataset.segments]
-        steps_after = self.config.termination_steps
-        return collate(dataset, dataset.segments, starts, steps_after=steps_after, device=self.device)
+    def _validation_parts(self) -> list[SkillSteps]:
+        starts = range(0, len(self.validation), _FRAMES_AT_ONCE)
+        return [self.validation[start : start + _FRAMES_AT_ONCE] for start in starts]
 
+    @torch.no_grad()
+    def _hands(self, network: SkillsNetwork) -> list[Tensor]:
+        """Returns places of the hand in all training frames, by trajectory: float32 (T, 2)."""
+        if self._found.hands is None:
+            lengths = self.demonstrations.lengths()
+            self._found.hands = [
+                network.hand(self._pixels(network, np.full(lengths[item], item), np.arange(lengths[item])))
+                for item in range(len(lengths))
+            ]
+        return self._found.hands
 
-def encode(encoder: CameraEncoders, trajectories: Trajectories, items: Sequence[int]) -> dict[int, Tensor]:
-    """Returns the features of each frame of some trajectories, float32 (T, D) each, on the CPU."""
-    return {item: encode_trajectory(encoder, trajectories, item).cpu() for item in items}
+    @torch.no_grad()
+    def _targets(self, network: SkillsNetwork) -> Tensor:
+        """Returns places of the object at all training timesteps, float32 (N, 2)."""
+        if self._found.targets is None:
+            found = []
+            for start in range(0, len(self.training), _FRAMES_AT_ONCE):
+                steps = self.training[start : start + _FRAMES_AT_ONCE]
+                pixels = self._pixels(network, steps.trajectory, steps.timestep)
+                found.append(network.maps.cells.mode(network.maps(pixels, self._skills(steps))[0]))
+            self._found.targets = torch.cat(found)
+        return self._found.targets
 
+    def _at(self, hands: Sequence[Tensor], trajectory: Ints, timestep: Ints) -> Tensor:
+        return torch.stack([hands[item][at] for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)])
 
-def padded_features(network: SkillsNetwork, batch: SegmentBatch) -> Tensor:
-    """Returns the features of a batch, float32 (B, T, D), padded by zeros; frames are encoded."""
-    features = batch.images if isinstance(batch.images, Tensor) else network.encoder(batch.images)  # (N, D)
-    return pad_sequence(list(features.split(batch.lengths)), batch_first=True)
+    def _executed(self, item: int, timestep: int) -> npt.NDArray[np.float32]:
+        """Returns the sum of the actions before a timestep, float32 (A,)."""
+        return np.asarray(self.demonstrations.actions[item][:timestep].sum(axis=0), np.float32)
 
+    def _previous(self, item: int, timestep: int) -> npt.NDArray[np.float32]:
+        """Returns the action before a timestep, float32 (A,)."""
+        return np.asarray(self.demonstrations.actions[item][max(0, timestep - 1)] * (timestep > 0), np.float32)
 
-def skill_losses(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) -> SkillsLosses:
-    """Returns the losses on a batch with features (B, T, D)."""
-    choices = network.spec.action.choices
-    predicted, terminations = _predict(network, features, batch)
-    if choices:
-        error = objectives.action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
-    else:
-        error = objectives.absolute_error(predicted, batch.actions)  # (B, T)
-    continues = batch.inside & ~batch.terminates
-    termination = objectives.termination_loss(terminations, batch.terminates, continues)
-    return SkillsLosses(objectives.masked_mean(error, batch.inside), termination)
+    def _frames(self, trajectory: Ints, timestep: Ints) -> dict[str, Tensor]:
+        """Returns frames uint8 (N, H, W, C), by camera."""
+        places = list(zip(trajectory.tolist(), timestep.tolist(), strict=True))
+        return {
+            camera: self._tensor(np.stack([arrays[item][at] for item, at in places]))
+            for camera, arrays in self.demonstrations.frames.items()
+        }
 
+    def _pixels(self, network: SkillsNetwork, trajectory: Ints, timestep: Ints) -> Tensor:
+        return network.pixels(self._frames(trajectory, timestep))
 
-def _predict(network: SkillsNetwork, features: Tensor, batch: SegmentBatch) -> tuple[Tensor, Tensor]:
-    """Returns actions and termination logits of a batch with features (B, T, D); see `SkillsNetwork.forward`."""
-    skill = functional.one_hot(batch.skills, len(network.spec.skills)).float()  # (B, skills)
-    predicted, terminations, _ = network(features, skill, batch.previous)
-    return predicted, terminations
+    def _skills(self, steps: SkillSteps) -> Tensor:
+        return functional.one_hot(self._tensor(steps.skill), len(self.spec.skills)).float()
 
-
-def _normalised_encoder(spec: SkillsSpec, demonstrations: Trajectories, *, seed: int) -> CameraEncoders:
-    encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
-    sampled = demonstrations.sample_frames(_NORMALISATION_FRAMES)
-    frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
-    encoder.fit_normalisation(frames, generator=torch.Generator().manual_seed(seed))
-    return encoder
-
-
-def _sample_start(segment: SkillSegment, rng: np.random.Generator, config: SkillsConfig) -> int:
-    """Returns a start near the labelled one, which is inexact, or anywhere in the segment."""
-    latest = max(segment.start, segment.stop - _LEAST_STEPS_LEFT)
-    if rng.random() < config.random_start_fraction:
-        return int(rng.integers(segment.start, latest, endpoint=True))
-    jitter = int(rng.integers(-config.start_jitter, config.start_jitter, endpoint=True))
-    return min(max(0, segment.start + jitter), latest)
+    def _tensor(self, array: npt.NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(array).to(self.device)

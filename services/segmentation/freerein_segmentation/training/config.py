@@ -18,8 +18,7 @@ class SegmentationConfig(DatasetFitConfig):
         context: `causal`, the dissertation's, or `bidirectional`.
         encoder: Image encoder.
         use_actions: Whether executed actions are an input.
-        augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera. It
-            has no effect with an encoder that is not trained.
+        augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
         stride: Temporal stride in timesteps: 1 where skills may be short; more where they are long, to see more
             trajectories in the same time.
         batch_size: Trajectories per optimiser step.

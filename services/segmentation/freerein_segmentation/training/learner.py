@@ -68,7 +68,7 @@ class SegmentationLearner:
         batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
         scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
         loss = OBJECTIVES[self.config.objective](scores, mask, batch.tags).mean()
-        strength = delayed(self._strength(state.network), step=state.step, steps=self.config.steps)
+        strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
             again, _ = state.network(seen.frames, seen.actions, seen.lengths)
@@ -78,7 +78,7 @@ class SegmentationLearner:
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
         """Returns the mean loss of the validation trajectories' tags, on frames as they are and augmented ones."""
-        generator, strength = torch.Generator().manual_seed(self.config.seed), self._strength(state.network)
+        generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
         for batch in self._validation_batches():
             for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
@@ -91,7 +91,7 @@ class SegmentationLearner:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = self.training.sample_frames(KNOWN_FRAMES)
-        takes, strength = torch.arange(len(next(iter(sampled.values())))), self._strength(network)
+        takes, strength = torch.arange(len(next(iter(sampled.values())))), self.config.augmentation
         frames = {
             camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(
                 self.device
@@ -104,10 +104,6 @@ class SegmentationLearner:
             held_out.append(image_statistics(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
         network.in_distribution.fit(image_statistics(frames), torch.cat(held_out), torch.cat(confidence))
-
-    def _strength(self, network: SegmentationNetwork) -> float:
-        """Returns the strength of the augmentation; 0 for an encoder that cannot learn from it."""
-        return self.config.augmentation if network.image.is_trained else 0.0
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):

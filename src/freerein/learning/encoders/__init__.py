@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from freerein.learning.encoders.cameras import CameraEncoders, Frames
-from freerein.learning.encoders.colour_codebook import ColourCodebook
 from freerein.learning.encoders.convolutional import ConvolutionalEncoder
 from freerein.learning.encoders.encoder import EncoderClass
 from freerein.learning.encoders.moments import MomentsEncoder
@@ -17,7 +16,6 @@ from freerein.learning.encoders.spatial import SpatialEncoder
 __all__ = [
     "ENCODERS",
     "CameraEncoders",
-    "ColourCodebook",
     "ConvolutionalEncoder",
     "Frames",
     "MomentsEncoder",
@@ -31,7 +29,6 @@ ENCODERS: Mapping[str, EncoderClass] = MappingProxyType(
         "spatial": SpatialEncoder,
         "moments": MomentsEncoder,
         "convolutional": ConvolutionalEncoder,
-        "colour_codebook": ColourCodebook,
     }
 )
-"""All but `convolutional` subtract a mean image or a background: for cameras that do not move."""
+"""All but `convolutional` subtract a mean image: for cameras that do not move."""

@@ -22,23 +22,17 @@ class CameraEncoders(nn.Module):
         features: Number of features per camera.
 
     Attributes:
-        is_trained: Whether there are weights to train; else parameters are frozen, and frames may be encoded once,
-            before training.
-        has_colour_moments: Whether each camera's features are colour moments; see `EncoderClass`.
         size: D, the number of features of all cameras.
     """
 
     def __init__(self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int) -> None:
         super().__init__()
-        self.is_trained, self.has_colour_moments = encoder.is_trained, encoder.has_colour_moments
         self.size = features * len(cameras)
         self._names = tuple(camera.name for camera in cameras)
         self.encoders = nn.ModuleList(
             encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
             for camera in cameras
         )
-        if not self.is_trained:
-            self.requires_grad_(False)
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:

@@ -18,8 +18,6 @@ class ConvolutionalEncoder(nn.Module):
 
     mean: Tensor
     std: Tensor
-    is_trained = True
-    has_colour_moments = False
     min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:

@@ -20,15 +20,9 @@ class EncoderClass(Protocol):
     """Class of encoders of one camera.
 
     Attributes:
-        is_trained: Whether it has weights to train; else its parameters are frozen, and frames may be encoded once,
-            before training.
-        has_colour_moments: Whether features are `colour_codebook.MOMENTS` for each of as many colours as fit, then
-            zeros.
         min_features: Fewest features of a camera.
     """
 
-    is_trained: bool
-    has_colour_moments: bool
     min_features: int
 
     def __call__(self, *, height: int, width: int, channels: int, features: int) -> nn.Module:

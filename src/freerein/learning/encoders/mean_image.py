@@ -12,8 +12,6 @@ class PatchStem(nn.Module):
 
     mean_image: Tensor
     pixel_std: Tensor
-    is_trained = True
-    has_colour_moments = False
     min_features = 1
 
     def __init__(self, *, height: int, width: int, channels: int, patches: int, outputs: int) -> None:

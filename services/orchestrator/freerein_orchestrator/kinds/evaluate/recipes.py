@@ -21,6 +21,8 @@ from freerein_orchestrator.kinds.evaluate.form import Form, Result, Setup, Trial
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
 
 COMPLETED, LIFTED = "completed", "lifted"
+WHOLE = "whole"
+"""Figure: the share of recipes all of whose skills are completed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +101,9 @@ class RecipesEvaluation:
             flags, chance = [each[name] for each in values], [each[f"baseline_{name}"] for each in values]
             if figure := share_figure(flags, chance, seed=seed):
                 figures[f"skills_{name}"] = figure
+        whole, by_chance = ([[all(each[name])] for each in values] for name in (COMPLETED, f"baseline_{COMPLETED}"))
+        if figure := share_figure(whole, by_chance, seed=seed):
+            figures[WHOLE] = figure
         return Result(figures, {"episodes": len(values), "skills": sum(len(each["recipe"]) for each in values)})
 
 
