@@ -22,7 +22,7 @@ from freerein.clients import Channel, RewardClient, SimClient, SyncClient
 from freerein.learning import weights
 from freerein.learning.checkpoints import Checkpoint
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
-from freerein.types.common import ModelRef
+from freerein.types.common import Camera, ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.retry import Retry
@@ -30,6 +30,7 @@ from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardF
 from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.networks import ActorCritic
+from freerein_orchestrator.rl.object_encoder import load_object_encoder
 from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer
@@ -68,7 +69,10 @@ async def measure(effort: Effort) -> Results:
 
 async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Results:
     config = PPOConfig(
-        iterations=effort.iterations, num_steps=effort.num_steps, batch_size=_MINIBATCH_ENVS * effort.num_steps
+        iterations=effort.iterations,
+        num_steps=effort.num_steps,
+        batch_size=_MINIBATCH_ENVS * effort.num_steps,
+        explorations=1,
     )
     one, two = [await asyncio.to_thread(_Served.init, config, sims[:count], reward) for count in (1, 2)]
     local = _Local(config, one.start)
@@ -133,9 +137,11 @@ class _Served:
 
     @classmethod
     def init(cls, config: PPOConfig, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
-        spec = network_spec(config, observation=_FRAME, action_size=tasks()[_TASK].spec.action.size)
+        task, camera = tasks()[_TASK], Camera(_CAMERA, *_FRAME)
+        encoder = load_object_encoder(_reward_folder(), goal_caption=task.goal_text, camera=camera)
+        spec = network_spec(config, observation=_FRAME, action_size=task.spec.action.size, eye=encoder.spec)
         with closing(_open(config, sims, zero_reward, ())) as envs:
-            state: PPOState = init_state(config, spec, envs, device=_CPU)
+            state: PPOState = init_state(config, spec, envs, device=_CPU, object_encoder=encoder.weights)
         return cls(config, sims, reward, to_checkpoint(state))
 
     def train(self) -> str:
@@ -216,13 +222,18 @@ class _Local:
             thread.shutdown()
 
 
+def _reward_folder() -> Path:
+    store = ModelStore(CLONE_MODELS / "reward")
+    return store.folder(ModelRef("default", store.active_version("default")))
+
+
 class _LocalReward:
     """The reward service's default model."""
 
     def __init__(self, goal_text: str) -> None:
-        store = ModelStore(CLONE_MODELS / "reward")
-        self._ref = ModelRef("default", store.active_version("default"))
-        model = load(store.folder(self._ref), "cpu")
+        folder = _reward_folder()
+        self._ref = ModelRef("default", folder.name)
+        model = load(folder, "cpu")
         if not isinstance(model, RewardModel):
             raise TypeError("The default model of the reward service must be a reward model.")
         self._model = model

@@ -59,3 +59,18 @@ def test_the_recurrent_state_is_kept_until_an_episode_starts() -> None:
     continued = policy.act(FRAMES[1], CONTINUE)
     assert not np.array_equal(continued, fresh.act(FRAMES[1], START))
     np.testing.assert_array_equal(policy.act(FRAMES[1], START), NetworkPolicy(network).act(FRAMES[1], START))
+
+
+def test_an_action_is_held_as_often_as_it_is_repeated_or_until_an_episode_starts() -> None:
+    spec = ActorCriticSpec(height=12, width=12, channels=1, feature_size=8, hidden_size=8, action_repeat=2)
+    network = init_network(spec, torch.Generator().manual_seed(0))
+    network.calibrate(torch.from_numpy(FRAMES).flatten(end_dim=1))
+    policy = NetworkPolicy(network)
+    new = [NetworkPolicy(network).act(frames, START) for frames in FRAMES]
+
+    starts = (START, CONTINUE, CONTINUE)
+    first, held, second = (policy.act(*each) for each in zip(FRAMES, starts, strict=True))
+
+    np.testing.assert_array_equal([first, held, second], [new[0], new[0], new[2]])
+    one_starts = policy.act(FRAMES[1], np.array([True, False]))
+    np.testing.assert_allclose(one_starts, [new[1][0], new[2][1]], rtol=1e-5)

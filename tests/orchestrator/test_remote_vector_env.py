@@ -41,10 +41,16 @@ def reward(start_module_service: Callable[..., Any]) -> Iterator[SyncClient]:
 
 
 def open_envs(
-    *sims: SyncClient, reward_fn: RewardFn, privileged: bool = False, snapshots: Sequence[bytes] = ()
+    *sims: SyncClient,
+    reward_fn: RewardFn,
+    privileged: bool = False,
+    action_repeat: int = 1,
+    snapshots: Sequence[bytes] = (),
 ) -> RemoteVectorEnv:
     request = CreateSessionRequest(TASK, num_envs=3, seed=3, privileged=privileged)
-    return RemoteVectorEnv(sims, request, camera=CAMERA, reward_fn=reward_fn, snapshots=snapshots)
+    return RemoteVectorEnv(
+        sims, request, camera=CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
+    )
 
 
 def draw_actions(rng: np.random.Generator) -> Any:
@@ -65,6 +71,24 @@ def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended
     over = steps[-1].terminated | steps[-1].truncated
     assert not np.array_equal(steps[-1].final_observations[over], steps[-1].observations[over])
     envs.close()
+
+
+def test_repeated_actions_lead_where_single_ones_do_and_only_the_last_frames_are_rewarded(sim: SyncClient) -> None:
+    def count(frames: Frames, _oracle: Rewards | None) -> Rewards:
+        return np.ones(len(frames), np.float32)
+
+    single, repeated = (open_envs(sim, reward_fn=count, action_repeat=repeat) for repeat in (1, 3))
+    np.testing.assert_array_equal(single.reset(), repeated.reset())
+    rng = np.random.default_rng(0)
+    for _ in range(40):  # the 100th step, which ends an episode, is the first of three
+        actions = draw_actions(rng)
+        singles, whole = [single.step(actions) for _ in range(3)], repeated.step(actions)
+        ended = np.logical_or.reduce([each.terminated | each.truncated for each in singles])
+        np.testing.assert_array_equal(whole.observations, singles[-1].observations)
+        np.testing.assert_array_equal(whole.terminated | whole.truncated, ended)
+    assert repeated.rewards().shape == (40, 3)
+    for envs in (single, repeated):
+        envs.close()
 
 
 def test_the_same_frames_are_always_rewarded_together(sim: SyncClient) -> None:
