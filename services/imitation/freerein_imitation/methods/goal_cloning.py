@@ -15,7 +15,7 @@ from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.training.goal_cloning import GoalCloningConfig, GoalCloningLearner
 
 _REACHED_THRESHOLD = 0.5
-_MAX_STEPS_PER_GOAL = 12
+_GOAL_STEPS_FACTOR = 3
 
 
 def _resolve(source: FitDataset, config: GoalCloningConfig) -> GoalCloningConfig:
@@ -33,7 +33,9 @@ def _prepare(source: FitDataset, config: GoalCloningConfig, device: torch.device
 
 def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[GoalCloningNetwork]) -> dict[str, Any]:
     losses = learner.validation_losses(fitted.network)
-    control = ControlSpec(1 / source.dataset.spec.fps, _REACHED_THRESHOLD, _MAX_STEPS_PER_GOAL)
+    control = ControlSpec(
+        1 / source.dataset.spec.fps, _REACHED_THRESHOLD, _GOAL_STEPS_FACTOR * learner.config.max_goal_steps
+    )
     figures = {f"{name}_loss": term.item() for name, term in vars(losses).items()}
     return {
         **control.to_card(),

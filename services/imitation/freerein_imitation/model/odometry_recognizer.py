@@ -30,21 +30,22 @@ class OdometryRecognizer(nn.Module):
         action: The action space. Sums of discrete actions are no places: there time alone tells.
 
     Attributes:
-        tolerance: float32 (A,), largest distance of nearby places along each axis, in actions; infinite where it does
-            not count.
+        tolerance: float32 (A,), largest distance of nearby places along each axis, in actions.
+        counts: bool (A,), whether a goal must be near along each axis.
         spread: float32 (A,), standard deviation of differences of places.
         unchanged_rate: float32 (), mean probability of held-out pairs that are close in time.
     """
 
     tolerance: Tensor
+    counts: Tensor
     spread: Tensor
     unchanged_rate: Tensor
 
     def __init__(self, *, features: int, hidden_size: int, action: ActionSpec) -> None:
         super().__init__()
         scale = torch.tensor(action.scale or (1.0,) * action.size)
-        is_large = scale >= _LARGE * scale.max()
-        self.register_buffer("tolerance", (_NEAR * scale.max() / scale).where(is_large, torch.inf))
+        self.register_buffer("tolerance", _NEAR * scale.max() / scale)
+        self.register_buffer("counts", scale >= _LARGE * scale.max())
         self.register_buffer("spread", torch.full((action.size,), _NO_SPREAD if action.choices else 1.0))
         self.register_buffer("unchanged_rate", torch.ones(()))
         self.odometry = (
@@ -72,4 +73,6 @@ class OdometryRecognizer(nn.Module):
         off = (self.places(observation) - self.places(goal)).abs()  # (..., A)
         upper, lower = (torch.special.ndtr((edge - off) / self.spread) for edge in (self.tolerance, -self.tolerance))
         unchanged = self.unchanged_logit(observation, goal).sigmoid() / self.unchanged_rate
-        return (upper - lower).prod(dim=-1) * unchanged.clamp(max=1)
+        near = (upper - lower).where(self.counts, 1.0).prod(dim=-1)
+        reached: Tensor = near * unchanged.clamp(max=1)
+        return reached

@@ -38,7 +38,7 @@ from freerein_imitation.training.goal_windows import (
 
 _NORMALISATION_FRAMES = 1500
 _EVALUATION_WINDOWS = 96
-_ODOMETRY_WEIGHT, _CHANGE_WEIGHT = 0.3, 0.5
+_ODOMETRY_WEIGHT, _CHANGE_WEIGHT = 0.3, 1.0
 _NORMAL_MAD = 1.48  # standard deviations per median absolute deviation of a normal distribution
 _SPREAD_SHARE = 0.5  # of the residuals' spread; the rest is the lag of the robot behind its actions
 
@@ -62,7 +62,7 @@ class GoalCloningConfig(DatasetFitConfig):
 
     encoder: str = one_of(ENCODERS, "moments")
     max_goal_steps: int = bounded(5, least=1, most=1000)
-    close_steps: int = bounded(3, least=1, most=1000)
+    close_steps: int = bounded(4, least=1, most=1000)
     far_steps: int = bounded(8, least=2, most=10_000)
     steps: int = bounded(2500, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)

@@ -20,11 +20,11 @@ Places = npt.NDArray[np.int64]
 """int64 (...), frames of a batch, or timesteps of a trajectory."""
 
 _WINDOW_MARGIN = 9
-_COMPARED = 10  # frames of a window's trajectory beside the window
+_COMPARED = 12  # frames of a window's trajectory beside the window
 _ALIKE_SHARE = 0.7
 _ALIKE = 4
 _GOALS_PER_WINDOW = 48
-_CHANGES_PER_WINDOW = 20
+_CHANGES_PER_WINDOW = 40
 _FIRST_SHARE = 0.15  # of observations without one before, as at the start of a goal
 _TIE_BREAK = 0.2  # in tolerances
 _STRANGERS_SHARE = 0.25  # of the pairs that are not close
