@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from experiments.robustness import confidence
 from experiments.robustness.services import Step, Trials
-from experiments.robustness.worlds import DEMONSTRATED
+from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED
 from experiments.workbench.arms import Arm
 from experiments.workbench.results import Outcome, Sample
 
@@ -96,7 +96,7 @@ def _expert_recipes(arm: Arm) -> list[Step]:
 
 def _reinforce(arm: Arm) -> list[Step]:
     return [
-        _step("ppo", "ppo", task=arm.world, seed=arm.seed),
+        _step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM], seed=arm.seed),
         _evaluate("returns", task=arm.world, policy={"run": "ppo"}, baseline="random", episodes=_RETURN_EPISODES),
     ]
 

@@ -25,13 +25,13 @@ _DECIMALS, _BUILD_DECIMALS = 4, 6
 """Of metres: processors round last bits in their own ways, and contacts let these grow."""
 
 
-_CURRICULUM = "start-on-the-way"
+CURRICULUM = "start-on-the-way"
 """A condition to learn under: no policy need hold under it."""
 
 
 def conditions(task: str) -> tuple[str, ...]:
     """Returns `NOMINAL`, then what a task declares; of numbers of blocks only those in which `blocks` differs."""
-    declared = [each for each in tasks()[task].conditions if each.name != _CURRICULUM]
+    declared = [each for each in tasks()[task].conditions if each.name != CURRICULUM]
     counts = {"blocks-2", "blocks-3"} if task == DEMONSTRATED else set()
     return (NOMINAL, *(each.name for each in declared if each.group != "blocks" or each.name in counts))
 
