@@ -14,7 +14,7 @@ from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalClonin
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.training.goal_cloning import GoalCloningConfig, GoalCloningLearner
 
-_REACHED_THRESHOLD = 0.5
+_REACHED_THRESHOLD = 0.4
 _GOAL_STEPS_FACTOR = 3
 
 
