@@ -77,6 +77,8 @@ class RobustnessExperiment:
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
         config: dict[str, Any] = {"version": _VERSION}
+        if arm.method == policies.LANGUAGE:
+            config["teachers"] = [asdict(policy) for policy in self._policies.values()]
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == SEGMENTATION:

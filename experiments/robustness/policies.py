@@ -21,20 +21,38 @@ FLAG_AUROC, FLAG_ECE, FLAG_RECALL = "flag.auroc", "flag.ece", "flag.recall"
 LANDMARKS_FREE, LANDMARKS_BLOCK = "landmarks.free", "landmarks.block"
 RECIPE_SKILLS, RECIPE_WHOLE = "recipe.skills", "recipe.whole"
 RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
+TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
-GOAL_CONDITIONED, INVERSE_MODEL = "goal_conditioned", "inverse_model"
+GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
 SKILLS, EXPERT = "skills", "expert"
-PPO = "ppo_training"
+PPO, LANGUAGE = "ppo_training", "language"
 
 SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
 STACK = "blocks.yellow-on-top-of-green"
 PPO_SEEDS = 5
+TEACHERS = ("yellow-left-of-green", "yellow-right-of-green")
+"""Shipped policies, from which a language policy is distilled."""
+
+WORDINGS_OF_SIDES = tuple(
+    wording.format(side=side, other=other)
+    for side, other in (("left", "right"), ("right", "left"))
+    for wording in (
+        "I want the yellow block {side} of the green one",
+        "could you place the yellow cube to the {side} of the green cube?",
+        "Arrange the blocks so that yellow is {side} of green!",
+        "A green block to the {other} of a yellow block",
+        "slide the green one to the {other} of the yellow one",
+    )
+)
+"""Wordings and converses of which no text that a policy is trained on has the words: those of the left, then right."""
 
 _HELD_OUT_SEED = 1_000_003
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
+_SENTENCE_EPISODES = 32
 _NUM_ENVS = 64
 _IN_ORDER = "start/in-order"
 _PRECISION = 0.9
+_STUDENT, _WORD_BLIND = "student", "word-blind"
 
 
 @dataclass(frozen=True)
@@ -101,6 +119,35 @@ def _reinforce(arm: Arm) -> list[Step]:
     ]
 
 
+def _obey(arm: Arm) -> list[Step]:
+    left, right = SIDES
+    told = {"task": left, "other_tasks": [right], "other_texts": list(WORDINGS_OF_SIDES)}
+    return [
+        *(
+            _step(
+                name,
+                "distill",
+                teachers=list(TEACHERS),
+                rollouts=100,
+                dagger_iterations=3,
+                num_envs=50,
+                model_name=name,
+                seed=arm.seed,
+                config={"seed": arm.seed, "word_blind": name == _WORD_BLIND},
+            )
+            for name in (_STUDENT, _WORD_BLIND)
+        ),
+        *(
+            _evaluate("sentences", _told(name), policy={"run": name}, episodes=_SENTENCE_EPISODES, **told)
+            for name in (_STUDENT, _WORD_BLIND)
+        ),
+        *(
+            _evaluate("returns", teacher, task=task, policy={"stored": teacher}, episodes=_SENTENCE_EPISODES)
+            for task, teacher in zip(SIDES, TEACHERS, strict=True)
+        ),
+    ]
+
+
 def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     measured = [trial for trial in trials["landmarks"] if trial]
     lengths = [len(trial["confidence"]) for trial in measured]
@@ -141,6 +188,33 @@ def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
             yield name, Sample([each["episode_return"] for each in part], [each["expert_return"] for each in part])
 
 
+def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
+    """Yields the student's return as a share of its teachers', and what was done told wordings, by trial.
+
+    Of each task also the return of the word-blind student less that of ours, told the other task.
+    """
+    student, word_blind = (trials[_told(name)] for name in (_STUDENT, _WORD_BLIND))
+    taught = [[each["episode_return"] for each in trials[name]] for name in TEACHERS]
+    own = [sum(each["returns"][task][task] for task in range(len(SIDES))) for each in student]
+    yield TOLD_OWN, Sample(own, [sum(each) for each in zip(*taught, strict=True)])
+    for task, name in enumerate(SIDES):
+        other = 1 - task
+        losses = [
+            blind["returns"][task][task] - each["returns"][task][other]
+            for blind, each in zip(word_blind, student, strict=True)
+        ]
+        yield told_other(name), Sample(losses, [1] * len(losses))
+    count = len(WORDINGS_OF_SIDES)
+    meant = np.arange(count) >= count // 2  # the left task's, then the right one's
+    done = [np.array(each["successes"])[meant.astype(int), len(SIDES) + np.arange(count)] for each in student]
+    yield WORDINGS, _share(done)
+
+
+def told_other(task: str) -> str:
+    """Returns the name of a figure: the word-blind student's return in a task less that of ours, told the other."""
+    return f"told.other.{task}"
+
+
 def _share(flags: Sequence[npt.NDArray[np.bool_]]) -> Sample:
     """Returns the share of flags that are true, over trials that have some."""
     present = [each for each in flags if len(each)]
@@ -155,8 +229,12 @@ def _fit(name: str, service: str, dataset: str, **config: Any) -> Step:
     return _step(name, "fit", service=service, dataset=dataset, config=config)
 
 
-def _evaluate(form: str, **config: Any) -> Step:
-    return _step(form, "evaluate", form=form, num_envs=_NUM_ENVS, seed=_HELD_OUT_SEED, **config)
+def _evaluate(form: str, name: str = "", **config: Any) -> Step:
+    return _step(name or form, "evaluate", form=form, num_envs=_NUM_ENVS, seed=_HELD_OUT_SEED, **config)
+
+
+def _told(student: str) -> str:
+    return f"{student}-told"
 
 
 def _samples(found: Callable[[Trials], Iterator[tuple[str, Sample]]]) -> Callable[[Trials], Mapping[str, Sample]]:
@@ -167,11 +245,12 @@ _FOLLOWER = PolicyArm(_follow, _samples(_landmark_samples))
 
 METHODS: Mapping[str, PolicyArm] = MappingProxyType(
     {
+        GOAL_CLONING: _FOLLOWER,
         GOAL_CONDITIONED: _FOLLOWER,
-        INVERSE_MODEL: _FOLLOWER,
         SKILLS: PolicyArm(_execute_recipes, _samples(_recipe_samples)),
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
         PPO: PolicyArm(_reinforce, _samples(_return_samples)),
+        LANGUAGE: PolicyArm(_obey, _samples(_sentence_samples)),
     }
 )
 """How arms are made, by method."""
@@ -179,7 +258,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
 
 def arms(seeds: int) -> tuple[Arm, ...]:
     """Returns the arms, each with so many seeds; those of PPO with more, and the expert with one."""
-    fitted = (GOAL_CONDITIONED, INVERSE_MODEL, SKILLS)
+    fitted = (GOAL_CLONING, GOAL_CONDITIONED, SKILLS, LANGUAGE)
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments.robustness import policies, services
+from experiments.robustness.targets import Target
 from experiments.workbench.arms import Arm
 
 from freerein import metrics
@@ -31,7 +32,7 @@ def test_a_flag_is_judged_on_all_visited_states() -> None:
         {"confidence": own, "at_landmark": at.tolist(), "moves": [False, True], "recognized": [True, bool(at[0])]}
         for own, at in zip(score, right, strict=True)
     ]
-    found = policies.METHODS[policies.GOAL_CONDITIONED].samples({"landmarks": trials})
+    found = policies.METHODS[policies.GOAL_CLONING].samples({"landmarks": trials})
 
     scores, rights = np.concatenate(score), np.concatenate(right)
     assert found[policies.FLAG_AUROC].mean == pytest.approx(metrics.auroc(scores, rights), abs=1e-6)
@@ -49,7 +50,7 @@ def test_a_flag_is_judged_on_all_visited_states() -> None:
 
 def test_a_flag_that_is_never_precise_enough_has_no_recall() -> None:
     trial = {"confidence": [0.9, 0.1], "at_landmark": [False, True], "moves": [False], "recognized": [False]}
-    found = policies.METHODS[policies.GOAL_CONDITIONED].samples({"landmarks": [trial]})
+    found = policies.METHODS[policies.GOAL_CLONING].samples({"landmarks": [trial]})
     assert found[policies.FLAG_RECALL].mean == 0
 
 
@@ -68,6 +69,33 @@ def test_returns_are_shares_of_the_experts_by_the_order_of_the_start() -> None:
     found = policies.METHODS[policies.PPO].samples({"returns": trials})
     assert found[policies.RETURN_ALL].mean == 50 / 160
     assert found[policies.RETURN_WRONG_ORDER].mean == 0.125
+
+
+def test_a_language_policy_is_judged_by_its_teachers_the_other_text_and_what_it_does_told_wordings() -> None:
+    count = len(policies.WORDINGS_OF_SIDES)
+    left = [1.0] * (count // 2) + [0.0] * (count // 2)
+    right = [0.0] * (count // 2) + [1.0] * (count // 2)
+    right[-1] = 0.0
+    told = {"returns": [[60.0, 5.0], [0.0, 30.0]], "successes": [[True, False, *left], [False, True, *right]]}
+    blind = {"returns": [[20.0, 20.0], [25.0, 25.0]], "successes": []}
+    left_teacher, right_teacher = policies.TEACHERS
+    trials = {
+        "student-told": [told],
+        "word-blind-told": [blind],
+        left_teacher: [{"episode_return": 80.0}],
+        right_teacher: [{"episode_return": 40.0}],
+    }
+    found = policies.METHODS[policies.LANGUAGE].samples(trials)
+    assert found[policies.TOLD_OWN].mean == 90 / 120
+    assert [found[policies.told_other(task)].mean for task in policies.SIDES] == [15.0, 25.0]
+    assert found[policies.WORDINGS].mean == (count - 1) / count
+
+
+def test_a_claim_that_must_be_apart_needs_its_interval_to_be() -> None:
+    target = Target("a", "", (), ("b",), least=45, low_above=5)
+    assert target.is_reached(50, 6)
+    assert not target.is_reached(50, 5)
+    assert not target.is_reached(44, 6)
 
 
 @pytest.mark.slow
