@@ -102,29 +102,29 @@ def test_the_figures_of_ppo_and_distillation_are_those_of_the_evaluations() -> N
         for row, task in enumerate(TASKS.values())
         for column, text in enumerate(TEXTS.values())
     ]
-    sentences = {"own_text_return": measured(6, 5), "gain_by_words": measured(0.5, 0)}
+    sentences = {"own_text_return": measured(6, 5), "word_blind": measured(5), "gain_by_words": measured(0.5, 0)}
+    returns = {"return_mean": measured(9, 7), "baseline_return_mean": measured(7), "expert_return_mean": measured(80)}
     documents = {
         "random-left": {"figures": {"return_mean": measured(1)}},
         "random-right": {"figures": {"return_mean": measured(2)}},
-        "ppo-returns": {
-            "figures": {"return_mean": measured(9, 7), "baseline_return_mean": measured(7), "gain": measured(2, 0)}
-        },
+        "ppo-returns": {"figures": returns},
         "sentences": {"figures": sentences, "told": told},
     }
     results = Results({f"{step}.result.json": json.dumps(each).encode() for step, each in documents.items()})
     found = {each.name: each for each in policy_figures(results)}
     assert {name: (each.value, each.baseline, each.met) for name, each in found.items()} == {
-        "ppo.checkpoint_return": (7, 1, None),
-        "ppo.return": (9, 7, None),
-        "ppo.gain_since_checkpoint": (2, 0, True),
+        "ppo.return_first": (7, 1, None),
+        "ppo.return_last": (9, 8, False),
+        "ppo.expert_return": (80, None, True),
         "distill.left_of.told_left": (0, 1, None),
         "distill.left_of.told_right": (1, 1, None),
         "distill.right_of.told_left": (10, 2, None),
         "distill.right_of.told_right": (11, 2, None),
         "distill.own_sentence_return": (6, 5, None),
+        "distill.word_blind": (5, None, True),
         "distill.gain_by_words": (0.5, 0, False),
     }
-    assert found["ppo.return"].interval == (8, 10)
+    assert found["ppo.return_last"].interval == (8, 10)
 
 
 def test_the_pipeline_is_one_that_the_orchestrator_takes(tmp_path: Path) -> None:

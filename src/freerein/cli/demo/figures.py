@@ -7,6 +7,8 @@ from freerein.cli.demo.report import Figure, Measured
 from freerein.cli.demo.results import Results
 
 _LONGEST_S = 600.0
+_EXPERT_RETURN = 75.0
+"""What a task must allow: the scripted expert's return, of 100."""
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,8 @@ class _Row:
         step: The step that measures it.
         figure: Its name in the step's result.
         baseline_text: The trivial answer, in words; empty for none.
+        at_least: Bar that it must reach.
+        at_most: Bar that it must not exceed.
         beats_baseline: Whether the baseline is the bar.
     """
 
@@ -25,6 +29,8 @@ class _Row:
     step: str
     figure: str
     baseline_text: str = ""
+    at_least: float | None = None
+    at_most: float | None = None
     beats_baseline: bool = False
 
 
@@ -33,22 +39,13 @@ _REWARD_BARS = {"two-blocks": 0.93, "four-blocks": 0.85}
 """Least balanced accuracy of the reward among the five relations, by the step that measures it."""
 
 _ROWS = (
-    *(
-        _Row(
-            f"imitation.{name}landmarks_reached",
-            "landmarks",
-            f"{split}landmarks_reached",
-            "random actions",
-            beats_baseline=True,
-        )
-        for name, split in (("", ""), ("no_block_moves.", "no_object_moves."), ("block_moves.", "object_moves."))
-    ),
-    _Row("imitation.landmarks_recognized", "landmarks", "landmarks_recognized"),
-    _Row("imitation.visited.at_landmark", "landmarks", "visited.at_landmark"),
-    _Row("imitation.visited.goal_auroc", "landmarks", "visited.goal_auroc", "chance", beats_baseline=True),
-    _Row("imitation.visited.goal_ece", "landmarks", "visited.goal_ece", "always the base rate"),
-    _Row("recipe.skills_completed", "recipes", "skills_completed", "random actions", beats_baseline=True),
-    _Row("recipe.blocks_lifted", "recipes", "skills_lifted", "random actions"),
+    _Row("imitation.landmarks_reached", "landmarks", "landmarks_reached", "random actions", beats_baseline=True),
+    _Row("imitation.landmarks_free", "landmarks", "no_object_moves.landmarks_recognized", at_least=0.85),
+    _Row("imitation.landmarks_block", "landmarks", "object_moves.landmarks_recognized", at_least=0.55),
+    _Row("imitation.goal_auroc", "landmarks", "visited.goal_auroc", "chance", at_least=0.95),
+    _Row("imitation.goal_ece", "landmarks", "visited.goal_ece", at_most=0.05),
+    _Row("recipe.skills_completed", "recipes", "skills_completed", "random actions", at_least=0.8),
+    _Row("recipe.whole", "recipes", "whole", at_least=0.45),
 )
 
 
@@ -59,12 +56,7 @@ def figures(results: Results, *, total_s: float) -> tuple[Figure, ...]:
         _figure("segmentation.frame_accuracy", labels, _LONGEST_SKILL, at_least=(labels.baseline or 0) + 0.25),
         _figure("grid.frame_accuracy", grid, _LONGEST_SKILL, at_least=0.99),
         *(figure for step, bar in _REWARD_BARS.items() for figure in _reward_figures(results, step, at_least=bar)),
-        *(
-            _figure(
-                row.name, results.figure(row.step, row.figure), row.baseline_text, beats_baseline=row.beats_baseline
-            )
-            for row in _ROWS
-        ),
+        *(_row_figure(results, row) for row in _ROWS),
         *policy_figures(results),
         Figure("ppo.training_s", results.seconds("ppo")),
         Figure("distill.training_s", results.seconds("distill")),
@@ -86,20 +78,37 @@ def _reward_figures(results: Results, step: str, *, at_least: float) -> tuple[Fi
 def policy_figures(results: Results) -> list[Figure]:
     """Returns the figures of PPO and of distillation."""
     random = {side: results.figure(f"random-{side}", "return_mean").value for side in SIDES}
-    checkpoint = replace(results.figure("ppo-returns", "baseline_return_mean"), baseline=random["left"])
-    ppo, gain = (results.figure("ppo-returns", name) for name in ("return_mean", "gain"))
-    own, gain_by_words = (results.figure("sentences", name) for name in ("own_text_return", "gain_by_words"))
+    first, last, expert = (
+        results.figure("ppo-returns", name) for name in ("baseline_return_mean", "return_mean", "expert_return_mean")
+    )
+    own, word_blind, gain = (
+        results.figure("sentences", name) for name in ("own_text_return", "word_blind", "gain_by_words")
+    )
     return [
-        _figure("ppo.checkpoint_return", checkpoint, "random actions"),
-        _figure("ppo.return", ppo, "shipped checkpoint"),
-        _figure("ppo.gain_since_checkpoint", gain, "no gain", beats_baseline=True),
+        _figure("ppo.return_first", replace(first, baseline=random["left"]), "random actions"),
+        _figure(
+            "ppo.return_last", replace(last, baseline=first.high), "upper end of return_first", beats_baseline=True
+        ),
+        Figure("ppo.expert_return", expert.value, interval=expert.interval, at_least=_EXPERT_RETURN),
         *(
             _figure(f"distill.{side}_of.told_{told}", replace(returns, baseline=random[side]), "random actions")
             for (side, told), returns in results.told().items()
         ),
         _figure("distill.own_sentence_return", own, "one constant sentence"),
-        _figure("distill.gain_by_words", gain_by_words, "word-blind", beats_baseline=True),
+        Figure("distill.word_blind", word_blind.value, interval=word_blind.interval, at_most=own.low),
+        _figure("distill.gain_by_words", gain, "word-blind", beats_baseline=True),
     ]
+
+
+def _row_figure(results: Results, row: _Row) -> Figure:
+    return _figure(
+        row.name,
+        results.figure(row.step, row.figure),
+        row.baseline_text,
+        at_least=row.at_least,
+        at_most=row.at_most,
+        beats_baseline=row.beats_baseline,
+    )
 
 
 def _figure(
@@ -108,14 +117,16 @@ def _figure(
     baseline_text: str,
     *,
     at_least: float | None = None,
+    at_most: float | None = None,
     beats_baseline: bool = False,
 ) -> Figure:
     return Figure(
         name,
         measured.value,
-        measured.baseline,
+        measured.baseline if baseline_text else None,
         baseline_text,
         measured.interval,
         at_least=at_least,
+        at_most=at_most,
         beats_baseline=beats_baseline,
     )

@@ -166,7 +166,7 @@ def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[s
     """Writes a PNG of a training: its learned return by iteration, and beside it panels of oracle returns by policy."""
     figure = _figure(
         5.2,
-        "PPO from a shipped checkpoint, then distillation into a policy that is told in words what to do",
+        "PPO from random weights, then distillation into a policy that is told in words what to do",
         "control steps of 100 at the goal by true states, in the same 50 episodes each; lines are 95 % intervals",
         left=0.05,
         top=0.78,
@@ -280,7 +280,7 @@ def _draw_curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
     axes.fill_between(iterations, returns, color=_QUIET, alpha=0.6, linewidth=0)
     axes.plot(iterations, near @ returns / near.sum(axis=1), color=_INK, linewidth=2.2)
     axes.set(xlim=(iterations[0], iterations[-1]), ylim=(0, None))
-    axes.set_xlabel("iterations since the checkpoint", fontsize=11, color=_FAINT)
+    axes.set_xlabel("iterations", fontsize=11, color=_FAINT)
     axes.set_title("return by the learned reward", fontsize=12, color=_INK, loc="left")
     _style_axes(axes)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from freerein.cli.connection import channel_to
 from freerein.cli.demo import output_folder, pictures, report
 from freerein.cli.demo.figures import figures
-from freerein.cli.demo.pipeline import INIT_FROM, SHIPPED_TEACHERS, SIDES, pipeline
+from freerein.cli.demo.pipeline import SHIPPED_TEACHERS, SIDES, pipeline
 from freerein.cli.demo.report import Measured, Reporter
 from freerein.cli.demo.results import Results, fetch, filmstrip, labelled_trajectory, reward_examples
 from freerein.cli.jobs.display import check_succeeded
@@ -24,7 +24,7 @@ from freerein.types.orchestrator import GetMetricsRequest, StartRunRequest
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 60.0
-_SHIPPED = {"ppo": [INIT_FROM], "distill": list(SHIPPED_TEACHERS)}
+_SHIPPED = {"distill": list(SHIPPED_TEACHERS)}
 _CURVE = "ppo/episode_return"
 _MAX_ROWS = 10_000
 
@@ -101,8 +101,9 @@ def _returns_by_panel(results: Results) -> dict[str, Mapping[str, Measured]]:
         for side in SIDES
     }
     ppo = {
-        "checkpoint": results.figure("ppo-returns", "baseline_return_mean"),
+        "untrained": results.figure("ppo-returns", "baseline_return_mean"),
         "ppo": results.figure("ppo-returns", "return_mean"),
+        "expert": results.figure("ppo-returns", "expert_return_mean"),
     }
     return {
         "left-of: steps at the goal": {"random": random["left"], **ppo, **student["left"]},

@@ -25,6 +25,8 @@ from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no
 
 AT_LANDMARK, OBJECT_MOVES = "at-landmark", "object-moves"
 _EXPLORATION, _BASELINE = 0, 1  # random streams
+_SPLITS = {"": (False, True), "object_moves.": (True,), "no_object_moves.": (False,)}
+"""Which landmarks count, by whether an object must move, by prefix of a figure."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,9 +249,8 @@ def _at_landmarks(
 
 def _reached_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[str, Figure]:
     """Returns the shares of landmarks reached: of all, and by whether an object must move."""
-    splits = {"": (False, True), "object_moves.": (True,), "no_object_moves.": (False,)}
     figures = {}
-    for prefix, counted in splits.items():
+    for prefix, counted in _SPLITS.items():
         kept = [np.isin(each["moves"], counted) for each in values]
         shares = [
             [np.array(each[name], bool)[keep] for each, keep in zip(values, kept, strict=True)]
@@ -260,15 +261,24 @@ def _reached_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[str
     return figures
 
 
+def _recognized_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[str, Figure]:
+    """Returns the shares of landmarks that the robot was at when it went on, split as `_reached_figures`."""
+    figures = {}
+    for prefix, counted in _SPLITS.items():
+        flags = [np.array(each["recognized"], bool)[np.isin(each["moves"], counted)] for each in values]
+        if counts := [[len(each)] for each in flags if len(each)]:
+            sums = [[each.sum()] for each in flags if len(each)]
+            figures[f"{prefix}landmarks_recognized"] = ratio_figure(sums, counts, seed=seed)
+    return figures
+
+
 def _recognizer_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[str, Figure]:
     """Returns the quality of the goal recognizer on the states that the policy visited."""
     at_landmark = np.concatenate([np.array(each["at_landmark"], bool) for each in values])
     confidence = np.concatenate([np.array(each["confidence"], np.float64) for each in values])
     sums, counts = ([[fold(each["at_landmark"])] for each in values] for fold in (sum, len))
     figures = {
-        "landmarks_recognized": ratio_figure(
-            [[sum(each["recognized"])] for each in values], [[len(each["recognized"])] for each in values], seed=seed
-        ),
+        **_recognized_figures(values, seed=seed),
         "visited.at_landmark": ratio_figure(sums, counts, seed=seed),
         "visited.goal_ece": Figure(expected_calibration_error(confidence, at_landmark), baseline=0.0),
     }
