@@ -80,7 +80,7 @@ def _follow(arm: Arm) -> list[Step]:
             dataset="exploration",
             task=arm.world,
             behaviour="random",
-            count=400,
+            count=600,
             seed=arm.seed,
         ),
         _fit("fit", "imitation", "exploration", method=arm.method, seed=arm.seed),
