@@ -27,11 +27,12 @@ from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.retry import Retry
 from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, zero_reward
-from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv
+from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv, open_groups
 from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
 from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.object_encoder import load_object_encoder
-from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer, collect
+from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
@@ -157,39 +158,61 @@ class _Served:
 
 def _open(
     config: PPOConfig, sims: Sequence[SyncClient], reward_fn: RewardFn, snapshots: Sequence[bytes]
-) -> RemoteVectorEnv:
+) -> EnvGroups[RemoteVectorEnv]:
     request = CreateSessionRequest(_TASK, num_envs=config.num_envs, seed=0)
-    return RemoteVectorEnv(sims, request, camera=_CAMERA, reward_fn=reward_fn, snapshots=snapshots)
+    return open_groups(sims, request, camera=_CAMERA, reward_fn=reward_fn, snapshots=snapshots)
 
 
 class _Local:
-    """Trains in this process, with the worlds and the reward model of the services; a `VecEnv` and its `Collector`.
-
-    The worlds have their own thread, since a GL context belongs to one thread; so has the reward model, as over the
-    network.
-    """
+    """Trains in this process, with the worlds and the reward model of the services; a `Collector`."""
 
     recoveries = 0
 
     def __init__(self, config: PPOConfig, start: Checkpoint) -> None:
-        self.num_envs = config.num_envs
         self._config = config
         self._start = start
-        self._reward_fn = _LocalReward(tasks()[_TASK].goal_text)
+        reward_fn = _LocalReward(tasks()[_TASK].goal_text)
         self._reward_thread = ThreadPoolExecutor(1, "reward")
-        self._thread = ThreadPoolExecutor(1, "worlds")
-        self._envs = self._thread.submit(VectorEnv, tasks()[_TASK], num_envs=self.num_envs, seed=0).result()
-        self._snapshot = b""
-        self._pending: list[Frames] = []
-        self._rewards: list[Future[Rewards]] = []
+        shares = [config.num_envs - config.num_envs // 2, config.num_envs // 2]
+        self._envs = EnvGroups([_LocalGroup(share, reward_fn, self._reward_thread) for share in shares])
 
     def train(self) -> str:
         return _train(self._config, self._start, self)
 
     def collect(self, network: ActorCritic, state: CollectorState) -> tuple[RolloutBuffer, CollectorState]:
-        if state.env_snapshots != (self._snapshot,):
-            self._thread.submit(self._envs.restore, state.env_snapshots[0]).result()
-        return collect(network, self, state, num_steps=self._config.num_steps)
+        for group, snapshot in zip(self._envs.groups, state.env_snapshots, strict=True):
+            group.restore(snapshot)
+        return collect_groups(network, self._envs, state, num_steps=self._config.num_steps)
+
+    def close(self) -> None:
+        """Keeps the worlds for the next training."""
+
+    def end(self) -> None:
+        """Closes the worlds."""
+        self._envs.close()
+        self._reward_thread.shutdown()
+
+
+class _LocalGroup:
+    """Worlds in this process, on a thread of their own, since a GL context belongs to one thread; a `VecEnv`.
+
+    The reward model has a thread that all groups share, as over the network.
+    """
+
+    def __init__(self, num_envs: int, reward_fn: "_LocalReward", reward_thread: ThreadPoolExecutor) -> None:
+        self.num_envs = num_envs
+        self._reward_fn = reward_fn
+        self._reward_thread = reward_thread
+        self._thread = ThreadPoolExecutor(1, "worlds")
+        self._envs = self._thread.submit(VectorEnv, tasks()[_TASK], num_envs=num_envs, seed=0).result()
+        self._snapshot = b""
+        self._pending: list[Frames] = []
+        self._rewards: list[Future[Rewards]] = []
+
+    def restore(self, snapshot: bytes) -> None:
+        """Restores a snapshot, unless the worlds are where it was taken."""
+        if snapshot != self._snapshot:
+            self._thread.submit(self._envs.restore, snapshot).result()
 
     def reset(self) -> Observations:
         return self._thread.submit(self._envs.reset, cameras=(_CAMERA,)).result().frames[_CAMERA]
@@ -213,13 +236,9 @@ class _Local:
         return (self._snapshot,)
 
     def close(self) -> None:
-        """Keeps the worlds for the next training."""
-
-    def end(self) -> None:
         """Closes the worlds."""
         self._thread.submit(self._envs.close).result()
-        for thread in (self._thread, self._reward_thread):
-            thread.shutdown()
+        self._thread.shutdown()
 
 
 def _reward_folder() -> Path:

@@ -109,7 +109,7 @@ def test_a_dataset_holds_the_same(
 
 
 def test_ppo_ends_with_the_same_weights(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
-    found = finish("ppo", PPO, replaced_at=90)
+    found = finish("ppo", PPO, replaced_at=160)
     assert sum(row["recoveries"] for row in found.rows) > 0
     assert found.artifact("policy.json")["sha256"] == expect("ppo", PPO).artifact("policy.json")["sha256"]
 

@@ -7,23 +7,24 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning.config import parse
 from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.ppo import generalised_advantages, training_batch
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
-from freerein_orchestrator.rl.rollout import CollectorState, collect
+from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import init_network
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 
 
 class ScriptedEnvs:
-    """Three environments, rewards of 1; at timestep 2 the first terminates, the second is truncated, the third both."""
+    """Three environments, rewards of 1; at a timestep the first terminates, the second is truncated, the third both."""
 
     num_envs = 3
 
-    def __init__(self) -> None:
-        self._rng, self._t = np.random.default_rng(0), 0
+    def __init__(self, ends_at: int = 2) -> None:
+        self._rng, self._t, self._ends_at = np.random.default_rng(0), 0, ends_at
         self.final = self.reset()
         self.reward = 1.0
 
@@ -31,9 +32,9 @@ class ScriptedEnvs:
         return self._rng.standard_normal((3, 2), np.float32)
 
     def step(self, actions: Actions) -> VecStep:
-        done = np.full(3, self._t == 2)
+        done = np.full(3, self._t == self._ends_at)
         self._t += 1
-        self.final = self.reset() if self._t <= 3 else self.final
+        self.final = self.reset() if self._t <= self._ends_at + 1 else self.final
         return VecStep(self.reset(), done & [True, False, True], done & [False, True, True], self.final)
 
     def rewards(self) -> Rewards:
@@ -41,7 +42,10 @@ class ScriptedEnvs:
         return np.full((steps, 3), self.reward, np.float32)
 
     def snapshots(self) -> tuple[bytes, ...]:
-        return ()
+        return (b"here",)
+
+    def close(self) -> None:
+        """Holds nothing."""
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
@@ -94,6 +98,25 @@ def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_
     assert (episodes.returns.tolist(), episodes.lengths.tolist()) == ([2.0] * 3, [2] * 3)
     assert ended.metrics() == {"episode_return": 3.0, "episode_length": 3.0}
     assert EpisodeStats.init(0).metrics() == {}
+
+
+def test_groups_of_environments_are_collected_as_one_rollout() -> None:
+    generator = torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+
+    def collected() -> tuple[RolloutBuffer, CollectorState, EnvGroups[ScriptedEnvs]]:
+        envs, same = EnvGroups([ScriptedEnvs(ends_at=3), ScriptedEnvs(ends_at=1)]), torch.Generator().manual_seed(1)
+        return *collect_groups(network, envs, CollectorState.init(envs, network, same), num_steps=5), envs
+
+    (rollout, after, envs), (again, _, _) = collected(), collected()
+
+    assert torch.equal(rollout.actions, again.actions)
+    assert not torch.equal(rollout.actions[:, :3], rollout.actions[:, 3:])
+    assert rollout.dones.tolist() == [[t == 3] * 3 + [t == 1] * 3 for t in range(5)]
+    assert rollout.final_observations.tolist() == [*envs.groups[1].final.tolist(), *envs.groups[0].final.tolist()]
+    assert torch.equal(rollout.next_observations[4], after.observations)
+    assert torch.equal(rollout.next_observations[0], rollout.observations[1])
+    assert after.env_snapshots == (b"here", b"here")
 
 
 def test_rewards_that_are_not_finite_reject_the_iteration() -> None:

@@ -24,6 +24,7 @@ from freerein.types.sim import (
     StepResponse,
 )
 from freerein_orchestrator.envs.reward_fns import Frames, RewardFn
+from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.vec_env import Actions, Rewards, VecStep
 
@@ -33,6 +34,39 @@ LEASE_S = 300.0
 FRAMES_PER_REWARD_CALL = 32
 _CLOSE_TIMEOUT_S = 0.5
 _POLL_S = 0.1
+
+
+def open_groups(
+    sims: Sequence[SyncClient],
+    request: CreateSessionRequest,
+    *,
+    camera: str,
+    reward_fn: RewardFn,
+    action_repeat: int = 1,
+    snapshots: Sequence[bytes] = (),
+    interrupt: Callable[[], None] = lambda: None,
+) -> "EnvGroups[RemoteVectorEnv]":
+    """Opens environments in two groups that step in turn, or in one where each sim service hosts a single environment.
+
+    Arguments and errors are those of `RemoteVectorEnv`.
+    """
+    shares = envs_per_sim(request.num_envs, 2 if request.num_envs >= 2 * len(sims) else 1)
+    with ExitStack() as on_error:
+        groups: list[RemoteVectorEnv] = []
+        for index, own in enumerate(_split_request(request, shares)):
+            group = RemoteVectorEnv(
+                sims,
+                own,
+                camera=camera,
+                reward_fn=reward_fn,
+                action_repeat=action_repeat,
+                snapshots=snapshots[index * len(sims) : (index + 1) * len(sims)],
+                interrupt=interrupt,
+            )
+            on_error.callback(group.close)
+            groups.append(group)
+        on_error.pop_all()
+    return EnvGroups(groups)
 
 
 def envs_per_sim(num_envs: int, sims: int) -> tuple[int, ...]:

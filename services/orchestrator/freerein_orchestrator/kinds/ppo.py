@@ -23,11 +23,12 @@ from freerein.types.reward import RewardResponse
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, open_groups
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
 from freerein_orchestrator.rl.policy_files import StoredPolicy, save_policy
@@ -216,7 +217,7 @@ class _Training:
         mode: Literal["raw", "binary"] = "raw" if self._config.reward == "base" else "binary"
         return LearnedReward(self._reward, goal_text, camera, model, mode)
 
-    def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> RemoteVectorEnv:
+    def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:
         config = self._config
         request = CreateSessionRequest(
             config.task,
@@ -225,7 +226,7 @@ class _Training:
             privileged=self._privileged,
             conditions=config.conditions,
         )
-        return RemoteVectorEnv(
+        return open_groups(
             self.sims,
             request,
             camera=camera,

@@ -23,10 +23,11 @@ from freerein.types.common import Trajectory
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, open_groups
 from freerein_orchestrator.kinds.collect.config import CollectConfig
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.icm import ICMConfig, ICMRewards
 from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import RolloutBuffer
@@ -55,7 +56,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
     inputs: dict[str, JSON] = {**json.loads(json.dumps(asdict(config))), "sims": len(sims)}
     ppo, make_icm = _ppo_config(config), partial(_make_icm, config)
 
-    def open_envs(snapshots: Sequence[bytes]) -> RemoteVectorEnv:
+    def open_envs(snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:
         request = CreateSessionRequest(
             config.task,
             num_envs=config.num_envs,
@@ -64,7 +65,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
             width=config.width,
             conditions=config.conditions,
         )
-        return RemoteVectorEnv(
+        return open_groups(
             sims, request, camera=camera, reward_fn=zero_reward, snapshots=snapshots, interrupt=retry.interrupt
         )
 
