@@ -22,7 +22,7 @@ from freerein_imitation.training.skill_segments import (
     steps_of,
 )
 from freerein_imitation.training.skill_waypoints import Waypoints
-from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
+from freerein_imitation.training.skills import SkillsConfig, SkillsLearner, network_spec
 
 SKILLS = ("to-red", "to-blue")
 MORE_SKILLS = ("wave", *SKILLS, "jump")
@@ -31,7 +31,7 @@ HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
 CPU = torch.device("cpu")
 CAMERAS = (Camera("front", 8, SIDE, 3),)
 ACTION = ActionSpec(1, 0, ("right",))
-FAST = SkillsConfig(steps=1200, batch_size=32, lr=5e-3, min_segment_steps=2, hidden_size=32, evaluate_every=400)
+FAST = SkillsConfig(steps=1200, batch_size=16, lr=5e-3, min_segment_steps=2, hidden_size=32, evaluate_every=400)
 
 
 def picture(hand: float, red: float, blue: float) -> npt.NDArray[np.uint8]:
@@ -95,7 +95,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillsPolicy:
     fitted = fit(cloned, tmp_path_factory.mktemp("fit"))
     assert fitted is not None
     cloned.calibrate(fitted.network)
-    return SkillsPolicy(fitted.network, ControlSpec(0.1, TERMINATION_THRESHOLD, cloned.max_steps_per_skill))
+    return SkillsPolicy(fitted.network, ControlSpec(0.1, 0.5, cloned.max_steps_per_skill))
 
 
 def test_recipes_never_demonstrated_are_executed(policy: SkillsPolicy) -> None:
@@ -234,7 +234,7 @@ def test_waypoints_are_where_a_path_turns_without_noise_or_pauses() -> None:
     np.testing.assert_allclose(found.displacement[3], [2.4, 0], atol=0.3)
     for pause in (6, 7, 8):
         np.testing.assert_allclose(found.displacement[pause], [0, 4], atol=0.3)
-    assert len(found.timesteps) <= 4
+    assert len(set(found.upcoming.tolist())) <= 3
 
 
 def test_whole_trajectories_are_for_validation() -> None:

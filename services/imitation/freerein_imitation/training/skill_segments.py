@@ -134,10 +134,9 @@ def end_at_waypoints(
     for each in segments:
         executed = np.asarray(trajectories.actions[each.trajectory][each.start : each.stop], np.float32)
         handling = find_handling(executed, is_gripper)
-        if handling is not None:
-            reached = waypoints[each.trajectory].timesteps
-            ends = reached[(reached > each.start + handling.end) & (np.abs(reached - each.stop) <= _LABEL_ERROR)]
-            moved[each.trajectory, each.stop] = int(ends[0]) if len(ends) else each.stop
+        if handling is not None and each.start + handling.end < len(trajectories.actions[each.trajectory]):
+            end = int(waypoints[each.trajectory].upcoming[each.start + handling.end])
+            moved[each.trajectory, each.stop] = end if abs(end - each.stop) <= _LABEL_ERROR else each.stop
     exact = [
         replace(
             each,

@@ -24,23 +24,23 @@ class Waypoints:
     """Waypoints of a trajectory of T timesteps.
 
     Attributes:
-        timesteps: When they are reached, int64 (n,), ascending from 0 to T.
+        upcoming: By timestep, when the next waypoint is reached: before that action, or T; int64 (T,).
         displacement: From before each action to the next waypoint, float32 (T, A).
     """
 
-    timesteps: npt.NDArray[np.int64]
+    upcoming: npt.NDArray[np.int64]
     displacement: npt.NDArray[np.float32]
 
     @classmethod
     def of(cls, actions: npt.NDArray[np.float32]) -> "Waypoints":
         """Returns the waypoints of executed actions (T, A)."""
         path = np.concatenate([np.zeros((1, actions.shape[1])), np.cumsum(actions, axis=0, dtype=np.float64)])
-        timesteps, displacement = find_waypoints(path), np.zeros(actions.shape, np.float32)
+        found, upcoming = find_waypoints(path), np.zeros(len(actions), np.int64)
         for timestep in range(len(actions)):
-            left = path[timesteps[timesteps > timestep]] - path[timestep]
-            is_ahead = np.abs(left).max(axis=1) > _NEAR
-            displacement[timestep] = left[is_ahead.argmax() if is_ahead.any() else -1]
-        return cls(timesteps, displacement)
+            ahead = found[found > timestep]
+            is_far = np.abs(path[ahead] - path[timestep]).max(axis=1) > _NEAR
+            upcoming[timestep] = ahead[is_far.argmax() if is_far.any() else -1]
+        return cls(upcoming, np.asarray(path[upcoming] - path[:-1], np.float32))
 
 
 def find_waypoints(path: Floats) -> npt.NDArray[np.int64]:

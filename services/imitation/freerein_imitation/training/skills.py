@@ -45,8 +45,9 @@ from freerein_imitation.training.skill_waypoints import Waypoints
 
 State = TrainState[SkillsNetwork]
 
-TERMINATION_THRESHOLD = 0.5
-"""Probability from which on a skill has terminated; the loss gives both classes equal weight."""
+TERMINATION_THRESHOLD = 0.9
+"""Probability from which on a skill has terminated. The loss gives both classes equal weight, but to end late costs a
+few timesteps, and to end early the object."""
 
 _HAND_SHARE, _MAPS_SHARE = 0.07, 0.06
 """Shares of a fit's steps for the hand, and for the heat maps."""
