@@ -96,7 +96,7 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             dataset="demonstrations",
             task=arm.world,
             behaviour="expert",
-            count=400,
+            count=1200,
             min_skills=2,
             max_skills=3,
             seed=arm.seed,
