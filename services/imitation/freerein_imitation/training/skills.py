@@ -45,7 +45,7 @@ from freerein_imitation.training.skill_waypoints import Waypoints
 
 State = TrainState[SkillsNetwork]
 
-TERMINATION_THRESHOLD = 0.9
+TERMINATION_THRESHOLD = 0.97
 """Probability from which on a skill has terminated. The loss gives both classes equal weight, but to end late costs a
 few timesteps, and to end early the object."""
 
@@ -100,15 +100,6 @@ def network_spec(
         InvalidInput: Frames, actions or skills are out of bounds.
     """
     return spec_of(config, SkillsSpec, cameras=cameras, action=action, skills=skills)
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Places in N frames, float32 (N, 2) each: of the hand, of the skill's object, and where that will be put."""
-
-    hand: Tensor
-    target: Tensor
-    place: Tensor
 
 
 @dataclass(frozen=True, eq=False)
