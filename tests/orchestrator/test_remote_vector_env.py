@@ -45,11 +45,18 @@ def open_envs(
     reward_fn: RewardFn,
     privileged: bool = False,
     action_repeat: int = 1,
+    episode_steps: int = 0,
     snapshots: Sequence[bytes] = (),
 ) -> RemoteVectorEnv:
     request = CreateSessionRequest(TASK, num_envs=3, seed=3, privileged=privileged)
     return RemoteVectorEnv(
-        sims, request, camera=CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
+        sims,
+        request,
+        camera=CAMERA,
+        reward_fn=reward_fn,
+        action_repeat=action_repeat,
+        episode_steps=episode_steps,
+        snapshots=snapshots,
     )
 
 
@@ -88,6 +95,21 @@ def test_repeated_actions_lead_where_single_ones_do_and_only_the_last_frames_are
         np.testing.assert_array_equal(whole.terminated | whole.truncated, ended)
     assert repeated.rewards().shape == (40, 3)
     for envs in (single, repeated):
+        envs.close()
+
+
+def test_episodes_are_cut_off_together_also_after_sessions_were_restored(sim: SyncClient) -> None:
+    still = np.zeros((3, 3), np.float32)
+    first = open_envs(sim, reward_fn=zero_reward, action_repeat=2, episode_steps=6)
+    first.reset()
+    begun = first.step(still)
+    again = open_envs(sim, reward_fn=zero_reward, action_repeat=2, episode_steps=6, snapshots=tuple(first.snapshots()))
+    for envs in (first, again):
+        steps = [begun, *(envs.step(still) for _ in range(4))]
+        assert [step.truncated.tolist() for step in steps] == [[at % 3 == 2] * 3 for at in range(5)]
+        assert not any(step.terminated.any() for step in steps)
+        assert not np.array_equal(steps[2].observations, steps[2].final_observations)
+        np.testing.assert_array_equal(steps[1].observations, steps[1].final_observations)
         envs.close()
 
 

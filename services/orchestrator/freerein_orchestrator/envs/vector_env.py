@@ -43,6 +43,7 @@ def open_groups(
     camera: str,
     reward_fn: RewardFn,
     action_repeat: int = 1,
+    episode_steps: int = 0,
     snapshots: Sequence[bytes] = (),
     interrupt: Callable[[], None] = lambda: None,
 ) -> "EnvGroups[RemoteVectorEnv]":
@@ -60,6 +61,7 @@ def open_groups(
                 camera=camera,
                 reward_fn=reward_fn,
                 action_repeat=action_repeat,
+                episode_steps=episode_steps,
                 snapshots=snapshots[index * len(sims) : (index + 1) * len(sims)],
                 interrupt=interrupt,
             )
@@ -85,6 +87,7 @@ class RemoteVectorEnv:
         camera: The camera that is observed.
         reward_fn: Rewards frames; called on a thread of its own.
         action_repeat: Timesteps that each action is held for; frames and rewards are those of the last.
+        episode_steps: Timesteps after which all episodes are cut off, a multiple of `action_repeat`; 0 for the task's.
         snapshots: One per sim service, to restore; empty for new episodes.
         interrupt: Called before each step and while waiting; raises to stop.
 
@@ -100,6 +103,7 @@ class RemoteVectorEnv:
         camera: str,
         reward_fn: RewardFn,
         action_repeat: int = 1,
+        episode_steps: int = 0,
         snapshots: Sequence[bytes] = (),
         interrupt: Callable[[], None] = lambda: None,
     ) -> None:
@@ -117,7 +121,7 @@ class RemoteVectorEnv:
         with ExitStack() as on_error:
             on_error.callback(self.close)
             for index, (sim, own) in enumerate(zip(sims, _split_request(request, shares), strict=True)):
-                session = _Session(sim, own, camera=camera, action_repeat=action_repeat)
+                session = _Session(sim, own, camera, action_repeat=action_repeat, episode_steps=episode_steps)
                 self._sessions.append(session)
                 if snapshots:
                     session.restore(snapshots[index])
@@ -194,12 +198,15 @@ class _SessionStep:
 class _Session:
     """A session on one sim service."""
 
-    def __init__(self, sim: SyncClient, request: CreateSessionRequest, *, camera: str, action_repeat: int) -> None:
+    def __init__(
+        self, sim: SyncClient, request: CreateSessionRequest, camera: str, *, action_repeat: int, episode_steps: int
+    ) -> None:
         self._sim = sim
         self._session: str = sim.create_session(request).session
         self._num_envs = request.num_envs
         self._camera = camera
         self._action_repeat = action_repeat
+        self._episode_steps = episode_steps
         self._steps = 0
 
     def restore(self, snapshot: bytes) -> None:
@@ -235,6 +242,8 @@ class _Session:
             final = frames.copy()
             final[done] = last
         oracle = None if reply.truth is None else reply.truth.reward
+        if self._episode_steps and self._steps % self._episode_steps == 0:
+            frames, truncated = self.reset(), np.ones(self._num_envs, np.bool_)
         return _SessionStep(frames, final, terminated, truncated, oracle)
 
     def snapshot(self) -> bytes:
