@@ -179,7 +179,7 @@ def test_the_expert_reaches_goals_from_unseen_starts_among_four_blocks(relation:
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls_or_is_pushed(count: int) -> None:
+def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls_or_is_pushed_far(count: int) -> None:
     rng, still = np.random.default_rng(0), np.zeros(3, np.float32)
     is_held, distances = [], []
     with closing(build(BY_NAME["blocks.green-left-of-yellow"], ("start-on-the-way", f"blocks-{count}"))) as world:
@@ -190,7 +190,7 @@ def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls
             distances.append(np.linalg.norm(world.gripper - before["green"][1:]))
             for _ in range(3):
                 world.step(still)
-            assert all(np.abs(world.position(colour) - place).max() < 0.01 for colour, place in before.items())
+            assert all(np.abs(world.position(colour) - place).max() < 0.02 for colour, place in before.items())
 
     assert len(before) == count
     assert 0.2 < np.mean(is_held) < 0.4

@@ -43,10 +43,6 @@ _NEARNESS = 2.5
 """Exponent of a uniform number: the share of the way from a block to the gripper's own place. Half of the starts are
 nearer than a sixth of it."""
 
-_AROUND_M = BLOCK_M / 2 + 0.001
-"""Distance from the midpoint of a finger beside a block."""
-
-
 _PALM_HALF_Y_M, _PALM_ABOVE_M = 0.063, 0.032
 """Half width of the palm, and its height above the midpoint of the fingers."""
 
@@ -242,13 +238,13 @@ def _free_gripper(rng: np.random.Generator, blocks: Point) -> GripperState:
 
 
 def _approaching(rng: np.random.Generator, block: Point, others: Point, own: GripperState) -> GripperState:
-    """Draws a gripper on the way from around a block, just open, to its own place, where it is open or not."""
+    """Draws a gripper on the way from a block, around which it is open or closing, to its own place."""
     while True:
         grasp = np.add(block, (0.0, rng.uniform(*_GRASP_ABOVE_M)))
         way = rng.random() ** _NEARNESS
         at = grasp + way * (own.at - grasp)
-        finger_m = _AROUND_M + way * (rng.uniform(*scene.FINGER_M) - _AROUND_M)
-        gripper = GripperState(at, finger_m, finger_m)
+        finger_m = rng.uniform(*scene.FINGER_M)
+        gripper = GripperState(at, finger_m, rng.uniform(way, 1) * finger_m)
         if at[1] > scene.GRIPPER_Z_M[0] and _is_clear(gripper, np.vstack([block, others])):
             return gripper
 
