@@ -286,16 +286,17 @@ class SkillsLearner:
         return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
 
     def _maps_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], _: np.random.Generator) -> Tensor:
-        """Returns the cross-entropies of both heat maps."""
+        """Returns the cross-entropies of both heat maps; places are learned before the grasp, where they are chosen."""
         steps, cells, hands = self.training[items], network.maps.cells, self._hands(network)
         maps = network.maps(self._pixels(network, steps.trajectory, steps.timestep), self._skills(steps))
         target, place = (
             objectives.heat_map_cross_entropy(
                 logits, cells.centres, self._at(hands, steps.trajectory, at), width=_MAP_WIDTH * cells.pitch
-            ).mean()
+            )
             for logits, at in zip(maps, (steps.object_at, steps.place_at), strict=True)
         )
-        return target + _PLACE_WEIGHT * place
+        is_before_grasp = self._tensor(steps.timestep < steps.object_at)
+        return target.mean() + _PLACE_WEIGHT * objectives.masked_mean(place, is_before_grasp)
 
     def _policy_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], rng: np.random.Generator) -> Tensor:
         """Returns the losses of action and termination, with noisy places."""
