@@ -190,11 +190,11 @@ def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls
             distances.append(np.linalg.norm(world.gripper - before["green"][1:]))
             for _ in range(3):
                 world.step(still)
-            assert all(np.abs(world.position(colour) - place).max() < 0.02 for colour, place in before.items())
+            assert all(np.abs(world.position(colour) - place).max() < 0.03 for colour, place in before.items())
 
     assert len(before) == count
     assert 0.23 < np.mean(is_held) < 0.43
-    assert 0.4 < np.mean(np.less(distances, 0.08)) < 0.6
+    assert 0.4 < np.mean(np.less(distances, 0.08)) < 0.65
 
 
 @pytest.mark.parametrize("count", [2, 3])
