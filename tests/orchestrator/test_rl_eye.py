@@ -76,6 +76,8 @@ def test_an_eye_finds_its_body_and_where_that_holds_things(folder: Path) -> None
     assert np.abs(off - np.median(off, axis=0)).mean() < 2.5  # pixels; guessing: 8
     held = features[:, 2:4]  # from where it holds things to the first object, in object widths
     assert held.abs().median() < 0.25
+    nearness = eye.nearness(torch.cat([features, torch.full((len(features), 2), 9.0)], dim=1))  # and a last action
+    torch.testing.assert_close(nearness, (4 - held.norm(dim=1)).clamp(min=0))
     assert all(not parameter.requires_grad for parameter in eye.parameters())
     assert not eye.train().training
 

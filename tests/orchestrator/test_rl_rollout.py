@@ -14,6 +14,7 @@ from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.ppo import generalised_advantages, training_batch
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
+from freerein_orchestrator.rl.shaping import shaping_rewards
 from freerein_orchestrator.rl.state import init_network
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 
@@ -98,6 +99,19 @@ def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_
     assert (episodes.returns.tolist(), episodes.lengths.tolist()) == ([2.0] * 3, [2] * 3)
     assert ended.metrics() == {"episode_return": 3.0, "episode_length": 3.0}
     assert EpisodeStats.init(0).metrics() == {}
+
+
+def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth() -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+    rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
+
+    shaping = shaping_rewards(rollout, lambda observations: observations[..., 0], gamma=0.9)
+
+    returns = (shaping[:3] * 0.9 ** torch.arange(3)[:, None]).sum(dim=0)  # each episode ends after three timesteps
+    first, last = rollout.observations[0, :, 0], torch.from_numpy(envs.final)[:, 0]
+    is_truncated = torch.tensor([0.0, 1.0, 0.0])
+    torch.testing.assert_close(returns, 0.9**3 * last * is_truncated - first)
 
 
 def test_groups_of_environments_are_collected_as_one_rollout() -> None:

@@ -17,7 +17,7 @@ _CHANNELS, _KEYPOINTS = 16, 16
 _PIXEL_SCALE = 64.0
 _SHARPNESS = 2.0
 _BATCH, _LR = 64, 4e-3
-_EPOCHS = 6
+_EPOCHS = 8
 """How often each action is the first of a pair of frames, on average."""
 
 _MAX_SPAN = 4

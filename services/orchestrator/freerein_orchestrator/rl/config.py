@@ -32,6 +32,8 @@ class PPOConfig:
         layer_norm: Whether each hidden layer is normalised.
         init_log_std: Initial log standard deviation of continuous actions.
         final_log_std: The last iteration's, which falls to it linearly; None for one that is learned.
+        approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, in object
+            widths; unused without an eye.
         explorations: Short sequences of random actions in each environment that an eye is fitted to; unused without.
         seed: Seed of the learner; environments have their own.
         threads: Torch threads on the CPU.
@@ -40,7 +42,7 @@ class PPOConfig:
         InvalidInput: A rollout is too large, or `batch_size` does not divide it.
     """
 
-    iterations: int = bounded(94, least=1, most=1_000_000)
+    iterations: int = bounded(92, least=1, most=1_000_000)
     num_envs: int = bounded(16, least=1, most=1024)
     num_steps: int = bounded(64, least=2, most=65_536)
     epochs: int = bounded(10, least=1, most=100)
@@ -58,7 +60,8 @@ class PPOConfig:
     layer_norm: bool = True
     init_log_std: float = bounded(-1.2, least=-5.0, most=2.0)
     final_log_std: float | None = -2.0
-    explorations: int = bounded(25, least=1, most=1000)
+    approach_weight: float = bounded(1.0, least=0.0, most=100.0)
+    explorations: int = bounded(40, least=1, most=1000)
     seed: int = bounded(0, least=0, most=2**31 - 1)
     threads: int = bounded(1, least=1, most=256)
 

@@ -26,6 +26,8 @@ _MOVED, _LEAST_MOVES = 0.04, 32
 
 _REGRESSION_ROUNDS, _NOISE = 10, 0.02
 _FRAMES_AT_ONCE = 16
+_REACH = 4.0
+"""Distance in object widths from which an object is no nearer than any other."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class GoalEye(nn.Module):
     def __init__(self, spec: EyeSpec, *, height: int, width: int, action_size: int) -> None:
         super().__init__()
         self.size = action_size + 8
+        self._action_size = action_size
         self._pair = [spec.first, spec.second]
         self.objects = ClipImageEncoder(spec.image).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.body = BodyEncoder(height=height, width=width, action_size=action_size)
@@ -81,6 +84,16 @@ class GoalEye(nn.Module):
         held = body @ self.hand_eye + self.grasp  # (N, 2)
         offsets = torch.cat([held - first, held - second, first - second], dim=1) / _OBJECT_WIDTH
         return torch.cat([_BODY_SCALE * body, offsets, presence], dim=1)
+
+    def nearness(self, features: Tensor) -> Tensor:
+        """Returns how near the place where the body holds things is to the first object, (...), in [0, 4] widths.
+
+        Args:
+            features: From `forward`, possibly with others behind them, (..., at least size).
+        """
+        offset = features[..., self._action_size : self._action_size + 2]
+        near: Tensor = (_REACH - offset.norm(dim=-1)).clamp(min=0)
+        return near
 
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the objects' places, float32 (N, 2, 2), to the right and up in [-1, 1], and presences (N, 2)."""

@@ -18,6 +18,7 @@ from freerein.learning.checkpoints import Checkpoint
 from freerein_orchestrator.rl import ppo
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.rollout import Collector, RolloutBuffer
+from freerein_orchestrator.rl.shaping import shaping_rewards
 from freerein_orchestrator.rl.state import PPOState, to_checkpoint
 
 _MAX_FAILURES = 3
@@ -134,6 +135,9 @@ class Trainer:
         rollout, after = collector.collect(state.network, state.collector)
         rewards = state.reward_learner.rewards(rollout)
         episodes, ended = state.episodes.update(rewards, rollout.dones)
+        if state.network.eye is not None:
+            shaping = shaping_rewards(rollout, state.network.eye.nearness, gamma=state.config.gamma)
+            rewards = rewards + state.config.approach_weight * shaping
         normaliser = state.normaliser
         if normaliser is not None:
             rewards, normaliser = normaliser.normalise(rewards, rollout.dones, gamma=state.config.gamma)
