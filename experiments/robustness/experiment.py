@@ -8,7 +8,17 @@ from typing import Any
 
 import torch
 
-from experiments.robustness import policies, report, reward, scenes, segmentation, services, visited_states, wordings
+from experiments.robustness import (
+    policies,
+    report,
+    reward,
+    scenes,
+    segmentation,
+    services,
+    speed,
+    visited_states,
+    wordings,
+)
 from experiments.robustness.draw import Spec, open_or_draw
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
@@ -24,7 +34,7 @@ from freerein_segmentation.training import SegmentationConfig
 AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain": 0.0})
 """Strength of the camera augmentation of a fit, by variant; the first is the library's default."""
 
-SEGMENTATION, REWARD, PPO = "segmentation", "reward", "ppo"
+SEGMENTATION, REWARD, PPO, PPO_SPEED = "segmentation", "reward", "ppo", "ppo_speed"
 
 _VERSION = 1
 """Of the evaluation; a new one replaces all results."""
@@ -55,7 +65,7 @@ class RobustnessExperiment:
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Guesses, then all fits of a variant, then the policies that ship, then policies that are trained."""
+        """Guesses, then all fits of a variant, policies that ship, policies that are trained, and a speed."""
         tasks = sorted(self._policies)
         fitted = ((DEMONSTRATED, SEGMENTATION), (SCATTERED, REWARD), *((task, REWARD) for task in tasks))
         return (
@@ -68,6 +78,7 @@ class RobustnessExperiment:
             ),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
+            Arm(policies.SIDES[0], PPO_SPEED),
         )
 
     @property
@@ -79,6 +90,8 @@ class RobustnessExperiment:
         config: dict[str, Any] = {"version": _VERSION}
         if arm.method == policies.LANGUAGE:
             config["teachers"] = [asdict(policy) for policy in self._policies.values()]
+        if arm.method == PPO_SPEED:
+            return config
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == SEGMENTATION:
@@ -110,6 +123,8 @@ class RobustnessExperiment:
         """Fits where no other arm has, and evaluates; see `Experiment`. Checkpoints are in `work`."""
         if arm.method in policies.METHODS:
             return _train_policy(arm, folder, on_progress)
+        if arm.method == PPO_SPEED:
+            return speed.evaluate()
         torch.set_num_threads(1)
         if found := _FOUND.get((arm.world, arm.method)):
             return found(work)

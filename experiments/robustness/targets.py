@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.robustness import confidence, policies, scenes, visited_states, wordings
+from experiments.robustness import confidence, policies, scenes, speed, visited_states, wordings
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
@@ -102,6 +102,10 @@ def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sa
     return Target(claim, f"PPO, % of the expert: {text}", worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
 
 
+def _speed(claim: str, text: str, sample: str, *, least: float, **more: Any) -> Target:
+    return Target(claim, text, policies.SIDES[:1], (sample,), least, method="ppo_speed", **more)
+
+
 def _told(claim: str, text: str, *samples: str, least: float, **more: Any) -> Target:
     return Target(claim, text, (DEMONSTRATED,), samples, least, method=policies.LANGUAGE, **more)
 
@@ -188,6 +192,14 @@ TARGETS = (
         least=90,
         unit=_PER_CENT,
     ),
+    _speed(
+        "ppo_speed",
+        "PPO on the learned reward over the network, simulated control ticks per second",
+        speed.TICKS_PER_S,
+        least=1000,
+        also=("ppo_speed_ratio",),
+    ),
+    _speed("ppo_speed_ratio", "of the same in one process", speed.NETWORK_VS_IN_PROCESS, least=0.8),
 )
 """The claims that have a target."""
 
