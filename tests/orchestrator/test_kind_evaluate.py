@@ -118,7 +118,6 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
         {"run": 3},
         {"model": "skills", "goal": "a"},
         {"stored": 1},
-        {"untrained": -1},
     ],
 )
 def test_an_invalid_policy_is_refused(policy: Any) -> None:
@@ -180,7 +179,7 @@ def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callab
     assert same.artifact("result.json")["figures"]["gain"]["high"] == 0
 
 
-@pytest.mark.parametrize("baseline", ["nobody", {}, {"run": "a", "model": "b"}, {"untrained": -1}])
+@pytest.mark.parametrize("baseline", ["nobody", {}, {"run": "a", "model": "b"}])
 def test_an_invalid_baseline_is_refused(baseline: Any) -> None:
     with pytest.raises(InvalidInput):
         KINDS["evaluate"].parse(RANDOM | {"baseline": baseline})
@@ -197,7 +196,7 @@ def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable
         evaluation(RANDOM | {"task": "nothing"}).do()
 
 
-def test_a_stored_policy_and_untrained_weights_can_be_evaluated(evaluation: Callable[..., Any]) -> None:
+def test_a_stored_policy_can_be_evaluated(evaluation: Callable[..., Any]) -> None:
     task = {"task": "blocks.yellow-left-of-green", "episodes": 2, "num_envs": 2}
     stored = evaluation(task | {"policy": {"stored": "yellow-left-of-green"}})
     stored.check()
@@ -206,10 +205,5 @@ def test_a_stored_policy_and_untrained_weights_can_be_evaluated(evaluation: Call
     assert result["policy"] == "ppo"
     assert result["model"]["name"] == "yellow-left-of-green"
     assert result["model"]["version"]
-    untrained = [evaluation(task | {"policy": {"untrained": 3}}) for _ in range(2)]
-    assert all(run.do() for run in untrained)
-    result = untrained[0].artifact("result.json")
-    assert result == untrained[1].artifact("result.json")
-    assert (result["untrained"], len(result["sha256"])) == (3, 64)
     with pytest.raises(InvalidInput):
         evaluation(task | {"policy": {"stored": "nothing"}}).check()

@@ -31,7 +31,7 @@ _ITERATIONS = 47
 """Half of the default, for the demo's two minutes: 96 256 control ticks."""
 
 _NO_LR = 1e-7
-"""The smallest learning rate: what is trained with it is the policy that PPO begins with."""
+"""The smallest learning rate, which changes nothing: the policy with an eye and random weights that PPO begins with."""
 
 Step = dict[str, Any]
 
@@ -71,7 +71,7 @@ def _evaluate_and_practise() -> list[Step]:
         _fit("fit-skills", "imitation", "skills", "blocks-demos", after="label-blocks", method="skills"),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "skills"}, episodes=40, num_envs=40),
         _ppo("ppo-first", own, iterations=1, lr=_NO_LR),
-        _ppo("ppo", own, iterations=_ITERATIONS),
+        _ppo("ppo", own, iterations=_ITERATIONS, init_from="ppo-first"),
         _returns("ppo-returns", own, {"run": "ppo"}, baseline={"run": "ppo-first"}),
         _step(
             "distill",

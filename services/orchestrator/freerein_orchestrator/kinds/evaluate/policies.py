@@ -2,27 +2,17 @@
 
 import json
 from collections.abc import Collection, Mapping
-from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
-import torch
-
 from freerein.errors import InvalidInput
-from freerein.learning import weights
-from freerein.learning.config import bounded, parse
+from freerein.learning.config import parse
 from freerein.types.common import Goal, ModelRef
-from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy, served_policy, stored_policy
 from freerein_orchestrator.envs.random_policies import uniform_policy
-from freerein_orchestrator.envs.reward_fns import zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
-from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate.form import FormConfig, Setup
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.policy_files import NAMES, StoredPolicy, load_policy
-from freerein_orchestrator.rl.state import calibrate, init_network, network_spec
 
 _FIELD = "config.policy"
 
@@ -74,26 +64,12 @@ class StoredModelPolicy:
     stochastic: bool = False
 
 
-@dataclass(frozen=True)
-class UntrainedPolicy:
-    """The policy that a ppo run starts with: a PPO network of default size with random weights.
-
-    Attributes:
-        untrained: Seed of its weights.
-        stochastic: Whether its actions are sampled; else the most likely one is taken.
-    """
-
-    untrained: int = bounded(0, least=0, most=2**31 - 1)
-    stochastic: bool = True
-
-
-NamedPolicy: TypeAlias = RunPolicy | ModelPolicy | StoredModelPolicy | UntrainedPolicy
+NamedPolicy: TypeAlias = RunPolicy | ModelPolicy | StoredModelPolicy
 PolicyChoice: TypeAlias = Literal["random", "expert"] | NamedPolicy
 _CHOICES: Mapping[str, Any] = {
     "run": RunPolicy,
     "model": ModelPolicy,
     "stored": StoredModelPolicy,
-    "untrained": UntrainedPolicy,
 }
 
 
@@ -102,7 +78,7 @@ class PolicyConfig(FormConfig):
     """What all forms that evaluate a policy share.
 
     Attributes:
-        policy: `random`, the scripted `expert`, or an object with `run`, `model`, `stored` or `untrained`.
+        policy: `random`, the scripted `expert`, or an object with `run`, `model` or `stored`.
     """
 
     policy: Literal["random", "expert"] | dict[str, Any]
@@ -203,9 +179,6 @@ def find_choice(setup: Setup[Any], choice: PolicyChoice, *, max_steps_per_goal: 
             ref = ModelRef(**pinned) if pinned else store.resolve_model(asked, field=_FIELD)
             made = load_policy(store.model_folder(ref, field=_FIELD), device=context.device)
             return stored_policy(made, task, stochastic=stochastic, model=ref)
-        case UntrainedPolicy(untrained=seed, stochastic=stochastic):
-            handle = stored_policy(_untrained(context, task, seed), task, stochastic=stochastic)
-            return replace(handle, description={**handle.description, "untrained": seed})
         case "expert":
             return expert_policy(setup.sim, task)
         case _:
@@ -235,20 +208,3 @@ def _made_by_run(store: PolicyStore, name: str, *, device: str) -> StoredPolicy 
         field="config.policy.run",
         hint="Name a ppo run that has succeeded, or one that made a model of the imitation service.",
     )
-
-
-def _untrained(context: RunContext, task: Task, seed: int) -> StoredPolicy:
-    """Returns a network of default size as a ppo run on the task's first camera initialises it."""
-    camera, config = task.cameras[0], PPOConfig(seed=seed)
-    spec = network_spec(
-        config,
-        observation=(camera.height, camera.width, camera.channels),
-        action_size=task.action.size,
-        action_choices=task.action.choices,
-    )
-    generator = torch.Generator().manual_seed(seed)
-    network = init_network(spec, generator)
-    request = CreateSessionRequest(task.name, num_envs=config.num_envs, seed=seed)
-    with closing(RemoteVectorEnv([context.client("sim")], request, camera=camera.name, reward_fn=zero_reward)) as envs:
-        calibrate(network, envs, generator)
-    return StoredPolicy(network.eval(), {"camera": camera.name, "sha256": weights.sha256(network)})
