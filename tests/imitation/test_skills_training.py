@@ -17,6 +17,7 @@ from freerein_imitation.training.skill_segments import (
     SkillSegment,
     end_at_waypoints,
     find_segments,
+    match_tags,
     relabelled,
     split_segments,
     steps_of,
@@ -245,6 +246,31 @@ def test_whole_trajectories_are_for_validation() -> None:
     with pytest.raises(InvalidInput, match="at least 2 trajectories"):
         split_segments([SkillSegment(0, 0, 3, 0)], fraction=0.2, seed=0)
     assert relabelled([SkillSegment(0, 0, 3, 4), SkillSegment(0, 3, 6, 1)], [1, 4])[0].skill == 1
+
+
+def test_a_skill_that_tags_exclude_is_the_tagged_one_that_labels_lack_and_other_differences_are_left_out() -> None:
+    shown = [(1, 0), (1, 2), (1, 0, 2), (1, 0), (1,), (1, 0), (3, 0)]
+    tags = [{1, 0}, {1, 0}, {1, 0}, {1, 0, 2}, {1, 0}, (), {1, 2}]
+    segments = [
+        SkillSegment(item, 5 * place, 5 * place + 5, skill)
+        for item, skills in enumerate(shown)
+        for place, skill in enumerate(skills)
+    ]
+    kept = match_tags(segments, tags)
+    assert [(each.trajectory, each.start, each.skill) for each in kept] == [
+        *((0, 0, 1), (0, 5, 0)),  # as tagged
+        *((1, 0, 1), (1, 5, 0)),  # one mistaken
+        *((5, 0, 1), (5, 5, 0)),  # not tagged at all
+    ]
+
+
+def test_labels_that_take_one_skill_for_another_everywhere_are_mended_by_tags() -> None:
+    demonstrations, labels = demonstrate(6, seed=0)
+    confused = [np.where(each == 0, 1, 3) for each in labels]  # "to-blue" is taken for "jump"
+    tagged = replace(demonstrations, skills=[SKILLS] * len(demonstrations))
+    cloned, right = prepare(tagged, confused, skills=MORE_SKILLS), prepare(demonstrations, labels)
+    assert cloned.spec.skills == SKILLS
+    np.testing.assert_array_equal(cloned.training.skill, right.training.skill)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,6 +1,6 @@
 """Training data of skill policies: timesteps of demonstrations' segments with one predicted skill label."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
@@ -52,6 +52,29 @@ def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegmen
             if stop - start >= min_steps
         ]
     return found
+
+
+def match_tags(segments: Sequence[SkillSegment], tags: Sequence[Collection[int]]) -> list[SkillSegment]:
+    """Returns the segments of trajectories whose skills are the tagged ones, and of those with one skill mistaken.
+
+    Where labels show one skill that is not tagged, and lack one that is, the one was taken for the other: a fit from
+    tags may confuse two skills wherever it sees them. Trajectories that differ from their tags in another way are left
+    out.
+
+    Args:
+        segments: The segments of each trajectory.
+        tags: By trajectory, the indices of its skills; empty where they are not known.
+    """
+    shown: dict[int, set[int]] = {}
+    for each in segments:
+        shown.setdefault(each.trajectory, set()).add(each.skill)
+    meant: dict[int, dict[int, int]] = {}  # by trajectory, the skill that each label stands for
+    for trajectory, found in shown.items():
+        tagged = set(tags[trajectory]) or found
+        untagged, missing = found - tagged, tagged - found
+        if len(untagged) == len(missing) <= 1:
+            meant[trajectory] = {skill: skill for skill in found} | dict(zip(untagged, missing, strict=True))
+    return [replace(each, skill=meant[each.trajectory][each.skill]) for each in segments if each.trajectory in meant]
 
 
 def split_segments(

@@ -37,6 +37,7 @@ from freerein_imitation.training.skill_segments import (
     SkillSteps,
     end_at_waypoints,
     find_segments,
+    match_tags,
     relabelled,
     split_segments,
     steps_of,
@@ -169,7 +170,7 @@ class SkillsLearner:
         Args:
             config: Configuration of the fit.
             spec: Spec of the network, with all skills that the labels may name.
-            demonstrations: Frames and executed actions.
+            demonstrations: Frames, executed actions, and tags where they have some.
             labels: By trajectory, the predicted skill at each timestep, int64 (T,).
             fingerprint: Fingerprint of the dataset and its labels.
             device: Device to train on.
@@ -180,7 +181,10 @@ class SkillsLearner:
         executed = [np.asarray(demonstrations.actions[item], np.float32) for item in range(len(demonstrations))]
         waypoints = [Waypoints.of(each) for each in executed]
         found = find_segments(labels, min_steps=config.min_segment_steps)
-        segments = end_at_waypoints(found, demonstrations, waypoints, is_gripper=spec.is_gripper)
+        tags = demonstrations.skills or [()] * len(demonstrations)
+        known = [[number for number, skill in enumerate(spec.skills) if skill in each] for each in tags]
+        tagged = match_tags(found, known)
+        segments = end_at_waypoints(tagged, demonstrations, waypoints, is_gripper=spec.is_gripper)
         training, validation = split_segments(segments, fraction=config.validation_fraction, seed=config.seed)
         trained = sorted({each.skill for each in training})
         training, validation = relabelled(training, trained), relabelled(validation, trained)
