@@ -47,6 +47,9 @@ WORDINGS_OF_SIDES = tuple(
 """Wordings and converses of which no text that a policy is trained on has the words: those of the left, then right."""
 
 _HELD_OUT_SEED = 1_000_003
+_LABEL_STEPS = 4000
+"""Twice the default: with tags of two or three skills, a fit may confuse two of four for 1 500 steps."""
+
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
 _NUM_ENVS = 64
@@ -101,7 +104,15 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             max_skills=3,
             seed=arm.seed,
         ),
-        _fit("fit-labels", "segmentation", "demonstrations", stride=3, seed=arm.seed),
+        _fit(
+            "fit-labels",
+            "segmentation",
+            "demonstrations",
+            stride=3,
+            steps=_LABEL_STEPS,
+            augmentation=0.0,
+            seed=arm.seed,
+        ),
         _step("labels", "label", dataset="demonstrations", smoothing=1),
         _fit("fit", "imitation", "demonstrations", method=arm.method, seed=arm.seed),
         _evaluate("recipes", task=arm.world, policy={"model": "default"}, episodes=_RECIPES),
