@@ -33,7 +33,9 @@ CPU = torch.device("cpu")
 CAMERAS = (Camera("front", SIDE, SIDE, 3),)
 ACTION = ActionSpec(2, 0, ("down", "right"))
 CONTROL = ControlSpec(0.1, 0.5, 12)
-FAST = GoalCloningConfig(steps=400, lr=5e-3, features=40, hidden_size=64, evaluate_every=100)
+FAST = GoalCloningConfig(
+    steps=400, lr=5e-3, features=40, hidden_size=64, evaluate_every=100, close_steps=6, far_steps=8
+)
 
 
 def picture(hands: npt.NDArray[np.float64], blocks: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
@@ -188,19 +190,21 @@ def test_a_goal_is_a_few_actions_ahead_in_the_same_window(windows: GoalWindows) 
     np.testing.assert_array_equal(np.unique(ahead), np.unique(pairs.goals - pairs.observations))
 
 
-def test_pairs_close_in_time_and_far_ones_are_at_places_equally_far_apart(windows: GoalWindows) -> None:
+def test_pairs_close_in_time_far_ones_and_strangers_are_at_places_equally_far_apart(windows: GoalWindows) -> None:
     places = np.random.default_rng(1).uniform(0, 4, (len(windows.timesteps), 2)).astype(np.float32)
-    pairs = sample_change_pairs(windows, places, np.random.default_rng(0), close_steps=3, far_steps=8)
+    pairs = sample_change_pairs(windows, places, np.random.default_rng(0), close_steps=6, far_steps=8)
     steps = np.abs(windows.timesteps[pairs.first] - windows.timesteps[pairs.second])
     same = windows.trajectories[pairs.first] == windows.trajectories[pairs.second]
     apart = np.abs(places[pairs.first] - places[pairs.second]).max(axis=1)
-    close = pairs.is_close > 0
+    close, far, strange = pairs.is_close, pairs.is_far, ~pairs.is_close & ~pairs.is_far
     assert same[close].all()
-    assert (steps[close].min(), steps[close].max()) == (1, 3)
+    assert same[far].all()
+    assert not same[strange].any()
+    assert (steps[close].min(), steps[close].max()) == (4, 6)
+    assert steps[far].min() >= 8
     assert apart[close].max() <= 1
-    assert steps[~close & same].min() >= 8
-    assert (~same).sum() > 0
-    assert abs(apart[close].mean() - apart[~close & same].mean()) < 0.3
+    assert abs(apart[close].mean() - apart[far].mean()) < 0.3
+    assert abs(apart[close].mean() - apart[strange].mean()) < 0.3
 
 
 def test_windows_of_short_trajectories_are_whole() -> None:
@@ -248,6 +252,6 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 
 
 def test_a_configuration_is_read_strictly() -> None:
-    for wrong in ({"labels": True}, {"encoder": "eye"}, {"close_steps": 8}):
+    for wrong in ({"labels": True}, {"encoder": "eye"}, {"close_steps": 20}):
         with pytest.raises(InvalidInput):
             GoalCloningConfig.from_mapping(wrong)

@@ -25,7 +25,7 @@ def _resolve(source: FitDataset, config: GoalCloningConfig) -> GoalCloningConfig
 
 def _prepare(source: FitDataset, config: GoalCloningConfig, device: torch.device) -> GoalCloningLearner:
     training, validation = source.trajectories(config.cameras).split(
-        fraction=config.validation_fraction, seed=config.seed, min_length=config.far_steps + 2
+        fraction=config.validation_fraction, seed=config.seed, min_length=config.max_goal_steps + 2
     )
     fingerprint = source.dataset.fingerprint
     return GoalCloningLearner(config, _spec(source, config), training, validation, fingerprint, device)

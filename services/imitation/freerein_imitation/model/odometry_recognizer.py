@@ -3,8 +3,9 @@
 Time alone is a poor measure of distance: where a robot lingers, images far apart in time are equal. What it executed in
 between is a better one. Visual odometry places each image so that differences of places are sums of actions. A goal is
 near within half of an action's largest movement along each axis; axes of small movements, such as fingers', do not
-count. A second head compares images of nearby places: pairs close in time show the same scene, pairs far apart in time
-may show that an object was moved. That is learning from positive and unlabelled pairs (Elkan and Noto, "Learning
+count. A second head compares images of nearby places: pairs close in time show the same scene, those of different
+trajectories another one, and pairs far apart in time may show that an object was moved. Its probability is fitted to
+the mix of pairs far apart: they are unlabelled beside the positive ones close in time (Elkan and Noto, "Learning
 classifiers from only positive and unlabeled data", 2008).
 """
 
@@ -33,13 +34,15 @@ class OdometryRecognizer(nn.Module):
         tolerance: float32 (A,), largest distance of nearby places along each axis, in actions.
         counts: bool (A,), whether a goal must be near along each axis.
         spread: float32 (A,), standard deviation of differences of places.
-        unchanged_rate: float32 (), mean probability of held-out pairs that are close in time.
+        gain: float32 (), factor of the logits that nothing changed.
+        bias: float32 (), added to them after that.
     """
 
     tolerance: Tensor
     counts: Tensor
     spread: Tensor
-    unchanged_rate: Tensor
+    gain: Tensor
+    bias: Tensor
 
     def __init__(self, *, features: int, hidden_size: int, action: ActionSpec) -> None:
         super().__init__()
@@ -47,7 +50,8 @@ class OdometryRecognizer(nn.Module):
         self.register_buffer("tolerance", _NEAR * scale.max() / scale)
         self.register_buffer("counts", scale >= _LARGE * scale.max())
         self.register_buffer("spread", torch.full((action.size,), _NO_SPREAD if action.choices else 1.0))
-        self.register_buffer("unchanged_rate", torch.ones(()))
+        self.register_buffer("gain", torch.ones(()))
+        self.register_buffer("bias", torch.zeros(()))
         self.odometry = (
             None
             if action.choices
@@ -72,7 +76,7 @@ class OdometryRecognizer(nn.Module):
         """Returns probabilities, float32 (...), that observations are at goals, features (..., D) each."""
         off = (self.places(observation) - self.places(goal)).abs()  # (..., A)
         upper, lower = (torch.special.ndtr((edge - off) / self.spread) for edge in (self.tolerance, -self.tolerance))
-        unchanged = self.unchanged_logit(observation, goal).sigmoid() / self.unchanged_rate
+        unchanged = (self.gain * self.unchanged_logit(observation, goal) + self.bias).sigmoid()
         near = (upper - lower).where(self.counts, 1.0).prod(dim=-1)
-        reached: Tensor = near * unchanged.clamp(max=1)
+        reached: Tensor = near * unchanged
         return reached

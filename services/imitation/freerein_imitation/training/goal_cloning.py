@@ -23,6 +23,7 @@ from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningSpec
 from freerein_imitation.model.policy import confidence
+from freerein_imitation.training.change_head import change_data, fit_change_head, time_logits
 from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
 from freerein_imitation.training.goal_windows import (
     ChangePairs,
@@ -35,10 +36,14 @@ from freerein_imitation.training.goal_windows import (
     sample_windows,
     window_steps,
 )
+from freerein_imitation.training.positive_unlabelled import positive_unlabelled_calibration
 
 _NORMALISATION_FRAMES = 1500
 _EVALUATION_WINDOWS = 96
 _ODOMETRY_WEIGHT, _CHANGE_WEIGHT = 0.3, 1.0
+_LEAST_ALIKE_SHARE = 0.03  # of pairs close in time that look less alike than a changed scene
+_HEAD_UPDATES = 0.6  # of the head for changes alone, per optimiser step
+_UNCHANGED_SHARE = 0.75  # of pairs of frames at nearby places that are far in time, as calibration takes it
 _NORMAL_MAD = 1.48  # standard deviations per median absolute deviation of a normal distribution
 _SPREAD_SHARE = 0.5  # of the residuals' spread; the rest is the lag of the robot behind its actions
 
@@ -62,8 +67,8 @@ class GoalCloningConfig(DatasetFitConfig):
 
     encoder: str = one_of(ENCODERS, "moments")
     max_goal_steps: int = bounded(5, least=1, most=1000)
-    close_steps: int = bounded(4, least=1, most=1000)
-    far_steps: int = bounded(8, least=2, most=10_000)
+    close_steps: int = bounded(12, least=1, most=1000)
+    far_steps: int = bounded(20, least=2, most=10_000)
     steps: int = bounded(2500, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)
@@ -162,14 +167,13 @@ class GoalCloningLearner:
 
     @torch.no_grad()
     def calibrate(self, network: GoalCloningNetwork) -> None:
-        """Fits the recognizer's spread and rate, and the in-distribution score, to held-out frames."""
+        """Fits the head for changes, then the recognizer's probability and in-distribution score to held-out frames."""
         rng, config = np.random.default_rng(self.config.seed), self.config
         recognizer, reached = network.recognizer, []
         features = [encode_trajectory(network.encoder, self.validation, item) for item in range(len(self.validation))]
         if not self.spec.action.choices:
             recognizer.spread.copy_(self._spread(network, features))
-        close = [self._close_logits(network, batch, rng) for batch in self._validation_batches(rng)]
-        recognizer.unchanged_rate.copy_(torch.cat(close).sigmoid().mean())
+        self._fit_change_head(network, features)
         for each in features:
             ahead = np.arange(len(each)) + rng.integers(1, config.far_steps, len(each), endpoint=True)
             reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
@@ -198,11 +202,10 @@ class GoalCloningLearner:
         executed = action_bins.encode(batch.actions[at], choices=self.spec.action.choices)  # (P, A, categories)
         changes = self._change_pairs(network, batch, features, rng)
         unchanged = network.recognizer.unchanged_logit(features[changes.first], features[changes.second])
-        is_close = torch.from_numpy(changes.is_close).to(self.device)
         return GoalCloningLosses(
             action=objectives.action_cross_entropy(logits, executed).mean(),
             odometry=self._odometry_loss(network, features, batch, pairs),
-            change=functional.binary_cross_entropy_with_logits(unchanged, is_close),
+            change=self._change_loss(unchanged, changes),
         )
 
     def _odometry_loss(
@@ -215,6 +218,18 @@ class GoalCloningLearner:
         moved = batch.odometer[pairs.goals] - batch.odometer[pairs.observations]
         return objectives.absolute_error(places[pairs.goals] - places[pairs.observations], moved).mean()
 
+    def _change_loss(self, unchanged: Tensor, changes: ChangePairs) -> Tensor:
+        """Returns the loss, float (), of logits that nothing changed, float32 (P,).
+
+        Of the pairs far in time, those count as changed that look less alike than nearly all that are close in time.
+        """
+        is_close, is_far = (torch.from_numpy(each).to(self.device) for each in (changes.is_close, changes.is_far))
+        if not is_close.any():
+            return unchanged.new_zeros(())
+        least_alike = unchanged[is_close].detach().quantile(_LEAST_ALIKE_SHARE)
+        counts = ~is_far | (unchanged.detach() < least_alike)
+        return functional.binary_cross_entropy_with_logits(unchanged[counts], is_close[counts].float())
+
     def _change_pairs(
         self, network: GoalCloningNetwork, batch: GoalWindows, features: Tensor, rng: np.random.Generator
     ) -> ChangePairs:
@@ -222,12 +237,19 @@ class GoalCloningLearner:
         places = (recognizer.places(features.detach()) / recognizer.tolerance).detach().cpu().numpy()  # (N, A)
         return sample_change_pairs(batch, places, rng, close_steps=config.close_steps, far_steps=config.far_steps)
 
-    def _close_logits(self, network: GoalCloningNetwork, batch: GoalWindows, rng: np.random.Generator) -> Tensor:
-        """Returns the logits that nothing changed, float32 (P,), of sampled pairs that are close in time."""
-        features = network.encoder(batch.frames)  # (N, D)
-        pairs = self._change_pairs(network, batch, features, rng)
-        close = pairs.is_close > 0
-        return network.recognizer.unchanged_logit(features[pairs.first[close]], features[pairs.second[close]])
+    def _fit_change_head(self, network: GoalCloningNetwork, held_out: Sequence[Tensor]) -> None:
+        """Trains the recognizer's head for changes on all frames, and calibrates it by features of held-out ones."""
+        recognizer, config = network.recognizer, self.config
+        steps = {"close_steps": config.close_steps, "far_steps": config.far_steps, "seed": config.seed}
+        features = [encode_trajectory(network.encoder, self.training, item) for item in range(len(self.training))]
+        with torch.enable_grad():
+            updates = math.ceil(_HEAD_UPDATES * config.steps)
+            fit_change_head(recognizer, change_data(recognizer, features), updates=updates, **steps)
+        close, far = time_logits(recognizer, change_data(recognizer, held_out), **steps)
+        if len(close) and len(far):
+            gain, bias = positive_unlabelled_calibration(close, far, share=_UNCHANGED_SHARE)
+            recognizer.gain.fill_(gain)
+            recognizer.bias.fill_(bias)
 
     def _spread(self, network: GoalCloningNetwork, features: Sequence[Tensor]) -> Tensor:
         """Returns how far places, of the features of each validation trajectory, are from the actions: float32 (A,)."""

@@ -27,7 +27,7 @@ _GOALS_PER_WINDOW = 48
 _CHANGES_PER_WINDOW = 40
 _FIRST_SHARE = 0.15  # of observations without one before, as at the start of a goal
 _TIE_BREAK = 0.2  # in tolerances
-_STRANGERS_SHARE = 0.25  # of the pairs that are not close
+_LEAST_CLOSE_STEPS = 4  # sooner, fingers have hardly moved, and tell that little time has passed
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +75,14 @@ class ChangePairs:
     Attributes:
         first: int64 (P,).
         second: int64 (P,).
-        is_close: Whether they are close in time, rather than far or of different trajectories: float32 (P,).
+        is_close: Whether they are close in time: bool (P,).
+        is_far: Whether they are far in time, rather than close or of different trajectories: bool (P,).
     """
 
     first: Places
     second: Places
-    is_close: npt.NDArray[np.float32]
+    is_close: npt.NDArray[np.bool_]
+    is_far: npt.NDArray[np.bool_]
 
 
 def window_steps(max_goal_steps: int) -> int:
@@ -92,7 +94,7 @@ def lookalikes(statistics: Tensor, *, far_steps: int) -> Places:
     """Returns timesteps that look most like each one, of those far from it in time: int64 (T, 4).
 
     Args:
-        statistics: Image statistics of a trajectory's frames, float32 (T, D); T is above `far_steps`.
+        statistics: Image statistics of a trajectory's frames, float32 (T, D).
         far_steps: Fewest timesteps to a lookalike, where there are any.
     """
     distance = torch.cdist(statistics, statistics)  # (T, T)
@@ -160,52 +162,36 @@ def sample_goal_pairs(batch: GoalWindows, rng: np.random.Generator, *, max_goal_
 def sample_change_pairs(
     batch: GoalWindows, places: npt.NDArray[np.float32], rng: np.random.Generator, *, close_steps: int, far_steps: int
 ) -> ChangePairs:
-    """Returns pairs at nearby places that are close in time, others as far apart that are far in time, and strangers.
+    """Returns pairs at nearby places: close in time, and as far apart of different trajectories, and far in time.
 
-    Pairs of both kinds are alike in how far apart their places are, so that places tell nothing about which kind it is.
+    Pairs of all kinds are alike in how far apart their places are, so that places tell nothing about which kind it is.
 
     Args:
         batch: Windows.
         places: Of the frames, in units of the largest distance of nearby ones, float32 (N, A).
         rng: Samples pairs.
-        close_steps: Most actions between frames that are close in time; a frame is not paired with itself.
+        close_steps: Most actions between frames that are close in time.
         far_steps: Fewest actions between frames that are far in time.
     """
-    pairs = [
-        _window_change_pairs(batch, places, start, own, rng, close_steps=close_steps, far_steps=far_steps)
-        for start, own in batch.windows.tolist()
-    ]
-    first, second, is_close = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    others = rng.integers(len(batch.timesteps), size=len(first))
-    is_stranger = batch.trajectories[first] != batch.trajectories[others]
-    replaced = is_stranger & ~is_close & (rng.random(len(first)) < _STRANGERS_SHARE)
-    return ChangePairs(first, np.where(replaced, others, second), is_close.astype(np.float32))
-
-
-def _window_change_pairs(
-    batch: GoalWindows,
-    places: npt.NDArray[np.float32],
-    start: int,
-    own: int,
-    rng: np.random.Generator,
-    *,
-    close_steps: int,
-    far_steps: int,
-) -> tuple[Places, Places, npt.NDArray[np.bool_]]:
-    """Returns first and second frames of a window's pairs, and whether they are close in time."""
-    frames = np.arange(start, start + own + _COMPARED)
-    anchors = rng.integers(start, start + own, _CHANGES_PER_WINDOW)
-    apart = np.abs(places[anchors][:, None] - places[frames]).max(axis=2)  # (P, M)
-    steps = np.abs(batch.timesteps[anchors][:, None] - batch.timesteps[frames])
-    is_close = (steps >= 1) & (steps <= close_steps) & (apart <= 1)
+    anchors = np.concatenate([rng.integers(at, at + own, _CHANGES_PER_WINDOW) for at, own in batch.windows.tolist()])
+    is_own = batch.trajectories[anchors][:, None] == batch.trajectories  # (P, N)
+    steps = np.abs(batch.timesteps[anchors][:, None] - batch.timesteps)
+    apart = np.abs(places[anchors][:, None] - places).max(axis=2)
+    is_close = is_own & (steps >= min(_LEAST_CLOSE_STEPS, close_steps)) & (steps <= close_steps) & (apart <= 1)
     usable = is_close.any(axis=1)
-    anchors, apart, steps, is_close = anchors[usable], apart[usable], steps[usable], is_close[usable]
+    anchors, is_own, steps, apart, is_close = (each[usable] for each in (anchors, is_own, steps, apart, is_close))
     close = np.where(is_close, rng.random(apart.shape), np.inf).argmin(axis=1)
     unlike = np.abs(apart - np.take_along_axis(apart, close[:, None], axis=1)) + _TIE_BREAK * rng.random(apart.shape)
-    is_far = steps >= far_steps
-    far = np.where(is_far, unlike, np.inf).argmin(axis=1)[is_far.any(axis=1)]
-    first = np.concatenate([anchors, anchors[is_far.any(axis=1)]])
-    return first, frames[np.concatenate([close, far])], np.repeat([True, False], [len(close), len(far)])
+    kinds = is_close, ~is_own, is_own & (steps >= far_steps)
+    partners = [close, *(np.where(kind, unlike, np.inf).argmin(axis=1) for kind in kinds[1:])]
+    exists = [kind.any(axis=1) for kind in kinds]
+    counts = [int(each.sum()) for each in exists]
+    return ChangePairs(
+        first=np.concatenate([anchors[each] for each in exists]),
+        second=np.concatenate([partner[each] for partner, each in zip(partners, exists, strict=True)]),
+        is_close=np.repeat([True, False, False], counts),
+        is_far=np.repeat([False, False, True], counts),
+    )
 
 
 def _join(parts: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:
