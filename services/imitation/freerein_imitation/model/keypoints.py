@@ -17,7 +17,8 @@ _CROP, _CROP_HALF = 32, 0.5  # points along each side, and half of its side as a
 _OPENING_UNITS = 64
 _HAND_CELLS, _HAND_CHANNELS = 16, 24
 _MAP_CELLS, _MAP_CHANNELS = 32, 16
-_DISPLACEMENT_GAIN, _DISPLACEMENT_STD = 10.0, 0.05  # a hand crosses a frame in about ten steps
+_DISPLACEMENT_GAIN = 10.0  # a hand crosses a frame in about ten steps
+_TEMPLATE_CELLS = 13  # an object is recognised by what is up to six cells from the place that stands for the hand
 _ROW_WIDTH, _COLUMN_WIDTH = 1.0, 1.5  # cells; standard deviations of the smoothing of a place's probability
 _SMOOTHED_CELLS = 4
 _MODE_CELLS = 1.5
@@ -37,6 +38,19 @@ class ReluLinear(nn.Linear):
     def initialise(self, generator: torch.Generator) -> None:
         """Draws the weights; see `freerein.learning.weights.CustomInitialisation`."""
         _initialise(self, generator)
+
+
+class KeypointHead(nn.Conv2d):
+    """A heat map that is initially high wherever features are: where a frame differs from the mean image.
+
+    With a map that is high where the hand is not, a keypoint would move against the hand, and might never find it.
+    """
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draws the weights, none of them negative; see `freerein.learning.weights.CustomInitialisation`."""
+        _initialise(self, generator)
+        with torch.no_grad():
+            self.weight.abs_()
 
 
 def _initialise(layer: nn.Conv2d | nn.Linear, generator: torch.Generator) -> None:
@@ -125,7 +139,7 @@ class Hand(nn.Module):
         self.cells = Cells(camera, most=_HAND_CELLS)
         self.stem = self.cells.stem(camera.channels, _HAND_CHANNELS)
         self.conv = ReluConv(_HAND_CHANNELS, _HAND_CHANNELS, kernel_size=3, padding=1)
-        self.head = ReluConv(_HAND_CHANNELS, 1, kernel_size=1)
+        self.head = KeypointHead(_HAND_CHANNELS, 1, kernel_size=1)
         self.displacement = nn.Parameter(torch.empty(len(is_gripper), 2))
         self.lag = nn.Linear(len(is_gripper), len(is_gripper), bias=False)
         self._grippers = [number for number, each in enumerate(is_gripper) if each]
@@ -139,9 +153,9 @@ class Hand(nn.Module):
         rows, columns = torch.meshgrid(along, along, indexing="ij")
         self.register_buffer("window", torch.stack([columns, rows], dim=2))
 
-    def initialise(self, generator: torch.Generator) -> None:
-        """Draws small displacements: which way a keypoint goes must not be decided before it is found."""
-        nn.init.normal_(self.displacement, std=_DISPLACEMENT_STD, generator=generator)
+    def initialise(self, _generator: torch.Generator) -> None:
+        """Begins without displacement: which way a keypoint goes must not be decided before it is found."""
+        nn.init.zeros_(self.displacement)
 
     def forward(self, pixels: Tensor) -> Tensor:
         """Returns places, float32 (N, 2), in pixels (N, C, H, W)."""
@@ -178,7 +192,9 @@ class Hand(nn.Module):
 class SkillHeatMaps(nn.Module):
     """Where a skill's object is, and where the skill will put it: two heat maps, by fully convolutional layers.
 
-    Pick and place as places in the frame, as Zeng et al., "Transporter networks" (2020), but given the skill by FiLM.
+    Pick and place as places in the frame, as Zeng et al., "Transporter networks" (2020), but with maps for each skill.
+    An object is matched with a template as wide as its place may be off: the place that stands for the hand may be
+    anywhere on the hand.
 
     Args:
         camera: Camera of the frames.
@@ -189,12 +205,11 @@ class SkillHeatMaps(nn.Module):
         super().__init__()
         self.cells = Cells(camera, most=_MAP_CELLS)
         self.stem = self.cells.stem(camera.channels, _MAP_CHANNELS)
-        self.film = nn.Linear(skills, 2 * _MAP_CHANNELS)
         self.wide1 = ReluConv(_MAP_CHANNELS, _MAP_CHANNELS, kernel_size=3, padding=2, dilation=2)
         self.wide2 = ReluConv(_MAP_CHANNELS, _MAP_CHANNELS, kernel_size=3, padding=3, dilation=3)
         self.position = nn.Parameter(torch.empty(_MAP_CHANNELS, self.cells.rows, self.cells.columns))
-        self.object_head = nn.Conv2d(_MAP_CHANNELS, 1, kernel_size=3, padding=1)
-        self.place_head = nn.Conv2d(_MAP_CHANNELS, 1, kernel_size=3, padding=1)
+        self.object_head = nn.Conv2d(_MAP_CHANNELS, skills, kernel_size=_TEMPLATE_CELLS, padding=_TEMPLATE_CELLS // 2)
+        self.place_head = nn.Conv2d(_MAP_CHANNELS, skills, kernel_size=3, padding=1)
 
     def initialise(self, _generator: torch.Generator) -> None:
         """Begins with a position that does not matter."""
@@ -207,8 +222,10 @@ class SkillHeatMaps(nn.Module):
             pixels: float32 (N, C, H, W).
             skill: One-hot, float32 (N, skills).
         """
-        scale, offset = self.film(skill)[:, :, None, None].chunk(2, dim=1)  # (N, channels, 1, 1)
-        x = functional.relu(self.stem(pixels) * (1 + scale) + offset)
+        x = functional.relu(self.stem(pixels))
         wide = functional.relu(self.wide1(x) + self.position)
         wide = wide + functional.relu(self.wide2(wide))
-        return self.object_head(x + wide).flatten(1), self.place_head(wide).flatten(1)
+        targets, places = (
+            (maps.flatten(2) * skill[:, :, None]).sum(dim=1) for maps in (self.object_head(x + wide), self.place_head(wide))
+        )
+        return targets, places

@@ -50,7 +50,7 @@ TERMINATION_THRESHOLD = 0.97
 """Probability from which on a skill has terminated. The loss gives both classes equal weight, but to end late costs a
 few timesteps, and to end early the object."""
 
-_HAND_SHARE, _MAPS_SHARE = 0.07, 0.06
+_HAND_SHARE, _MAPS_SHARE = 0.07, 0.04
 """Shares of a fit's steps for the hand, and for the heat maps."""
 
 _NORMALISATION_FRAMES = 500
