@@ -226,6 +226,7 @@ class SkillHeatMaps(nn.Module):
         wide = functional.relu(self.wide1(x) + self.position)
         wide = wide + functional.relu(self.wide2(wide))
         targets, places = (
-            (maps.flatten(2) * skill[:, :, None]).sum(dim=1) for maps in (self.object_head(x + wide), self.place_head(wide))
+            (maps.flatten(2) * skill[:, :, None]).sum(dim=1)
+            for maps in (self.object_head(x + wide), self.place_head(wide))
         )
         return targets, places
