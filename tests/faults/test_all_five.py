@@ -167,8 +167,7 @@ async def test_on_sigterm_a_service_answers_accepted_calls_and_refuses_new_ones(
 
     async def stopped() -> float:
         """Returns the seconds until the service ended."""
-        accepted = [asyncio.create_task(one.ask()) for _ in range(4)]
-        await in_flight(stack.urls[name], 4)
+        accepted = await in_flight(stack.urls[name], one, 4)
         begun = time.monotonic()
         os.kill(one.status().pid, signal.SIGTERM)
         await refused(stack, name)
@@ -198,11 +197,16 @@ async def within(seconds: float, measure: Callable[[], Awaitable[float]]) -> Non
     assert min(taken) < seconds
 
 
-async def in_flight(url: str, calls: int) -> None:
-    """Waits until a service has this many calls in flight."""
-    async with httpx.AsyncClient(base_url=url, trust_env=False) as client, asyncio.timeout(20):
-        while (found := IN_FLIGHT.search((await client.get("/metrics")).text)) is None or float(found[1]) < calls:
-            pass
+async def in_flight(url: str, one: Probe, calls: int) -> list[asyncio.Task[Any]]:
+    """Returns calls that a service's metrics tell to be in flight at once; those answered before are asked again."""
+    async with httpx.AsyncClient(base_url=url, trust_env=False) as client, asyncio.timeout(60):
+        while True:
+            asked = [asyncio.create_task(one.ask()) for _ in range(calls)]
+            while not all(task.done() for task in asked):
+                found = IN_FLIGHT.search((await client.get("/metrics")).text)
+                if found is not None and float(found[1]) >= calls:
+                    return asked
+            await asyncio.gather(*asked)
 
 
 async def refused(stack: Stack, name: str) -> None:
