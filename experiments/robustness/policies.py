@@ -99,7 +99,7 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             dataset="demonstrations",
             task=arm.world,
             behaviour="expert",
-            count=1200,
+            count=2000,
             min_skills=2,
             max_skills=3,
             seed=arm.seed,
