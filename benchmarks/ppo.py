@@ -1,4 +1,6 @@
-"""Steps per second of PPO over the network, beside the same PPO in one process, and with two sims beside one.
+"""Control ticks per second of PPO over the network, beside the same PPO in one process, and with two sims beside one.
+
+One more training holds each action for two ticks, as PPO does unless told otherwise; the others hold none.
 
 Each turn is a short training from the same checkpoint, with the same worlds and learned reward; equal final weights are
 checked. In one process the worlds and the reward model have a thread each.
@@ -46,6 +48,7 @@ from freerein_sim.worlds.tasks import tasks
 _TASK, _CAMERA, _FRAME = "blocks.yellow-left-of-green", "front", (64, 64, 3)
 _MINIBATCH_ENVS = 8
 _ROUNDS = 3
+_HELD = 2
 _CPU = torch.device("cpu")
 _CACHE_BYTES = 2**20
 
@@ -76,12 +79,16 @@ async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effor
         explorations=1,
     )
     one, two = [await asyncio.to_thread(_Served.init, config, sims[:count], reward) for count in (1, 2)]
+    held = await asyncio.to_thread(_Served.init, config, sims[:1], reward, action_repeat=_HELD)
     local = _Local(config, one.start)
     try:
-        trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train}
+        trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train, "held": held.train}
         ends: dict[str, str] = {}
         steps = config.iterations * config.rollout_size
-        times = await measure_rates([_workload(name, train, steps, ends) for name, train in trainings.items()], effort)
+        ticks = {name: steps * (_HELD if name == "held" else 1) for name in trainings}
+        times = await measure_rates(
+            [_workload(name, train, ticks[name], ends) for name, train in trainings.items()], effort
+        )
     finally:
         local.end()
     if ends["in-process"] != ends["one-sim"]:
@@ -95,13 +102,13 @@ async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effor
     )
 
 
-def _workload(name: str, train: Train, steps: int, ends: dict[str, str]) -> Workload:
-    """Returns a workload of so many steps that records its final weights' hash in `ends`."""
+def _workload(name: str, train: Train, ticks: int, ends: dict[str, str]) -> Workload:
+    """Returns a workload of so many control ticks that records its final weights' hash in `ends`."""
 
     async def call() -> None:
         ends[name] = await asyncio.to_thread(train)
 
-    return Workload(name, repeat(call), steps, "steps")
+    return Workload(name, repeat(call), ticks, "ticks")
 
 
 class _NoLog:
@@ -135,21 +142,30 @@ class _Served:
     sims: Sequence[SyncClient]
     reward: SyncClient
     start: Checkpoint
+    action_repeat: int
 
     @classmethod
-    def init(cls, config: PPOConfig, sims: Sequence[SyncClient], reward: SyncClient) -> "_Served":
+    def init(
+        cls, config: PPOConfig, sims: Sequence[SyncClient], reward: SyncClient, *, action_repeat: int = 1
+    ) -> "_Served":
         task, camera = tasks()[_TASK], Camera(_CAMERA, *_FRAME)
         encoder = load_object_encoder(_reward_folder(), goal_caption=task.goal_text, camera=camera)
-        spec = network_spec(config, observation=_FRAME, action_size=task.spec.action.size, eye=encoder.spec)
-        with closing(_open(config, sims, zero_reward, ())) as envs:
+        spec = network_spec(
+            config,
+            observation=_FRAME,
+            action_size=task.spec.action.size,
+            eye=encoder.spec,
+            action_repeat=action_repeat,
+        )
+        with closing(_open(config, sims, zero_reward, (), action_repeat)) as envs:
             state: PPOState = init_state(config, spec, envs, device=_CPU, object_encoder=encoder.weights)
-        return cls(config, sims, reward, to_checkpoint(state))
+        return cls(config, sims, reward, to_checkpoint(state), action_repeat)
 
     def train(self) -> str:
         retry = Retry(np.random.default_rng(), stop=lambda: False, log_line=lambda _: None)
         reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
         collector = RecoveringCollector(
-            lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots),
+            lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots, self.action_repeat),
             num_steps=self.config.num_steps,
             retry=retry,
         )
@@ -157,10 +173,16 @@ class _Served:
 
 
 def _open(
-    config: PPOConfig, sims: Sequence[SyncClient], reward_fn: RewardFn, snapshots: Sequence[bytes]
+    config: PPOConfig,
+    sims: Sequence[SyncClient],
+    reward_fn: RewardFn,
+    snapshots: Sequence[bytes],
+    action_repeat: int,
 ) -> EnvGroups[RemoteVectorEnv]:
     request = CreateSessionRequest(_TASK, num_envs=config.num_envs, seed=0)
-    return open_groups(sims, request, camera=_CAMERA, reward_fn=reward_fn, snapshots=snapshots)
+    return open_groups(
+        sims, request, camera=_CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
+    )
 
 
 class _Local:

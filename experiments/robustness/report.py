@@ -148,7 +148,7 @@ def _claims_section(made: Sequence[Made]) -> Section:
     for each in made:
         claim, found = each.claim, each.worst if len(each.target.samples) > 1 else ""
         interval = f"{claim.value:.4g} [{claim.low:.4g}, {claim.high:.4g}]"
-        met = "yes" if claim.met else "**no**"
+        met = {True: "yes", False: "**no**", None: ""}[claim.met]
         beside = ("" if value is None else f"{value:.4g}" for value in (claim.baseline, claim.ceiling))
         rows.append((f"`{claim.claim}`", each.target.text, interval, each.target.must_reach, met, *beside, found))
     header = ("claim", "what", "value [95 % interval]", "must reach", "met", "baseline", "ceiling", "the worst is")
