@@ -25,7 +25,7 @@ PHRASES = [f"a {colour} block" for colour in ("red", "green", "yellow", "blue")]
 _BLOCK = 0.105
 """Width of a block's front in the frames of the camera `front`, as a share of theirs."""
 
-_EPISODES = 50
+_EPISODES, _SENTENCE_EPISODES = 50, 32
 
 _ITERATIONS = 47
 """Half of the default, for the demo's two minutes: 96 256 control ticks."""
@@ -87,8 +87,8 @@ def _evaluate_and_practise() -> list[Step]:
             task=own,
             other_tasks=[other],
             policy={"run": "distill"},
-            episodes=_EPISODES,
-            num_envs=_EPISODES,
+            episodes=_SENTENCE_EPISODES,
+            num_envs=_SENTENCE_EPISODES,
         ),
     ]
 
