@@ -51,7 +51,7 @@ def _learn_from_data() -> list[Step]:
         _collect("scatter", task="blocks.scatter", behaviour="random", count=1000),
         _fit("fit-grid", "segmentation", "grid", "grid-demos", steps=300, batch_size=16, augmentation=0.0),
         _evaluate("grid-labels", "segmentation", task="grid", model="grid", episodes=100, **_skills(5)),
-        _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3, steps=1200),
+        _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3, steps=1200, augmentation=0.0),
         _step("label-blocks", "label", dataset="blocks-demos", model="blocks", smoothing=1),
         _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
         _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES, epsilon=_BLOCK),
