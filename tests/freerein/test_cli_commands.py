@@ -160,10 +160,11 @@ def test_the_doctor_recognises_a_port_that_another_program_holds(
 
 
 def test_the_doctor_finds_the_wheels_that_are_data() -> None:
-    checks = (machine.check_meshes, machine.check_pendulum, machine.check_text_encoder)
+    checks = (machine.check_meshes, machine.check_pendulum, machine.check_robots, machine.check_text_encoder)
     assert [(each().name, each().state) for each in checks] == [
         ("robot meshes", "ok"),
         ("pendulum model", "ok"),
+        ("robots", "ok"),
         ("text encoder", "ok"),
     ]
 

@@ -396,7 +396,8 @@ def test_what_ends_frees_its_worlds() -> None:
 def demonstrated(task: str, **request: object) -> list[DemonstrateResponse]:
     whole = DemonstrateRequest(task, **{"behaviour": "expert", "count": 4, "seed": 3, **request})
     world = TASKS[task].make()
-    made = [demonstrations.make_demonstration(world, replace(whole, first=i)) for i in range(whole.first, whole.count)]
+    requests = [replace(whole, first=i) for i in range(whole.first, whole.count)]
+    made = [demonstrations.make_demonstration(TASKS[task], world, request) for request in requests]
     world.close()
     return made
 
@@ -462,4 +463,4 @@ def test_a_demonstration_that_cannot_be_is_refused(request_: dict[str, object]) 
 
 def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
     with pytest.raises(FailedPrecondition, match="within 10 tries"):
-        demonstrations.make_demonstration(Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))
+        demonstrations.make_demonstration(TASKS["grid"], Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))

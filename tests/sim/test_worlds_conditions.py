@@ -145,7 +145,7 @@ def test_the_expert_travels_at_its_speed(speed: str, steps: tuple[float, float])
     for conditions in ((), (speed,)):
         with closing(build(TASKS["blocks"], conditions)) as world:
             request = DemonstrateRequest("blocks", "expert", min_skills=3, count=6, seed=1)
-            made = [make_demonstration(world, replace(request, first=i)) for i in range(6)]
+            made = [make_demonstration(TASKS["blocks"], world, replace(request, first=i)) for i in range(6)]
             actions = np.concatenate([each.trajectory.actions for each in made])
             lengths.append(len(actions))
 
@@ -158,7 +158,7 @@ def test_at_half_the_speed_demonstrations_may_take_twice_as_long_and_sessions_ma
     slow, nominal = ("speed-0.5",), TASKS["blocks"].spec.max_episode_steps
     envs = VectorEnv(TASKS["blocks"], num_envs=1, seed=0, conditions=slow)
     with closing(build(TASKS["blocks"], slow)) as world, closing(envs):
-        made = make_demonstration(world, DemonstrateRequest("blocks", "expert", min_skills=4, count=1))
+        made = make_demonstration(TASKS["blocks"], world, DemonstrateRequest("blocks", "expert", min_skills=4, count=1))
         envs.reset()
         truncated = [envs.step(np.zeros((1, 3), np.float32)).truncated[0] for _ in range(nominal)]
 
@@ -186,9 +186,12 @@ def test_a_recipe_that_names_a_hidden_block_is_refused_and_makes_no_expert() -> 
 
 def test_demonstrations_with_fewer_blocks_choose_among_those_on_show_and_may_name_no_more() -> None:
     with closing(build(TASKS["blocks"], ("blocks-2",))) as world:
-        made = [make_demonstration(world, DemonstrateRequest("blocks", "expert", count=4, first=i)) for i in range(4)]
+        made = [
+            make_demonstration(TASKS["blocks"], world, DemonstrateRequest("blocks", "expert", count=4, first=i))
+            for i in range(4)
+        ]
         with pytest.raises(InvalidInput, match="<= 2 must hold"):
-            make_demonstration(world, DemonstrateRequest("blocks", "expert", max_skills=3))
+            make_demonstration(TASKS["blocks"], world, DemonstrateRequest("blocks", "expert", max_skills=3))
 
     assert all(1 <= len(each.trajectory.skills) <= 2 for each in made)
 

@@ -13,7 +13,7 @@ import pytest
 from freerein.errors import FailedPrecondition
 from freerein.serving.lifecycle import CONFIGURATION_ERROR
 from freerein_sim.worlds.blocks import TASKS
-from freerein_sim.worlds.rendering import open_renderer
+from freerein_sim.worlds.rendering import gray, open_renderer
 from freerein_sim.worlds.world import Frame, World
 
 RENDER = """
@@ -186,3 +186,9 @@ def test_the_image_is_upright_and_the_table_lies_below() -> None:
         image = look(world).astype(int)
 
     assert image[-1].mean() < image[0].mean()
+
+
+def test_gray_is_the_rounded_luma() -> None:
+    rgb = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [1, 1, 0]]], np.uint8)
+
+    np.testing.assert_array_equal(gray(rgb), np.array([[[76], [150], [29], [255], [1]]], np.uint8))

@@ -10,21 +10,32 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
-from freerein_sim.worlds.world import World, WorldSpec, expert_of, no_expert, sized_cameras, skill_indices
+from freerein_sim.worlds.recipes import recipe_lengths
+from freerein_sim.worlds.world import (
+    ScriptedPolicy,
+    TaskDefinition,
+    World,
+    WorldSpec,
+    expert_of,
+    no_expert,
+    sized_cameras,
+    skill_indices,
+)
 
 _MAX_TRIES = 10
 
 
-def make_demonstration(world: World, request: DemonstrateRequest) -> DemonstrateResponse:
-    """Returns trajectory `first` of a request.
+def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateRequest) -> DemonstrateResponse:
+    """Returns trajectory `first` of a request, made in a world of the task.
 
     It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
     """
     views = _views(world.spec, request)
-    skills = _skills(world.spec, request)
+    skills, (fewest, most) = _skills(task, world.spec, request)
     rng = generator(np.random.SeedSequence(request.seed, spawn_key=(request.first,)))
     for _ in range(_MAX_TRIES):
-        made = _act(world, request, skills, views, rng)
+        recipe = task.recipes.draw(rng, skills, fewest=fewest, most=most) if request.behaviour == "expert" else None
+        made = _act(world, recipe, views, rng)
         if made.success:
             return _response(world.spec, request, made)
     raise FailedPrecondition(
@@ -34,18 +45,13 @@ def make_demonstration(world: World, request: DemonstrateRequest) -> Demonstrate
 
 
 def _act(
-    world: World,
-    request: DemonstrateRequest,
-    skills: Sequence[str],
-    views: Sequence[Camera],
-    rng: np.random.Generator,
+    world: World, recipe: Sequence[str] | None, views: Sequence[Camera], rng: np.random.Generator
 ) -> RecordedEpisode:
-    if request.behaviour == "expert":
-        least, most = _number_of_skills(world.spec, request, skills)
-        number = rng.integers(least, most, endpoint=True)
-        chosen = [skills[i] for i in rng.permutation(len(skills))[:number]]
-        world.reset(rng, recipe=chosen)
-        policy = expert_of(world)(chosen, rng)
+    """Records the expert at a recipe, or random actions where there is none."""
+    policy: ScriptedPolicy
+    if recipe is not None:
+        world.reset(rng, recipe=recipe)
+        policy = expert_of(world)(recipe, rng)
     else:
         world.reset(rng)
         policy = SmoothRandomPolicy(world.spec.action, rng)
@@ -61,8 +67,10 @@ def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisod
     return DemonstrateResponse(request.first, trajectory)
 
 
-def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
-    """Returns the skills to choose from."""
+def _skills(
+    task: TaskDefinition, spec: WorldSpec, request: DemonstrateRequest
+) -> tuple[tuple[str, ...], tuple[int, int]]:
+    """Returns the skills to choose from, and the fewest and the most of a trajectory; 0 of an expert that has none."""
     if request.behaviour == "random":
         if request.skills or request.min_skills or request.max_skills:
             raise InvalidInput(
@@ -70,30 +78,16 @@ def _skills(spec: WorldSpec, request: DemonstrateRequest) -> tuple[str, ...]:
                 field="skills",
                 hint="Random actions execute no skills: leave them out, or ask for the expert.",
             )
-        return ()
+        return (), (0, 0)
     if not spec.has_expert:
         raise no_expert()
     skills = request.skills or spec.skills
     if len(set(skill_indices(spec, skills))) != len(skills):
         raise InvalidInput("`skills` must name each skill once; got one twice.", field="skills")
-    least, most = _number_of_skills(spec, request, skills)
-    if not least <= most <= _most_skills(spec, skills):
-        raise InvalidInput(
-            f"1 <= `min_skills` <= `max_skills` <= {_most_skills(spec, skills)} must hold, the number of skills to "
-            f"choose from, or of a recipe; got {request.min_skills} and {request.max_skills}.",
-            field="max_skills",
-            hint="Each skill occurs once at most. 0 means no bound.",
-        )
-    return skills
-
-
-def _number_of_skills(spec: WorldSpec, request: DemonstrateRequest, skills: Sequence[str]) -> tuple[int, int]:
-    """Returns the fewest and the most skills of a trajectory; 0 of an expert that has none."""
-    return request.min_skills or min(1, len(skills)), request.max_skills or _most_skills(spec, skills)
-
-
-def _most_skills(spec: WorldSpec, skills: Sequence[str]) -> int:
-    return min(len(skills), spec.max_skills or len(skills))
+    lengths = recipe_lengths(
+        task.recipes, skills, fewest=request.min_skills, most=request.max_skills, limit=spec.max_skills
+    )
+    return skills, lengths
 
 
 def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:

@@ -86,9 +86,9 @@ class RequestHandler:
         """Returns one trajectory. The service has checked its size for episodes of the nominal length only."""
         world = self._demonstration_world(request)
         cameras, images = request.cameras or (world.spec.cameras[0].name,), world.spec.max_episode_steps
-        task = self._task(request.task).describe()
-        protocol.check_frames(task, cameras, height=request.height, width=request.width, images=images)
-        return demonstrations.make_demonstration(world, request)
+        task = self._task(request.task)
+        protocol.check_frames(task.describe(), cameras, height=request.height, width=request.width, images=images)
+        return demonstrations.make_demonstration(task, world, request)
 
     def _demonstration_world(self, request: sim.DemonstrateRequest) -> World:
         """Returns the world of the task's last demonstration, or a new one where that had other conditions."""

@@ -20,7 +20,7 @@ MAX_MESSAGE_BYTES = 65 * 2**20
 MAX_ENVS = 64
 """Environments of one session."""
 
-MAX_SIZE_PX = 256
+MAX_SIZE_PX = 320
 MAX_FRAME_BYTES = 63 * 2**20
 """Frames in one reply."""
 

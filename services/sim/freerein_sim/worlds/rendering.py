@@ -21,6 +21,8 @@ _OFF = (
     mujoco.mjtRndFlag.mjRND_HAZE,
 )
 
+_LUMA_THOUSANDTHS = np.array([299, 587, 114], np.uint32)
+
 
 class Renderer:
     """OpenGL context of one model on one thread, shared by all worlds of the model; saves ten megabytes per world.
@@ -43,7 +45,7 @@ class Renderer:
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
 
     def render(self, data: mujoco.MjData, camera: str, *, height: int, width: int) -> Frame:
-        """Returns the camera's image, uint8 (height, width, 3)."""
+        """Returns the camera's image, RGB, uint8 (height, width, 3)."""
         self._check_thread()
         self._gl.make_current()
         if (self._context.offHeight, self._context.offWidth) != (height, width):
@@ -70,6 +72,12 @@ class Renderer:
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:
             raise FailedPrecondition("A world is rendered and closed on one thread; this is another.")
+
+
+def gray(frame: Frame) -> Frame:
+    """Returns the luma of an RGB frame, .299 R + .587 G + .114 B rounded: uint8 (H, W, 3) to (H, W, 1)."""
+    thousandths = frame.astype(np.uint32) @ _LUMA_THOUSANDTHS  # in integers, equal on every machine
+    return ((thousandths + 500) // 1000).astype(np.uint8)[..., None]
 
 
 def _count_drawn(model: mujoco.MjModel) -> int:

@@ -13,12 +13,13 @@ from freerein.types.common import ActionSpec, Camera, check_name
 from freerein_sim.worlds import camera_effects
 from freerein_sim.worlds.conditions import Condition
 from freerein_sim.worlds.predicates import StatePredicate
+from freerein_sim.worlds.recipes import RandomOrder, RecipeSampler
 
 Action = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (A,) in [-1, 1] for continuous actions, int64 (1,) for discrete ones; (T, A) for T timesteps."""
 
 Frame = npt.NDArray[np.uint8]
-"""uint8 (H, W, C), RGB."""
+"""uint8 (H, W, C), RGB or gray."""
 
 NO_SKILL = -1
 """Label of a timestep without a skill."""
@@ -37,7 +38,7 @@ class WorldSpec:
         state_names: Name of each number of the true state.
         has_expert: Whether worlds of this spec have a scripted expert.
         max_size: Greatest frame height and width, in pixels.
-        max_skills: Most skills of a recipe; 0 means all.
+        max_skills: Most skills of a recipe under the world's conditions; 0 for no other limit than the task's.
     """
 
     cameras: tuple[Camera, ...]
@@ -47,7 +48,7 @@ class WorldSpec:
     max_episode_steps: int
     state_names: tuple[str, ...]
     has_expert: bool = False
-    max_size: int = 256
+    max_size: int = 320
     max_skills: int = field(default=0, repr=False)  # fingerprints of worlds hash the repr
 
 
@@ -188,6 +189,7 @@ class TaskDefinition:
         make: Builds a world; it must be reset before use. Takes `conditions` where it has `own_conditions`.
         predicates: What can be checked on true states.
         own_conditions: Conditions that its world implements.
+        recipes: Draws what episodes execute.
     """
 
     name: str
@@ -197,6 +199,7 @@ class TaskDefinition:
     make: Callable[..., World]
     predicates: tuple[StatePredicate, ...] = ()
     own_conditions: tuple[Condition, ...] = ()
+    recipes: RecipeSampler = field(default_factory=RandomOrder)
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")

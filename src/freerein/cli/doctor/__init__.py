@@ -40,7 +40,7 @@ def _check_all() -> list[CheckResult]:
     data_dir = CliSettings().data_dir
     checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
     if "sim" in names:
-        checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum]
+        checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum, machine.check_robots]
     if "imitation" in names:
         checks.append(machine.check_text_encoder)
     if set(names) - {"sim"}:

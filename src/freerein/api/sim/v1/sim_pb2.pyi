@@ -195,9 +195,9 @@ class CreateSessionRequest(_message.Message):
     lease_s: _builtins.float
     """Time without a call after which the session ends, in seconds; 0 means 60. At most 3600."""
     height: _builtins.int
-    """Frame height in pixels; 0 means the cameras' own. At most 256."""
+    """Frame height in pixels; 0 means the cameras' own. At most 320."""
     width: _builtins.int
-    """Frame width in pixels; 0 means the cameras' own. At most 256."""
+    """Frame width in pixels; 0 means the cameras' own. At most 320."""
     privileged: _builtins.bool
     """Whether replies include true state, oracle reward and success. For evaluation only, never for learning."""
     idempotency_key: _builtins.str
@@ -631,9 +631,9 @@ class RenderRequest(_message.Message):
     session: _builtins.str
     """The session."""
     height: _builtins.int
-    """Frame height in pixels; 0 means the session's. At most 256."""
+    """Frame height in pixels; 0 means the session's. At most 320."""
     width: _builtins.int
-    """Frame width in pixels; 0 means the session's. At most 256."""
+    """Frame width in pixels; 0 means the session's. At most 320."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Cameras; empty for all of the task."""
@@ -848,9 +848,9 @@ class DemonstrateRequest(_message.Message):
     first: _builtins.int
     """Index of the first trajectory to send; 0 for all. To resume, one more than the last one received."""
     height: _builtins.int
-    """Frame height in pixels; 0 means the camera's own. At most 256."""
+    """Frame height in pixels; 0 means the camera's own. At most 320."""
     width: _builtins.int
-    """Frame width in pixels; 0 means the camera's own. At most 256."""
+    """Frame width in pixels; 0 means the camera's own. At most 320."""
     privileged: _builtins.bool
     """Whether replies include `labels`. For evaluation only."""
     @_builtins.property

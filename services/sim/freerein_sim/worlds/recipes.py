@@ -1,0 +1,78 @@
+"""Recipes: the skills that an episode executes, in order. Each task has a sampler of its own recipes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from freerein.errors import InvalidInput
+
+
+class RecipeSampler(Protocol):
+    """What recipes a task has; by default `RandomOrder`."""
+
+    def lengths(self, skills: Sequence[str]) -> tuple[int, int]:
+        """Returns the fewest and the most skills of a recipe out of these.
+
+        Raises:
+            InvalidInput: No recipe consists of these skills.
+        """
+
+    def draw(self, rng: np.random.Generator, skills: Sequence[str], *, fewest: int, most: int) -> tuple[str, ...]:
+        """Returns a recipe.
+
+        Args:
+            rng: The generator. Where `fewest` equals `most`, the length takes nothing from it.
+            skills: Different skills to choose from, for which `lengths` has an answer.
+            fewest: Fewest skills, within `lengths`.
+            most: Most skills, within `lengths`.
+        """
+
+
+@dataclass(frozen=True)
+class RandomOrder:
+    """Any skills, each at most once, in any order; their number is drawn uniformly.
+
+    Attributes:
+        most: Most skills of a recipe, for a task in which not all fit into an episode; 0 means all.
+    """
+
+    most: int = 0
+
+    def lengths(self, skills: Sequence[str]) -> tuple[int, int]:
+        """Returns 1 and the number of skills, or `most`; 0 and 0 without skills."""
+        return min(1, len(skills)), min(len(skills), self.most or len(skills))
+
+    def draw(self, rng: np.random.Generator, skills: Sequence[str], *, fewest: int, most: int) -> tuple[str, ...]:
+        """Returns a random part of a random permutation."""
+        number = rng.integers(fewest, most, endpoint=True)
+        return tuple(skills[i] for i in rng.permutation(len(skills))[:number])
+
+
+def recipe_lengths(
+    sampler: RecipeSampler, skills: Sequence[str], *, fewest: int = 0, most: int = 0, limit: int = 0
+) -> tuple[int, int]:
+    """Returns the fewest and the most skills of a recipe that was asked for; 0 means the sampler's own bound.
+
+    Args:
+        sampler: The task's.
+        skills: Skills to choose from.
+        fewest: Fewest skills.
+        most: Most skills.
+        limit: Most skills that the world allows under its conditions; 0 for no limit.
+
+    Raises:
+        InvalidInput: No recipe has such a length.
+    """
+    least, greatest = sampler.lengths(skills)
+    greatest = min(greatest, limit or greatest)
+    chosen = fewest or least, most or greatest
+    if not least <= chosen[0] <= chosen[1] <= greatest:
+        raise InvalidInput(
+            f"{least} <= `min_skills` <= `max_skills` <= {greatest} must hold, the bounds of a recipe; "
+            f"got {fewest} and {most}.",
+            field="max_skills",
+            hint="0 means the task's own bound.",
+        )
+    return chosen
