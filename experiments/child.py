@@ -23,9 +23,11 @@ def main(folder: Path) -> int:
     def work(job: Mapping[str, Any]) -> bool:
         experiment = registry.load(job["experiment"])
         (arm,) = choose(experiment, [job["arm"]])
-        experiment.prepare(Path(job["work"]))
+        experiment.prepare(arm, Path(job["work"]))
         elapsed = Elapsed(folder / "elapsed.json")
-        outcome = experiment.run(arm, work=Path(job["work"]), folder=folder, on_progress=elapsed.save)
+        outcome = experiment.run(
+            arm, results=Path(job["results"]), work=Path(job["work"]), folder=folder, on_progress=elapsed.save
+        )
         elapsed.save()
         if outcome is None:
             return False

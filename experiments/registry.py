@@ -6,7 +6,7 @@ from experiments.workbench.arms import Experiment
 from freerein.errors import NotFound
 
 EXPERIMENTS = (
-    "grid",
+    "table_2_1",
     "robustness",
     "smoke",
 )

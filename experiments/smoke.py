@@ -3,13 +3,17 @@
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.report import Report
+from experiments.segmentation.study import SUPERVISED, Method, Study
 
 EXPERIMENT = SegmentationExperiment(
-    data=DatasetSpec("grid", train=SplitSpec(24, 2, 4), validation=SplitSpec(6, 2, 4), test=SplitSpec(6, 5, 5)),
-    objectives=("lse",),
-    contexts=("causal",),
-    seeds=2,
-    settings={"steps": 24, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
-    train_evaluated=8,
+    studies=(
+        Study(
+            data=DatasetSpec("grid", train=SplitSpec(24, 2, 4), validation=SplitSpec(6, 2, 4), test=SplitSpec(6, 5, 5)),
+            methods=(Method("lse", ("causal",), {"objective": "lse"}), Method(SUPERVISED, ("causal",))),
+            seeds=2,
+            settings={"steps": 24, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
+            train_evaluated=8,
+        ),
+    ),
     report=Report("smoke", title="A tiny experiment", text="For tests: the figures mean nothing."),
 )

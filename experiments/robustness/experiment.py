@@ -22,7 +22,7 @@ from experiments.robustness import (
 from experiments.robustness.draw import Spec, open_or_draw
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
-from experiments.segmentation import evaluation
+from experiments.segmentation import guesses
 from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
@@ -41,8 +41,8 @@ _VERSION = 1
 
 _FOUND: Mapping[tuple[str, str], Callable[[Path], Outcome]] = MappingProxyType(
     {
-        (DEMONSTRATED, "random"): lambda work: segmentation.evaluate_guess(evaluation.guess_skill, work),
-        (DEMONSTRATED, "majority"): lambda work: segmentation.evaluate_guess(evaluation.guess_majority, work),
+        (DEMONSTRATED, "random"): lambda work: segmentation.evaluate_guess(guesses.guess_skill, work),
+        (DEMONSTRATED, "majority"): lambda work: segmentation.evaluate_guess(guesses.guess_majority, work),
         (SCATTERED, "majority"): scenes.evaluate_majority,
         (SCATTERED, "word_blind"): scenes.evaluate_word_blind,
         (SCATTERED, "captions"): scenes.evaluate_captions,
@@ -112,14 +112,16 @@ class RobustnessExperiment:
         """Returns the hash of what the world's generator draws."""
         return world_hash(world)
 
-    def prepare(self, work: Path) -> None:
+    def prepare(self, arm: Arm, work: Path) -> None:
         """Draws what is learned from and what fits are evaluated on."""
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
         more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())
         for spec in (*specs, *more):
             open_or_draw(spec, work)
 
-    def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+    def run(
+        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
+    ) -> Outcome | None:
         """Fits where no other arm has, and evaluates; see `Experiment`. Checkpoints are in `work`."""
         if arm.method in policies.METHODS:
             return _train_policy(arm, folder, on_progress)

@@ -1,6 +1,6 @@
-"""Labels of trajectories by networks and by guessing, and their figures against the truth."""
+"""Labels of trajectories by networks, and the figures of labels against the truth."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -9,58 +9,114 @@ import torch
 from experiments.workbench.results import Outcome, Sample
 from freerein import metrics
 from freerein.learning.trajectories import Trajectories
+from freerein_segmentation.core.decoding import merge_short, smooth
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import gather
 
 Labels = npt.NDArray[np.int64]
+Probabilities = npt.NDArray[np.float32]
+
+FRAME_ACCURACY, DECODED_ACCURACY, KEPT_ACCURACY = "frame_accuracy", "decoded_accuracy", "kept_accuracy"
+SMOOTHING, LEAST_SEGMENT = 2.0, 5
+"""What is decoded: the Gaussian's standard deviation and the shortest segment, in timesteps. Chapter 2 rejects segments
+under 5 timesteps and does not tell its Gaussian."""
 
 _BATCH = 128
-FRAME_ACCURACY = "frame_accuracy"
+_REJECTED = -1
 
 
 @torch.inference_mode()
-def predict(network: SegmentationNetwork, seen: Trajectories, *, count: int) -> list[Labels]:
-    """Returns the most probable skill at each timestep of the first `count` trajectories, int64 (T,) each."""
-    predicted: list[Labels] = []
+def predict(network: SegmentationNetwork, seen: Trajectories, *, count: int) -> list[Probabilities]:
+    """Returns the skills' probabilities at each timestep of the first `count` trajectories, float32 (T, K) each."""
+    spec, lengths = network.spec, seen.lengths()[:count]
+    predicted = [np.empty((length, len(spec.skills)), np.float32) for length in lengths]
     device = next(network.parameters()).device
     for start in range(0, count, _BATCH):
         items = range(start, min(start + _BATCH, count))
-        batch = gather(seen, items, [0] * len(items), spec=network.spec, device=device)
-        scores, mask = network(batch.frames, batch.actions, batch.lengths)  # (B, T, K), (B, T)
-        labels = scores.argmax(dim=2)[mask].cpu().numpy()  # (N,)
-        predicted += np.split(labels, batch.lengths.cumsum(dim=0).tolist()[:-1])
+        for phase in range(spec.stride):
+            batch = gather(seen, items, [phase] * len(items), spec=spec, device=device)
+            scores, mask = network(batch.frames, batch.actions, batch.lengths)  # (B, T, K), (B, T)
+            probabilities = scores.softmax(dim=2)[mask].cpu().numpy()  # (N, K)
+            parts = np.split(probabilities, batch.lengths.cumsum(dim=0).tolist()[:-1])
+            for item, part in zip(items, parts, strict=True):
+                predicted[item][phase % lengths[item] :: spec.stride] = part
     return predicted
 
 
-def guess_skill(truth: Labels, *, skills: int, rng: np.random.Generator) -> Labels:
-    """Returns a random skill for each timestep, int64 (T,): the dissertation's Random."""
-    return rng.integers(skills, size=len(truth))
+def decode(probabilities: Probabilities) -> Labels:
+    """Returns labels int64 (T,) as the service decodes them: smoothed, short segments merged."""
+    smoothed = smooth(probabilities, sigma=SMOOTHING)
+    return merge_short(smoothed.argmax(axis=1), smoothed, min_segment=LEAST_SEGMENT)
 
 
-def guess_tag(truth: Labels, *, skills: int, rng: np.random.Generator) -> Labels:
-    """Returns a random one of the trajectory's skills for each timestep, int64 (T,): the dissertation's Random-Cls."""
-    return rng.choice(np.unique(truth), size=len(truth))
+def reject_short(labels: Labels) -> Labels:
+    """Returns labels (T,) with -1 in place of segments that are too short."""
+    starts = metrics.run_starts(labels)
+    lengths = np.diff(np.append(starts, len(labels)))
+    return np.where(np.repeat(lengths < LEAST_SEGMENT, lengths), _REJECTED, labels)
 
 
-def guess_majority(truth: Labels, *, skills: int, rng: np.random.Generator) -> Labels:
-    """Returns the trajectory's longest skill for all timesteps, int64 (T,); it knows which that is."""
-    return np.full(len(truth), np.bincount(truth).argmax())
-
-
-def score(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: str) -> Outcome:
-    """Returns the figures of predicted labels, int64 (T,) per trajectory; names begin with the split's.
+def score_guess(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: str) -> Outcome:
+    """Returns the figures of labels, int64 (T,) per trajectory; names begin with the split's.
 
     Frame accuracy and balanced accuracy are over all timesteps, the edit score and F1@50 are means over trajectories.
     """
+    accuracy = _accuracy(predicted, truth)
+    figures = {FRAME_ACCURACY: accuracy.mean, **_segment_figures(predicted, truth)}
+    balanced = metrics.balanced_accuracy(np.concatenate(predicted), np.concatenate(truth))
+    return _named(split, {**figures, "balanced_accuracy": balanced}, {FRAME_ACCURACY: accuracy})
+
+
+def score(predicted: Sequence[Probabilities], truth: Sequence[Labels], *, split: str) -> Outcome:
+    """Returns the figures of probabilities, float32 (T, K) per trajectory.
+
+    They are of the most probable skills, as in `score_guess`, of decoded labels, and of what is kept when short
+    segments are rejected, after smoothing and without.
+    """
+    raw = [each.argmax(axis=1) for each in predicted]
+    found = score_guess(raw, truth, split=split)
+    decoded = [decode(each) for each in predicted]
+    accuracy = _accuracy(decoded, truth)
+    segments = {f"decoded_{name}": value for name, value in _segment_figures(decoded, truth).items()}
+    smoothed = [reject_short(smooth(each, sigma=SMOOTHING).argmax(axis=1)) for each in predicted]
+    kept, kept_figures = _kept(smoothed, truth)
+    unsmoothed, unsmoothed_figures = _kept([reject_short(each) for each in raw], truth)
+    figures = {DECODED_ACCURACY: accuracy.mean, **segments, KEPT_ACCURACY: kept.mean, **kept_figures}
+    figures |= {f"unsmoothed_{KEPT_ACCURACY}": unsmoothed.mean}
+    figures |= {f"unsmoothed_{name}": value for name, value in unsmoothed_figures.items()}
+    more = _named(split, figures, {DECODED_ACCURACY: accuracy, KEPT_ACCURACY: kept})
+    return Outcome({**found.figures, **more.figures}, {**found.samples, **more.samples})
+
+
+def _accuracy(predicted: Sequence[Labels], truth: Sequence[Labels]) -> Sample:
+    correct = [int((ours == theirs).sum()) for ours, theirs in zip(predicted, truth, strict=True)]
+    return Sample(correct, [len(each) for each in truth])
+
+
+def _segment_figures(predicted: Sequence[Labels], truth: Sequence[Labels]) -> dict[str, float]:
     pairs = list(zip(predicted, truth, strict=True))
-    correct = [int((ours == theirs).sum()) for ours, theirs in pairs]
-    accuracy = Sample(correct, [len(each) for each in truth])
-    figures = {
-        FRAME_ACCURACY: accuracy.mean,
-        "balanced_accuracy": metrics.balanced_accuracy(np.concatenate(predicted), np.concatenate(truth)),
+    return {
         "edit_score": float(np.mean([metrics.edit_score(*pair) for pair in pairs])),
         "f1_at_50": float(np.mean([metrics.f1_at(*pair, overlap=0.5) for pair in pairs])),
     }
+
+
+def _kept(labels: Sequence[Labels], truth: Sequence[Labels]) -> tuple[Sample, dict[str, float]]:
+    """Returns the accuracy of labels that are not rejected, over trajectories with any, and how many are kept.
+
+    These are the shares of all timesteps, and of those of the skill that loses most.
+    """
+    pairs = list(zip(labels, truth, strict=True))
+    some = [(ours, theirs) for ours, theirs in pairs if (ours != _REJECTED).any()]
+    correct = [int((ours == theirs).sum()) for ours, theirs in some]
+    sample = Sample(correct or [0], [int((ours != _REJECTED).sum()) for ours, _ in some] or [1])
+    all_kept, all_truth = np.concatenate(labels) != _REJECTED, np.concatenate(truth)
+    by_skill = [float(all_kept[all_truth == skill].mean()) for skill in np.unique(all_truth)]
+    return sample, {"kept_share": float(all_kept.mean()), "least_kept_share": min(by_skill)}
+
+
+def _named(split: str, figures: Mapping[str, float], samples: Mapping[str, Sample]) -> Outcome:
     return Outcome(
-        {f"{split}.{name}": round(value, 6) for name, value in figures.items()}, {f"{split}.{FRAME_ACCURACY}": accuracy}
+        {f"{split}.{name}": round(value, 6) for name, value in figures.items()},
+        {f"{split}.{name}": sample for name, sample in samples.items()},
     )

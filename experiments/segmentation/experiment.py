@@ -1,135 +1,143 @@
-"""An experiment on segmentation: {methods} x {contexts} x {seeds} on the demonstrations of worlds."""
+"""An experiment on segmentation: methods in their contexts, with several seeds, on the demonstrations of worlds."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from experiments.segmentation import dataset, draw, evaluation, report, supervised, truth, weakly_supervised
-from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
-from experiments.segmentation.report import SUPERVISED, Report
+from experiments.segmentation import dataset, draw, evaluation, report, supervised, trials, truth, weakly_supervised
+from experiments.segmentation.dataset import SPLITS, SplitName
+from experiments.segmentation.guesses import GUESSES
+from experiments.segmentation.report import Report
+from experiments.segmentation.study import SUPERVISED, Study
 from experiments.workbench.arms import Arm
-from experiments.workbench.results import ArmResult, Outcome, Sample
+from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import Learner, fit
+from freerein.learning.fit import FitResult, fit
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig
 
-GUESSES = {
-    "random": evaluation.guess_skill,
-    "random_cls": evaluation.guess_tag,
-    "majority": evaluation.guess_majority,
-}
-"""Baselines without a network."""
-
-Predict = Callable[[SplitName, int], Sequence[evaluation.Labels]]
-"""Returns the labels of the first trajectories of a split, int64 (T,) each, given their number."""
+Fitted = FitResult[SegmentationNetwork]
 
 
 @dataclass(frozen=True)
 class SegmentationExperiment:
-    """Arms of one world that differ in objective, context and seed.
+    """Studies of some worlds, and the table of their arms.
 
     Attributes:
-        data: The demonstrations.
-        objectives: Objectives of the segmentation service.
-        contexts: Contexts of its network.
-        seeds: Number of independently trained networks of each, and of supervised ones.
-        settings: Other keys of the segmentation service's configuration.
-        train_evaluated: Number of training trajectories that are evaluated.
-        report: The table's words and the dissertation's figures.
+        studies: The studies, of one world each.
+        report: The table's words, the dissertation's figures, and the claims.
     """
 
-    data: DatasetSpec
-    objectives: tuple[str, ...]
-    contexts: tuple[str, ...]
-    seeds: int
-    settings: Mapping[str, float]
-    train_evaluated: int
+    studies: tuple[Study, ...]
     report: Report
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Guesses, then all networks of a seed before those of the next."""
-        guesses = [Arm(self.data.task, method) for method in GUESSES]
-        networks = [
-            Arm(self.data.task, method, {"context": context}, seed)
-            for seed in range(self.seeds)
-            for method in (*self.objectives, SUPERVISED)
-            for context in self.contexts
-        ]
-        return (*guesses, *networks)
-
-    @property
-    def trajectories_seen(self) -> int:
-        """Number of training trajectories that a network is trained on."""
-        fit_config = SegmentationConfig.from_mapping(self.settings)
-        return min(fit_config.steps * fit_config.batch_size, self.data.train.count)
+        """The arms of each study in turn."""
+        return tuple(arm for study in self.studies for arm in study.arms)
 
     def config(self, arm: Arm) -> dict[str, JSON]:
-        """Returns the data and, for a network, the segmentation service's configuration."""
-        config: dict[str, JSON] = {"data": asdict(self.data), "train_evaluated": self.train_evaluated}
-        if arm.method not in GUESSES:
-            config["fit"] = {**asdict(self._fit_config(arm)), "objective": arm.method}
+        """Returns the data and, for a network, the segmentation service's configuration and what is tried."""
+        study = self._study(arm.world)
+        config: dict[str, JSON] = {"data": asdict(study.data), "train_evaluated": study.train_evaluated}
+        if not study.is_guess(arm):
+            config["fit"] = {**asdict(study.fit_config(arm)), "method": arm.method}
+        if not study.is_guess(arm) and study.learning_rates:
+            config["trials"] = {"learning_rates": list(study.learning_rates), "steps": study.trial_steps}
         return config
 
     def world_hash(self, world: str) -> str:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
-    def prepare(self, work: Path) -> None:
+    def prepare(self, arm: Arm, work: Path) -> None:
         """Draws the demonstrations, or waits until another arm has drawn them."""
-        dataset.open_or_draw(self.data, work)
+        dataset.open_or_draw(self._study(arm.world).data, work)
 
-    def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+    def run(
+        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
+    ) -> Outcome | None:
         """Trains and evaluates an arm; see `Experiment`."""
-        data = dataset.open_or_draw(self.data, work)
-        predict = self._guess(arm, data) if arm.method in GUESSES else self._fit(arm, data, folder, on_progress)
-        if predict is None:
-            return None
-        figures: dict[str, float] = {}
-        samples: dict[str, Sample] = {}
-        for split in SPLITS:
-            count = self._evaluated(split)
-            outcome = evaluation.score(predict(split, count), truth.first_labels(data, split, count), split=split)
-            figures |= outcome.figures
-            samples |= outcome.samples
-        return Outcome(figures, samples)
+        study = self._study(arm.world)
+        data = dataset.open_or_draw(study.data, work)
+        if study.is_guess(arm):
+            return _guess(study, arm, data)
+
+        def fit_in(config: SegmentationConfig, place: Path) -> Fitted | None:
+            return _fit(study, arm, config, data=data, folder=place, on_progress=on_progress)
+
+        def fit_trial(config: SegmentationConfig, place: Path) -> float | None:
+            fitted = fit_in(config, place)
+            return None if fitted is None else fitted.validation_loss
+
+        config = study.fit_config(arm)
+        if study.learning_rates:
+            lr = trials.choose_lr(
+                study, arm, fit_trial, world_hash=self.world_hash(arm.world), results=results, work=work
+            )
+            if lr is None:
+                return None
+            config = replace(config, lr=lr)
+        fitted = fit_in(config, folder)
+        return None if fitted is None else _evaluate(study, fitted, config, data)
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
         by_name = {result.name: result for result in results}
         ordered = [by_name[arm.name] for arm in self.arms if arm.name in by_name]
-        return report.table(self.report, ordered, trajectories_seen=self.trajectories_seen)
+        return report.table(self.report, self.studies, ordered)
 
-    def _fit_config(self, arm: Arm) -> SegmentationConfig:
-        objective = {} if arm.method == SUPERVISED else {"objective": arm.method}
-        return SegmentationConfig.from_mapping({**self.settings, **objective, **arm.options, "seed": arm.seed})
+    def _study(self, world: str) -> Study:
+        (study,) = (study for study in self.studies if study.world == world)
+        return study
 
-    def _evaluated(self, split: SplitName) -> int:
-        count = self.data.split(split).count
-        return min(count, self.train_evaluated) if split == "train" else count
 
-    def _guess(self, arm: Arm, data: Path) -> Predict:
-        """Returns guesses, which know the true labels: their lengths, their skills or the longest one."""
-        guess, skills = GUESSES[arm.method], len(self.data.world.skills)
-        rng = np.random.default_rng(arm.seed)
-        return lambda split, count: [
-            guess(each, skills=skills, rng=rng) for each in truth.first_labels(data, split, count)
-        ]
+def _guess(study: Study, arm: Arm, data: Path) -> Outcome:
+    guess, skills, rng = GUESSES[arm.method], len(study.data.world.skills), np.random.default_rng(arm.seed)
+    parts = []
+    for split in SPLITS:
+        known = truth.first_labels(data, split, _evaluated(study, split))
+        guessed = [guess(each, skills=skills, rng=rng) for each in known]
+        parts.append(evaluation.score_guess(guessed, known, split=split))
+    return _joined(parts)
 
-    def _fit(self, arm: Arm, data: Path, folder: Path, on_progress: Callable[[], None]) -> Predict | None:
-        """Returns the predictions of the trained network; None when training was stopped."""
-        make: Callable[[SegmentationConfig, DatasetSpec, Path], Learner[SegmentationNetwork]]
-        make = supervised.make_learner if arm.method == SUPERVISED else weakly_supervised.make_learner
-        learner = make(self._fit_config(arm), self.data, data)
-        with stop_on_sigterm() as stop:
-            fitted = fit(learner, folder, stop=stop, on_event=lambda _: on_progress())
-        if fitted is None:
-            return None
-        network = fitted.network
 
-        return lambda split, count: evaluation.predict(network, dataset.open_split(data, self.data, split), count=count)
+def _fit(
+    study: Study,
+    arm: Arm,
+    config: SegmentationConfig,
+    *,
+    data: Path,
+    folder: Path,
+    on_progress: Callable[[], None],
+) -> Fitted | None:
+    """Returns what a fit found; None when it was stopped."""
+    make = supervised.make_learner if arm.method == SUPERVISED else weakly_supervised.make_learner
+    with stop_on_sigterm() as stop:
+        return fit(make(config, study.data, data), folder, stop=stop, on_event=lambda _: on_progress())
+
+
+def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:
+    chosen = {"lr": config.lr, "best_step": float(fitted.best_step), "validation_loss": fitted.validation_loss}
+    parts = [Outcome(chosen, {})]
+    for split in SPLITS:
+        count = _evaluated(study, split)
+        predicted = evaluation.predict(fitted.network, dataset.open_split(data, study.data, split), count=count)
+        parts.append(evaluation.score(predicted, truth.first_labels(data, split, count), split=split))
+    return _joined(parts)
+
+
+def _evaluated(study: Study, split: SplitName) -> int:
+    count = study.data.split(split).count
+    return min(count, study.train_evaluated) if split == "train" else count
+
+
+def _joined(parts: Sequence[Outcome]) -> Outcome:
+    return Outcome(
+        {name: value for part in parts for name, value in part.figures.items()},
+        {name: sample for part in parts for name, sample in part.samples.items()},
+    )

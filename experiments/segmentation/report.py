@@ -1,48 +1,38 @@
-"""Tables of segmentation experiments: a row for each method and context, accuracies in per cent."""
+"""Tables of segmentation experiments: the claims, then a row for each method and context of a world, in per cent."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
-
-import numpy as np
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.segmentation.evaluation import DECODED_ACCURACY, FRAME_ACCURACY
+from experiments.segmentation.rows import PER_CENT, Row, Rows
+from experiments.segmentation.study import Study
+from experiments.segmentation.targets import LEAST_GAP, Target
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Picture, Section, Table
 
-SUPERVISED = "supervised"
-"""Method of the ceiling: cross-entropy on true labels."""
-
-_HEADER = (
+_ROW_HEADER = (
     "method",
     "context",
-    *(f"{split} accuracy, % [95 % interval]" for split in SPLITS),
+    *(f"{split}, % [95 % interval]" for split in SPLITS),
     "dissertation, %",
-    "test balanced, %",
-    "test edit, %",
-    "test F1@50, %",
+    "test balanced",
+    "test edit",
+    "test F1@50",
+    "test decoded",
+    "decoded edit",
     "gap closed, test",
+    "learning rate",
     "seeds",
     "minutes",
-    "CPU minutes",
 )
-_LEAST_GAP = 0.5  # per cent
-_OTHER_FIGURES = ("balanced_accuracy", "edit_score", "f1_at_50")
-
-
-class Row(NamedTuple):
-    """What tells the rows of the table apart; a guess has no context."""
-
-    method: str
-    context: str = ""
-
-
-_BASELINE = Row("lse", "causal")
+_CLAIM_HEADER = ("claim", "row", "figure", "value, % [95 % interval]", "must reach", "gap closed", "met", "missing")
+_SEGMENT_FIGURES = ("test.balanced_accuracy", "test.edit_score", "test.f1_at_50")
+_DECODED_FIGURES = (f"test.{DECODED_ACCURACY}", "test.decoded_edit_score")
 
 
 @dataclass(frozen=True)
@@ -53,106 +43,145 @@ class Report:
         experiment: Name of the experiment.
         title: Heading of the table.
         text: What was measured, and how, in Markdown.
-        dissertation_trajectories: Number of training trajectories in the dissertation; None where it has no such table.
-        dissertation: The dissertation's accuracies in per cent, by row: train, validation, test.
+        dissertation_trajectories: By world, the number of training trajectories in the dissertation, where it has such
+            a table.
+        dissertation: By world and row, the dissertation's accuracies in per cent: train, validation, test.
+        targets: The claims to be made.
     """
 
     experiment: str
     title: str
     text: str
-    dissertation_trajectories: int | None = None
-    dissertation: Mapping[Row, tuple[float, float, float]] = field(default_factory=dict)
+    dissertation_trajectories: Mapping[str, int] = field(default_factory=dict)
+    dissertation: Mapping[str, Mapping[Row, tuple[float, float, float]]] = field(default_factory=dict)
+    targets: tuple[Target, ...] = ()
 
 
-def table(report: Report, results: Sequence[ArmResult], *, trajectories_seen: int) -> Table:
-    """Returns the table of the given results: rows in their order, with a claim for each split.
+def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]) -> Table:
+    """Returns the table of the given results, with a claim for each target, and for each row and split.
 
-    Its scale is `full` when a network sees at least the dissertation's number of training trajectories.
+    A world's scale is `full` when a network sees at least the dissertation's number of training trajectories.
     """
-    rows: dict[Row, list[ArmResult]] = {}
-    for result in results:
-        rows.setdefault(_row(result), []).append(result)
-    scale = _scale(report, trajectories_seen)
-    made = {row: [_claim(report, scale, rows, row, split) for split in SPLITS] for row in rows}
-    draw = partial(
-        interval_plot,
-        [each[-1] for each in made.values()],
-        title=report.title,
-        unit="frame accuracy on test trajectories, per cent",
-    )
+    by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
+    sections, made, plotted = [], [], []
+    targets = [target for target in report.targets if target.row in by_world[target.world][1].arms]
+    for target in targets:
+        made.append(_target_claim(report, *by_world[target.world], target))
+    if targets:
+        cells = [
+            _target_cells(target, claim, by_world[target.world][1]) for target, claim in zip(targets, made, strict=True)
+        ]
+        sections.append(Section(_CLAIM_HEADER, tuple(cells), title="Claims"))
+    for study, rows in by_world.values():
+        if rows.arms:
+            of_rows = {row: [_row_claim(report, study, rows, row, split) for split in SPLITS] for row in rows.arms}
+            cells_of_rows = tuple(_row_cells(rows, row, of_rows[row]) for row in rows.arms)
+            sections.append(Section(_ROW_HEADER, cells_of_rows, title=f"{study.world}: {_scale_text(report, study)}"))
+            made += [claim for each in of_rows.values() for claim in each]
+            plotted += [each[-1] for each in of_rows.values()]
+    draw = partial(interval_plot, plotted, title=report.title, unit="frame accuracy on test trajectories, per cent")
     return Table(
         title=report.title,
-        text=f"{report.text}\n\n{_scale_text(report, scale, trajectories_seen)}",
-        sections=(Section(_HEADER, tuple(_cells(row, rows[row], made[row]) for row in rows)),),
-        claims=tuple(claim for each in made.values() for claim in each),
+        text=report.text,
+        sections=tuple(sections),
+        claims=tuple(made),
         picture=Picture("Values, 95 % intervals, ceilings", draw),
     )
 
 
-def _scale(report: Report, seen: int) -> Scale:
-    return "reduced" if report.dissertation_trajectories is None or seen < report.dissertation_trajectories else "full"
+def _scale(report: Report, study: Study) -> Scale | None:
+    theirs = report.dissertation_trajectories.get(study.world)
+    return None if theirs is None else "reduced" if study.trajectories_seen < theirs else "full"
 
 
-def _scale_text(report: Report, scale: Scale, seen: int) -> str:
-    theirs = report.dissertation_trajectories
-    amount = _spaced(seen) if theirs is None else f"{_spaced(seen)} of the dissertation's {_spaced(theirs)}"
-    return f"Scale `{scale}`: a network sees {amount} training trajectories."
+def _scale_text(report: Report, study: Study) -> str:
+    theirs, seen = report.dissertation_trajectories.get(study.world), _spaced(study.trajectories_seen)
+    amount = seen if theirs is None else f"{seen} of the dissertation's {_spaced(theirs)}"
+    return f"a network sees {amount} training trajectories"
 
 
 def _spaced(count: int) -> str:
     return f"{count:,}".replace(",", " ")
 
 
-def _row(result: ArmResult) -> Row:
-    return Row(result.method, result.options.get("context", ""))
-
-
-def _claim(report: Report, scale: Scale, rows: Mapping[Row, Sequence[ArmResult]], row: Row, split: SplitName) -> Claim:
-    arms = rows[row]
+def _claim(
+    report: Report, study: Study, rows: Rows, *, name: str, row: Row, figure: str, target: Target | None = None
+) -> Claim:
+    arms, value = rows.arms[row], rows.value(row, figure)
+    if value is None:
+        raise ValueError(f"The results of {row} must have samples of {figure}.")
+    low, high = rows.interval(row, figure)
+    baseline, ceiling = rows.baseline(row, figure), rows.ceiling(row, figure)
+    gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=LEAST_GAP)
     pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
-    samples = [arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms]
-    value = _accuracy(arms, split)
-    low, high = claims.interval(samples, rng=np.random.default_rng(0))
-    compared = {other: _accuracy(rows[other], split) for other in rows if other != row and row.context}
-    baseline, ceiling = compared.get(_BASELINE), compared.get(Row(SUPERVISED, row.context))
-    gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=_LEAST_GAP)
-    dissertation = report.dissertation.get(row)
+    least = None if target is None else target.least_value(rows)
     return Claim(
-        claim=".".join([report.experiment, *filter(None, row), split]),
+        claim=name,
         value=round(value, 3),
-        low=round(100 * low, 3),
-        high=round(100 * high, 3),
+        low=round(low, 3),
+        high=round(high, 3),
         seeds=len(arms) if row.context else None,
-        trials=len(samples[0].totals),
-        scale=scale,
+        trials=len(arms[0].samples[figure].totals),
+        scale=_scale(report, study),
         baseline=None if baseline is None else round(baseline, 3),
         ceiling=None if ceiling is None else round(ceiling, 3),
         gap_closed=None if gap_closed is None else round(gap_closed, 3),
-        dissertation=None if dissertation is None else dissertation[SPLITS.index(split)],
-        target=None,
-        met=None,
+        dissertation=_dissertation(report, study.world, row, figure) if target is None else target.above,
+        target=None if least is None else round(least, 3),
+        met=None if target is None else not target.missing(rows) and _scale(report, study) != "reduced",
         world_hash=arms[0].world_hash,
         command=f"python -m experiments run {report.experiment} --only '{pattern}'",
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )
 
 
-def _accuracy(arms: Sequence[ArmResult], split: SplitName) -> float:
-    """Returns the mean frame accuracy over seeds, in per cent."""
-    return 100 * claims.mean([arm.samples[f"{split}.{FRAME_ACCURACY}"] for arm in arms])
+def _dissertation(report: Report, world: str, row: Row, figure: str) -> float | None:
+    split, _, measured = figure.partition(".")
+    theirs = report.dissertation.get(world, {}).get(row)
+    return None if theirs is None or measured != FRAME_ACCURACY else theirs[SPLITS.index(split)]
 
 
-def _cells(row: Row, arms: Sequence[ArmResult], made: Sequence[Claim]) -> tuple[str, ...]:
-    test = made[-1]
-    others = (float(np.mean([arm.figures[f"test.{name}"] for arm in arms])) for name in _OTHER_FIGURES)
+def _row_claim(report: Report, study: Study, rows: Rows, row: Row, split: SplitName) -> Claim:
+    name = ".".join([report.experiment, study.world, *filter(None, row), split])
+    return _claim(report, study, rows, name=name, row=row, figure=f"{split}.{FRAME_ACCURACY}")
+
+
+def _target_claim(report: Report, study: Study, rows: Rows, target: Target) -> Claim:
+    return _claim(report, study, rows, name=target.claim, row=target.row, figure=target.figure, target=target)
+
+
+def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
+    missing = target.missing(rows) + (["reduced scale"] if claim.scale == "reduced" else [])
+    return (
+        target.claim,
+        " ".join(filter(None, target.row)),
+        target.figure,
+        _value_cell(claim),
+        "" if claim.target is None else f"{claim.target:.2f}",
+        "" if claim.gap_closed is None else f"{claim.gap_closed:.2f}",
+        "yes" if claim.met else "no",
+        "; ".join(missing),
+    )
+
+
+def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
+    test, arms = made[-1], rows.arms[row]
+    rates = sorted({arm.figures["lr"] for arm in arms if "lr" in arm.figures})
+    decoded = _DECODED_FIGURES if row.context else ()
     return (
         row.method,
         row.context,
-        *(f"{claim.value:.2f} [{claim.low:.2f}, {claim.high:.2f}]" for claim in made),
+        *(_value_cell(claim) for claim in made),
         "" if test.dissertation is None else " / ".join(f"{claim.dissertation:g}" for claim in made),
-        *(f"{100 * value:.2f}" for value in others),
+        *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in _SEGMENT_FIGURES),
+        *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in decoded),
+        *("" for _ in range(len(_DECODED_FIGURES) - len(decoded))),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
+        ", ".join(f"{rate:g}" for rate in rates),
         "" if test.seeds is None else str(test.seeds),
         f"{test.minutes:.1f}",
-        f"{sum(arm.cpu_minutes for arm in arms):.1f}",
     )
+
+
+def _value_cell(claim: Claim) -> str:
+    return f"{claim.value:.2f} [{claim.low:.2f}, {claim.high:.2f}]"

@@ -38,7 +38,7 @@ class SupervisedLearner:
     """A `freerein.learning.fit.Learner` whose loss is the cross-entropy of the true label of each timestep.
 
     Attributes:
-        weak: The learner whose network, configuration and demonstrations it uses; its stride is 1.
+        weak: The learner whose network, configuration and demonstrations it uses.
         labels: int64 (T,) per training trajectory.
         validation_labels: int64 (T,) per validation trajectory.
     """
@@ -68,7 +68,8 @@ class SupervisedLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
-        loss = self._losses(state.network, self.weak.training, self.labels, items.tolist()).mean()
+        phases = torch.randint(self.weak.spec.stride, (len(items),), generator=state.generator).tolist()
+        loss = self._losses(state.network, self.weak.training, self.labels, items.tolist(), phases).mean()
         return fit_step(state, loss, self.config)
 
     @torch.no_grad()
@@ -77,14 +78,25 @@ class SupervisedLearner:
         count, size = len(self.weak.validation), self.config.batch_size
         batches = [list(range(start, min(start + size, count))) for start in range(0, count, size)]
         validation, labels = self.weak.validation, self.validation_labels
-        return torch.cat([self._losses(state.network, validation, labels, each) for each in batches]).mean().item()
+        losses = [self._losses(state.network, validation, labels, each, [0] * len(each)) for each in batches]
+        return torch.cat(losses).mean().item()
 
     def _losses(
-        self, network: SegmentationNetwork, seen: Trajectories, labels: StepCache[np.int64], items: list[int]
+        self,
+        network: SegmentationNetwork,
+        seen: Trajectories,
+        labels: StepCache[np.int64],
+        items: list[int],
+        phases: list[int],
     ) -> Tensor:
-        batch = gather(seen, items, [0] * len(items), spec=self.weak.spec, device=self.weak.device)
+        """Returns the mean cross-entropy of each trajectory, float (B,), from its timesteps of a phase on."""
+        spec = self.weak.spec
+        batch = gather(seen, items, phases, spec=spec, device=self.weak.device)
         scores, mask = network(batch.frames, batch.actions, batch.lengths)  # (B, T, K), (B, T)
-        targets = torch.from_numpy(np.concatenate([labels[item] for item in items])).to(self.weak.device)  # (N,)
+        strided = [
+            labels[item][phase % len(labels[item]) :: spec.stride] for item, phase in zip(items, phases, strict=True)
+        ]
+        targets = torch.from_numpy(np.concatenate(strided)).to(self.weak.device)  # (N,)
         losses = scores.new_zeros(mask.shape)
         losses[mask] = functional.cross_entropy(scores[mask], targets, reduction="none")
         mean_losses: Tensor = losses.sum(dim=1) / batch.lengths  # (B,)

@@ -48,14 +48,17 @@ class Experiment(Protocol):
     def world_hash(self, world: str) -> str:
         """Returns the hash of what the world's generator draws."""
 
-    def prepare(self, work: Path) -> None:
-        """Makes what all arms share, such as datasets, unless it is there; its time is no arm's."""
+    def prepare(self, arm: Arm, work: Path) -> None:
+        """Makes what an arm shares with others, such as datasets, unless it is there; its time is no arm's."""
 
-    def run(self, arm: Arm, *, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+    def run(
+        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
+    ) -> Outcome | None:
         """Trains an arm, or resumes it, and evaluates it; returns None when it was stopped by SIGTERM.
 
         Args:
             arm: One of `arms`.
+            results: Folder of the experiment's results, for what arms choose together.
             work: Folder that all arms share, for datasets; see `prepare`.
             folder: Folder of this arm, for checkpoints.
             on_progress: Called now and then.

@@ -21,7 +21,7 @@ def main(folder: Path, work: Path, name: str) -> None:
         if next(events) == EVENTS:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    experiment.run(arm, work=work, folder=folder, on_progress=kill_in_the_middle)
+    experiment.run(arm, results=work / "results", work=work, folder=folder, on_progress=kill_in_the_middle)
 
 
 if __name__ == "__main__":

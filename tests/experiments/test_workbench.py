@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import registry
-from experiments.grid import EXPERIMENT as GRID
+from experiments.table_2_1 import EXPERIMENT as GRID
 from experiments.workbench import claims, results
 from experiments.workbench.arms import Arm, choose
 from experiments.workbench.elapsed import Elapsed

@@ -1,0 +1,64 @@
+"""Rows of a table: the arms of one world that differ in the seed alone, and their figures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.segmentation.study import SUPERVISED
+from experiments.workbench import claims
+from experiments.workbench.results import ArmResult
+
+PER_CENT = 100
+
+
+class Row(NamedTuple):
+    """What tells the rows of a world apart; a guess has no context."""
+
+    method: str
+    context: str = ""
+
+
+BASELINE = Row("lse", "causal")
+"""The dissertation's method."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The arms of one world that have results, by row in their order."""
+
+    arms: Mapping[Row, Sequence[ArmResult]]
+
+    @classmethod
+    def of(cls, results: Sequence[ArmResult], world: str) -> "Rows":
+        """Returns the rows of a world."""
+        rows: dict[Row, list[ArmResult]] = {}
+        for result in results:
+            if result.world == world:
+                rows.setdefault(Row(result.method, result.options.get("context", "")), []).append(result)
+        return cls(rows)
+
+    def mean(self, row: Row, figure: str) -> float:
+        """Returns the mean of a figure over seeds."""
+        return float(np.mean([arm.figures[figure] for arm in self.arms[row]]))
+
+    def value(self, row: Row, figure: str) -> float | None:
+        """Returns the mean over seeds of a figure that has samples, in per cent; None where no arm has a result."""
+        found = [arm.samples[figure] for arm in self.arms.get(row, ()) if figure in arm.samples]
+        return PER_CENT * claims.mean(found) if found else None
+
+    def interval(self, row: Row, figure: str) -> tuple[float, float]:
+        """Returns the 95 % interval of `value`, in per cent."""
+        samples = [arm.samples[figure] for arm in self.arms[row]]
+        low, high = claims.interval(samples, rng=np.random.default_rng(0))
+        return PER_CENT * low, PER_CENT * high
+
+    def baseline(self, row: Row, figure: str) -> float | None:
+        """Returns the value of the dissertation's method that a network's is compared with; None for itself."""
+        return None if row == BASELINE or not row.context else self.value(BASELINE, figure)
+
+    def ceiling(self, row: Row, figure: str) -> float | None:
+        """Returns the value with full supervision in a network's context; None for itself."""
+        ceiling = Row(SUPERVISED, row.context)
+        return None if row == ceiling or not row.context else self.value(ceiling, figure)

@@ -1,0 +1,86 @@
+"""A study: the demonstrations of one world, and the methods that are compared on them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from experiments.segmentation.dataset import DatasetSpec
+from experiments.workbench.arms import Arm
+from freerein.learning.checkpoints import JSON
+from freerein_segmentation.training import SegmentationConfig
+
+SUPERVISED = "supervised"
+"""Method of the ceiling: cross-entropy on true labels."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to train the segmentation network.
+
+    Attributes:
+        name: Its name in tables and arms.
+        contexts: Contexts of the network that it is trained in.
+        settings: Keys of the segmentation service's configuration that it alone sets; `SUPERVISED` needs none.
+    """
+
+    name: str
+    contexts: tuple[str, ...]
+    settings: Mapping[str, JSON] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Methods on the demonstrations of one world.
+
+    Attributes:
+        data: The demonstrations.
+        methods: The methods.
+        seeds: Number of independently trained networks of each method and context.
+        settings: Keys of the segmentation service's configuration that all methods share.
+        train_evaluated: Number of training trajectories that are evaluated.
+        guesses: Names of the baselines without a network; see `guesses.GUESSES`.
+        learning_rates: What each method and context tries in shorter fits, before the first of its seeds; the lowest
+            validation loss chooses. Empty: `settings` has the learning rate.
+        trial_steps: Optimiser steps of these fits.
+    """
+
+    data: DatasetSpec
+    methods: tuple[Method, ...]
+    seeds: int
+    settings: Mapping[str, JSON]
+    train_evaluated: int
+    guesses: tuple[str, ...] = ("random", "random_cls", "majority")
+    learning_rates: tuple[float, ...] = ()
+    trial_steps: int = 0
+
+    @property
+    def world(self) -> str:
+        """Task of the sim service."""
+        return self.data.task
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """Guesses, then all networks of a seed before those of the next."""
+        guesses = [Arm(self.world, name) for name in self.guesses]
+        networks = [
+            Arm(self.world, method.name, {"context": context}, seed)
+            for seed in range(self.seeds)
+            for method in self.methods
+            for context in method.contexts
+        ]
+        return (*guesses, *networks)
+
+    @property
+    def trajectories_seen(self) -> int:
+        """Number of training trajectories that a network is trained on."""
+        config = SegmentationConfig.from_mapping(self.settings)
+        return min(config.steps * config.batch_size, self.data.train.count)
+
+    def is_guess(self, arm: Arm) -> bool:
+        """Returns whether the arm trains no network."""
+        return arm.method in self.guesses
+
+    def fit_config(self, arm: Arm) -> SegmentationConfig:
+        """Returns the configuration of an arm's network; with `learning_rates`, its `lr` has yet to be chosen."""
+        (method,) = (each for each in self.methods if each.name == arm.method)
+        values = {**self.settings, **method.settings, **arm.options, "seed": arm.seed}
+        return SegmentationConfig.from_mapping(values)

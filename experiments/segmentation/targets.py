@@ -1,0 +1,101 @@
+"""The claims of chapter 2: what a row must reach, and beside what."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.segmentation.rows import BASELINE, Row, Rows
+from experiments.workbench import claims
+
+TEST_ACCURACY = f"test.{FRAME_ACCURACY}"
+LEAST_GAP = 0.5
+"""Per cent between baseline and ceiling below which the share of the gap that is closed means nothing."""
+
+_CLOSE_TO_DISSERTATION = 5.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """A claim to be made.
+
+    Attributes:
+        claim: Its name.
+        world: Its world.
+        row: Whose figure it is.
+        figure: What is measured; it has samples.
+        seeds: Number of independently trained networks that it needs.
+        least: What the figure must reach, in per cent.
+        least_gap_closed: Share of the gap between the dissertation's method here and full supervision that it must
+            close.
+        above: The dissertation's figure, which it must exceed, in per cent; the dissertation's method must come within
+            5 points of it here.
+        above_row: A row whose interval must lie below its own.
+        least_figures: Other figures of the row, as shares, that must reach a least value.
+    """
+
+    claim: str
+    world: str
+    row: Row
+    figure: str = TEST_ACCURACY
+    seeds: int = 3
+    least: float | None = None
+    least_gap_closed: float | None = None
+    above: float | None = None
+    above_row: Row | None = None
+    least_figures: Mapping[str, float] = field(default_factory=dict)
+
+    def least_value(self, rows: Rows) -> float | None:
+        """Returns the least value that satisfies all that is asked of the value; None where it cannot be told yet."""
+        bounds = [bound for bound in (self.least, self.above) if bound is not None]
+        if self.least_gap_closed is not None:
+            baseline, ceiling = rows.baseline(self.row, self.figure), rows.ceiling(self.row, self.figure)
+            if baseline is None or ceiling is None:
+                return None
+            bounds.append(baseline + self.least_gap_closed * max(ceiling - baseline, 0.0))
+        if self.above_row is not None:
+            if self.above_row not in rows.arms:
+                return None
+            bounds.append(rows.interval(self.above_row, self.figure)[1])
+        return max(bounds)
+
+    def missing(self, rows: Rows) -> list[str]:
+        """Returns what keeps the claim from being met, as phrases; empty where it is met."""
+        return list(self._missing(rows))
+
+    def _missing(self, rows: Rows) -> Iterator[str]:
+        arms, value = rows.arms[self.row], rows.value(self.row, self.figure) or 0.0
+        if len(arms) < self.seeds:
+            yield f"{len(arms)} of {self.seeds} seeds"
+        if self.least is not None and value < self.least:
+            yield f"{value:.2f} is below {self.least:g}"
+        if self.above is not None:
+            yield from self._missing_beside_dissertation(rows, value, self.above)
+        if self.least_gap_closed is not None:
+            yield from self._missing_of_gap(rows, value, self.least_gap_closed)
+        if self.above_row is not None and not self._is_apart(rows, self.above_row):
+            yield f"its interval is not above that of {self.above_row.method}"
+        for name, least in self.least_figures.items():
+            if rows.mean(self.row, name) < least:
+                yield f"{name} is {rows.mean(self.row, name):.3f}, below {least:g}"
+
+    def _missing_beside_dissertation(self, rows: Rows, value: float, above: float) -> Iterator[str]:
+        if value <= above:
+            yield f"{value:.2f} is not above {above:g}"
+        baseline = rows.value(BASELINE, self.figure)
+        if baseline is None:
+            yield f"no result of {BASELINE.method} {BASELINE.context}"
+        elif baseline < above - _CLOSE_TO_DISSERTATION:
+            yield f"the dissertation's method has {baseline:.2f} here, more than 5 points under {above:g}"
+
+    def _missing_of_gap(self, rows: Rows, value: float, least: float) -> Iterator[str]:
+        baseline, ceiling = rows.baseline(self.row, self.figure), rows.ceiling(self.row, self.figure)
+        gap = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=LEAST_GAP)
+        if gap is None:
+            yield "no gap between the dissertation's method and full supervision"
+        elif gap < least:
+            yield f"gap closed {gap:.2f} is below {least:g}"
+
+    def _is_apart(self, rows: Rows, other: Row) -> bool:
+        if other not in rows.arms:
+            return False
+        return rows.interval(self.row, self.figure)[0] > rows.interval(other, self.figure)[1]

@@ -1,0 +1,62 @@
+"""Trials: short fits of one method with each learning rate, of which the lowest validation loss chooses.
+
+    <results>/trials/<world>-<method>-<context>.json
+
+The loss is that of the training signal. Trials are run once, with seed 0, and are committed: all seeds of a method use
+their choice.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from experiments.segmentation.study import Study
+from experiments.workbench.arms import Arm
+from experiments.workbench.locks import locked
+from freerein.atomic_files import write_atomic
+from freerein.learning.checkpoints import JSON
+from freerein_segmentation.training import SegmentationConfig
+
+Fit = Callable[[SegmentationConfig, Path], float | None]
+"""Fits in a folder, or resumes; returns the lowest validation loss, None when it was stopped."""
+
+
+def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Path, work: Path) -> float | None:
+    """Returns the learning rate for an arm; None when a trial was stopped.
+
+    Args:
+        study: The arm's study.
+        arm: An arm with a network.
+        fit: Runs one trial.
+        world_hash: Hash of what the world's generator draws.
+        results: Folder of the experiment's results.
+        work: Folder that all arms share; trials keep their checkpoints there.
+    """
+    config = replace(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps)
+    made_by: dict[str, JSON] = {
+        "fit": json.loads(json.dumps(asdict(config))),
+        "method": arm.method,
+        "data": json.loads(json.dumps(asdict(study.data))),
+        "learning_rates": list(study.learning_rates),
+        "world_hash": world_hash,
+    }
+    name = "-".join([arm.world, arm.method, *arm.options.values()])
+    path = results / "trials" / f"{name}.json"
+    digest = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()
+    folder = work / "trials" / f"{name}-{digest[:12]}"
+    with locked(folder / "lock"):
+        if path.is_file() and (found := json.loads(path.read_bytes()))["made_by"] == made_by:
+            return float(found["lr"])
+        losses: dict[str, float] = {}
+        for lr in study.learning_rates:
+            loss = fit(replace(config, lr=lr), folder / f"lr-{lr:g}")
+            if loss is None:
+                return None
+            losses[f"{lr:g}"] = round(loss, 6)
+        best = min(study.learning_rates, key=lambda lr: losses[f"{lr:g}"])
+        made = {"made_by": made_by, "validation_loss": losses, "lr": best}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, json.dumps(made, indent=2, allow_nan=False).encode() + b"\n")
+        return best
