@@ -102,16 +102,16 @@ def test_arms_become_results_and_these_a_table_with_claims(
     folder = places.results / "smoke"
     claims = json.loads((folder / "table.json").read_bytes())["claims"]
     assert [claim["claim"].removeprefix("smoke.") for claim in claims if claim["claim"].endswith("test")] == [
-        "random_cls.test",
-        "lse.causal.test",
-        "supervised.causal.test",
+        "grid.random_cls.test",
+        "grid.lse.causal.test",
+        "grid.supervised.causal.test",
     ]
     assert all(list(claim) == FIELDS.split() for claim in claims)
     assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
     assert {claim["seeds"] for claim in claims if "random_cls" in claim["claim"]} == {None}
-    assert {claim["scale"] for claim in claims} == {"reduced"}
+    assert {claim["scale"] for claim in claims} == {None}
     by_name = {claim["claim"]: claim for claim in claims}
-    assert by_name["smoke.lse.causal.test"]["ceiling"] == by_name["smoke.supervised.causal.test"]["value"]
+    assert by_name["smoke.grid.lse.causal.test"]["ceiling"] == by_name["smoke.grid.supervised.causal.test"]["value"]
     assert "| lse | causal |" in (folder / "table.md").read_text()
     assert (folder / "table.png").read_bytes().startswith(b"\x89PNG")
 
@@ -123,6 +123,13 @@ def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
     assert main(["run", "smoke", "--minutes", "0", "--only", ARM, *options(places)]) == 1
     assert "stopped" in capsys.readouterr().out
     assert not places.results.exists()
+
+
+EVALUATED_FIGURES = (
+    "lr",
+    *(f"test.{name}" for name in ("balanced_accuracy", "edit_score", "f1_at_50", "decoded_accuracy")),
+    "test.decoded_edit_score",
+)
 
 
 @pytest.fixture
@@ -137,7 +144,7 @@ def current() -> ArmResult:
         seed=arm.seed,
         config=json.loads(json.dumps(SMOKE.config(arm))),
         world_hash=SMOKE.world_hash(arm.world),
-        figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+        figures=dict.fromkeys(EVALUATED_FIGURES, 0.5),
         samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
         minutes=1.5,
         cpu_minutes=1.25,
@@ -180,7 +187,7 @@ def test_a_table_leaves_out_what_another_configuration_or_world_made(
     assert capsys.readouterr().err == f"{other.name} is left out: another configuration or another world made it.\n"
     claims = json.loads((tmp_path / "smoke" / "table.json").read_bytes())["claims"]
     assert {(claim["claim"], claim["seeds"]) for claim in claims} == {
-        (f"smoke.lse.causal.{split}", 1) for split in ("train", "validation", "test")
+        (f"smoke.grid.lse.causal.{split}", 1) for split in ("train", "validation", "test")
     }
 
 

@@ -2,14 +2,21 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from experiments.segmentation import dataset, draw, evaluation, supervised, truth, weakly_supervised
+from experiments.segmentation import dataset, draw, evaluation, guesses, supervised, trials, truth, weakly_supervised
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
+from experiments.segmentation.rows import Row, Rows
+from experiments.segmentation.study import Method, Study
+from experiments.segmentation.targets import TEST_ACCURACY, Target
+from experiments.workbench.arms import Arm
+from experiments.workbench.results import ArmResult, Sample
 
 from freerein.errors import InvalidInput
+from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.training import SegmentationConfig
 
 DATA = DatasetSpec("grid", train=SplitSpec(9, 2, 4), validation=SplitSpec(3, 2, 4), test=SplitSpec(3, 5, 5))
@@ -76,18 +83,23 @@ def test_the_supervised_learner_starts_with_the_same_weights_and_its_loss_falls(
     assert losses[-1] < losses[0] / 2
 
 
-def test_predictions_do_not_depend_on_the_batch(folder: Path) -> None:
-    weak = weakly_supervised.make_learner(CONFIG, DATA, folder)
+@pytest.mark.parametrize("stride", [1, 3])
+def test_predictions_do_not_depend_on_the_batch_and_are_the_services(stride: int, folder: Path) -> None:
+    weak = weakly_supervised.make_learner(replace(CONFIG, stride=stride), DATA, folder)
     network = weak.init(torch.Generator().manual_seed(0)).network
     together = evaluation.predict(network, weak.training, count=9)
     alone = [evaluation.predict(network, weak.training.subset([index]), count=1)[0] for index in range(9)]
     assert [len(each) for each in together] == weak.training.lengths().tolist()
-    assert all(map(np.array_equal, together, alone))
+    model = SegmentationModel(network)
+    for index, probabilities in enumerate(together):
+        np.testing.assert_allclose(probabilities, alone[index], atol=1e-6)
+        served = model.predict(weak.training.frames["top"][index], weak.training.actions[index])
+        np.testing.assert_allclose(probabilities, served.probabilities, atol=1e-6)
 
 
 def test_perfect_labels_score_one_and_an_unknown_method_is_refused(folder: Path) -> None:
     known = truth.first_labels(folder, "test", 3)
-    outcome = evaluation.score(known, known, split="test")
+    outcome = evaluation.score_guess(known, known, split="test")
     assert set(outcome.figures.values()) == {1.0}
     assert outcome.samples["test.frame_accuracy"].counts == [len(each) for each in known]
     with pytest.raises(InvalidInput, match="objective"):
@@ -98,8 +110,106 @@ def test_guesses_are_as_good_as_chance_allows() -> None:
     rng, truth_labels = np.random.default_rng(0), np.array([0, 0, 0, 1] * 500)
     accuracy = {
         guess.__name__: float(np.mean(guess(truth_labels, skills=5, rng=rng) == truth_labels))
-        for guess in (evaluation.guess_skill, evaluation.guess_tag, evaluation.guess_majority)
+        for guess in (guesses.guess_skill, guesses.guess_tag, guesses.guess_majority)
     }
     assert accuracy["guess_skill"] == pytest.approx(0.2, abs=0.03)
     assert accuracy["guess_tag"] == pytest.approx(0.5, abs=0.04)
     assert accuracy["guess_majority"] == 0.75
+
+
+def test_a_fixed_split_gives_each_half_its_skill() -> None:
+    labels = guesses.split_in_half(np.array([4, 4, 4, 4, 1]), skills=5, rng=np.random.default_rng(0))
+    assert labels.tolist() == [4, 4, 4, 1, 1]
+
+
+def test_short_segments_are_rejected_and_what_is_kept_is_scored() -> None:
+    truth_labels = np.repeat([0, 1, 0], [6, 5, 9])
+    predicted = np.repeat([0, 1, 2, 0], [7, 4, 3, 6])
+    assert evaluation.reject_short(predicted).tolist() == [0] * 7 + [-1] * 7 + [0] * 6
+
+    outcome = evaluation.score([np.eye(3, dtype=np.float32)[predicted]], [truth_labels], split="validation")
+
+    assert outcome.figures["validation.unsmoothed_kept_share"] == pytest.approx(13 / 20)
+    assert outcome.figures["validation.unsmoothed_kept_accuracy"] == pytest.approx(12 / 13, abs=1e-6)
+    assert outcome.figures["validation.unsmoothed_least_kept_share"] == pytest.approx(1 / 5)
+
+
+STUDY = Study(
+    DATA,
+    methods=(Method("lse", ("causal",), {"objective": "lse"}),),
+    seeds=2,
+    settings={"steps": 8, "lr": 0.5},
+    train_evaluated=9,
+    learning_rates=(0.01, 0.001, 0.1),
+    trial_steps=2,
+)
+
+
+def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(tmp_path: Path) -> None:
+    losses, fitted = {0.01: 2.0, 0.001: 1.0, 0.1: 3.0}, []
+
+    def fit(config: SegmentationConfig, folder: Path) -> float:
+        fitted.append((config.lr, config.steps, config.seed))
+        return losses[config.lr]
+
+    def choose(study: Study, seed: int) -> float | None:
+        arm = Arm("grid", "lse", {"context": "causal"}, seed)
+        return trials.choose_lr(study, arm, fit, world_hash="ab", results=tmp_path / "r", work=tmp_path / "w")
+
+    assert [choose(STUDY, seed=1), choose(STUDY, seed=0)] == [0.001, 0.001]
+    assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0)]
+    assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
+    assert [steps for _, steps, _ in fitted] == [2] * 3 + [4] * 3
+
+
+def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:
+    arm = STUDY.arms[-1]
+    chosen = trials.choose_lr(STUDY, arm, lambda *_: None, world_hash="ab", results=tmp_path / "r", work=tmp_path)
+    assert chosen is None
+    assert not (tmp_path / "r").exists()
+
+
+def rows_with(**accuracies: float) -> Rows:
+    """Returns the rows of three networks each, named by method and context."""
+    names = {"lse": Row("lse", "causal"), "ours": Row("ours", "all"), "bound": Row("supervised", "all")}
+    results = [
+        ArmResult(
+            name="",
+            world="dial",
+            method=names[name].method,
+            options={"context": names[name].context},
+            seed=seed,
+            config={},
+            world_hash="",
+            figures={"validation.kept_share": accuracy},
+            samples={TEST_ACCURACY: Sample([100 * accuracy] * 20, [100] * 20)},
+            minutes=0,
+            cpu_minutes=0,
+            machine={},
+            command="",
+        )
+        for name, accuracy in accuracies.items()
+        for seed in range(3)
+    ]
+    return Rows.of(results, "dial")
+
+
+@pytest.mark.parametrize(
+    ("target", "rows", "missing"),
+    [
+        ({"least_gap_closed": 0.75}, rows_with(lse=0.6, ours=0.9, bound=1.0), ""),
+        ({"least_gap_closed": 0.75}, rows_with(lse=0.6, ours=0.8, bound=1.0), "gap closed 0.50"),
+        ({"least_gap_closed": 0.75}, rows_with(ours=0.9), "no gap"),
+        ({"least": 99.95}, rows_with(ours=0.9994), "99.94 is below 99.95"),
+        ({"above": 59.93}, rows_with(lse=0.55, ours=0.9), ""),
+        ({"above": 59.93}, rows_with(lse=0.5, ours=0.9), "more than 5 points under"),
+        ({"above": 59.93}, rows_with(lse=0.55, ours=0.59), "59.00 is not above"),
+        ({"above_row": Row("lse", "causal")}, rows_with(lse=0.6, ours=0.7), ""),
+        ({"above_row": Row("lse", "causal")}, rows_with(lse=0.7, ours=0.7), "is not above that of lse"),
+        ({"least": 50, "least_figures": {"validation.kept_share": 0.8}}, rows_with(ours=0.7), "0.700, below 0.8"),
+        ({"least": 50, "seeds": 5}, rows_with(ours=0.7), "3 of 5 seeds"),
+    ],
+)
+def test_a_claim_is_met_only_with_all_that_it_needs(target: dict[str, Any], rows: Rows, missing: str) -> None:
+    found = Target("claim", "dial", Row("ours", "all"), **target).missing(rows)
+    assert (missing in found[0] and len(found) == 1) if missing else not found

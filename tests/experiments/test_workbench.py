@@ -26,12 +26,21 @@ RESULT = ArmResult(
     minutes=1.5,
     cpu_minutes=1.25,
     machine={"cores": 2},
-    command="python -m experiments run grid",
+    command="python -m experiments run table_2_1",
 )
 
 EVALUATED = replace(
     RESULT,
-    figures=dict.fromkeys(("test.balanced_accuracy", "test.edit_score", "test.f1_at_50"), 0.5),
+    figures=dict.fromkeys(
+        (
+            "test.balanced_accuracy",
+            "test.edit_score",
+            "test.f1_at_50",
+            "test.decoded_accuracy",
+            "test.decoded_edit_score",
+        ),
+        0.5,
+    ),
     samples={f"{split}.frame_accuracy": Sample([1, 2], [3, 3]) for split in ("train", "validation", "test")},
 )
 
@@ -82,7 +91,7 @@ def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
 
 
 def test_arms_are_chosen_by_pattern() -> None:
-    grid = registry.load("grid")
+    grid = registry.load("table_2_1")
     assert [arm.seed for arm in choose(grid, ["grid-mil-causal-*"])] == [0, 1, 2]
     assert choose(grid, []) == list(grid.arms)
     with pytest.raises(NotFound):
@@ -113,15 +122,16 @@ def test_the_time_of_an_arm_includes_earlier_attempts(tmp_path: Path) -> None:
 def test_the_scale_is_full_when_a_network_sees_as_many_trajectories_as_the_dissertations(
     steps: int, scale: str
 ) -> None:
-    grid = replace(GRID, settings={"steps": steps, "batch_size": 128})
-    table = grid.table([EVALUATED])
+    study = replace(GRID.studies[0], settings={"steps": steps, "batch_size": 128})
+    table = replace(GRID, studies=(study,), report=replace(GRID.report, targets=())).table([EVALUATED])
     assert {claim.scale for claim in table.claims} == {scale}
-    assert f"{min(steps * 128, 50_000):,}".replace(",", " ") + " of the dissertation's 50 000" in table.text
+    seen = f"{min(steps * 128, 50_000):,}".replace(",", " ")
+    assert f"{seen} of the dissertation's 50 000" in table.sections[0].title
 
 
 def test_networks_have_seeds_and_guesses_have_none() -> None:
     claims_made = GRID.table([EVALUATED, GUESSED]).claims
     assert [(claim.claim, claim.seeds) for claim in claims_made if claim.claim.endswith("test")] == [
-        ("grid.majority.test", None),
-        ("grid.lse.causal.test", 1),
+        ("table_2_1.grid.majority.test", None),
+        ("table_2_1.grid.lse.causal.test", 1),
     ]
