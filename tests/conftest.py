@@ -1,5 +1,6 @@
 """Services as real processes on free ports, for every test that speaks to one over a socket."""
 
+import io
 import json
 import os
 import select
@@ -11,7 +12,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
 import httpx
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 _START_S = 60.0
@@ -89,6 +93,23 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     names = ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
     subprocess.run([*command.split(), *names, "-keyout", key, "-out", chain], check=True, capture_output=True)
     return key, chain
+
+
+@pytest.fixture(scope="session")
+def encode_video() -> Callable[..., bytes]:
+    """A function that returns frames, uint8 (T, H, W, 3), as a video file with 10 frames per second."""
+
+    def encode(frames: npt.NDArray[np.uint8], *, codec: str = "libx264", container: str = "mp4") -> bytes:
+        file = io.BytesIO()
+        with av.open(file, "w", format=container) as muxer:
+            stream = muxer.add_stream(codec, rate=10)
+            stream.height, stream.width, stream.pix_fmt = frames.shape[1], frames.shape[2], "yuv420p"
+            for pixels in frames:
+                muxer.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            muxer.mux(stream.encode())
+        return file.getvalue()
+
+    return encode
 
 
 @pytest.fixture(scope="session")

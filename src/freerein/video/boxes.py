@@ -1,0 +1,48 @@
+"""The boxes that an mp4 file consists of, checked before a decoder sees the file."""
+
+import os
+
+from freerein.errors import InvalidInput, UnsupportedMedia
+
+_MAX_BOXES = 100_000
+_HEADER, _LONG_HEADER = 8, 16
+_LONG_SIZE = 1  # announces a size of 64 bits
+
+
+def check_boxes(file: int, *, field: str) -> None:
+    """Checks that a file is a complete sequence of mp4 boxes, of which the first is `ftyp`.
+
+    A file that was cut off anywhere ends inside a box, or lacks `moov`, its index.
+
+    Args:
+        file: Descriptor of the file.
+        field: Name of the file in the request, for errors.
+
+    Raises:
+        UnsupportedMedia: It is not mp4.
+        InvalidInput: It is truncated.
+    """
+    size = os.fstat(file).st_size
+    if os.pread(file, _HEADER, 0)[4:] != b"ftyp":
+        raise UnsupportedMedia(
+            f"`{field}` must be an mp4 file; got {size} bytes of another format.",
+            field=field,
+            hint="Convert it: ffmpeg -i IN -c:v libx264 OUT.mp4.",
+        )
+    position, has_index = 0, False
+    for _ in range(_MAX_BOXES):
+        header = os.pread(file, _LONG_HEADER, position)
+        length = int.from_bytes(header[:4])
+        if length == _LONG_SIZE:
+            length = int.from_bytes(header[8:])
+        has_index |= header[4:8] == b"moov"
+        position += length
+        if length < _HEADER or position > size:
+            break
+        if position == size and has_index:
+            return
+    raise InvalidInput(
+        f"`{field}` must be a complete mp4 file; it is corrupt or truncated.",
+        field=field,
+        hint="Copy it again, or let its recorder finish it.",
+    )

@@ -1,0 +1,249 @@
+"""A video as its reader sees it: frames that a child process decodes."""
+
+import fcntl
+import importlib.util
+import json
+import math
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import ServiceError, Unimplemented
+from freerein.video.boxes import check_boxes
+from freerein.video.records import CODECS, RECORD, TIME, Options
+from freerein.video.refusals import refusal
+
+MAX_FRAMES = 20_000
+MAX_PIXELS = 4096 * 2304
+
+_PIPE_BYTES = 2**20
+_MAX_TEXT_BYTES = 1024
+
+
+@dataclass(frozen=True)
+class VideoBounds:
+    """Bounds of one video.
+
+    Attributes:
+        frames: Most frames.
+        pixels: Most pixels of a frame.
+        memory_bytes: Most address space of the child process; a quarter of a gigabyte of it is code.
+        cpu_s: Most CPU seconds of the child process.
+        silence_s: Longest wait for the next frame, in seconds.
+    """
+
+    frames: int = MAX_FRAMES
+    pixels: int = MAX_PIXELS
+    memory_bytes: int = 2**30
+    cpu_s: int = 120
+    silence_s: float = 20.0
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """Describes a video file.
+
+    Attributes:
+        codec: `h264` or `av1`.
+        height: Height of its frames in pixels, upright.
+        width: Width of its frames in pixels, upright.
+        fps: Mean frames per second; 0 when unknown.
+        frame_count: Number of frames that it announces; 0 when unknown.
+    """
+
+    codec: str
+    height: int
+    width: int
+    fps: float
+    frame_count: int
+
+
+@dataclass(frozen=True, eq=False)
+class VideoFrame:
+    """One frame.
+
+    Attributes:
+        time_s: When it is shown, in seconds; the first one's need not be 0.
+        pixels: uint8 (H, W, C), read-only.
+    """
+
+    time_s: float
+    pixels: npt.NDArray[np.uint8]
+
+
+class Video:
+    """An open video: a context manager, and an iterator over its frames; the decoder waits while none is taken.
+
+    Attributes:
+        info: Describes the file.
+    """
+
+    def __init__(self, file: int, options: Options, *, silence_s: float, field: str) -> None:
+        self._process, self._pipe = _spawn(file, options)
+        self._options = options
+        self._silence_s = silence_s
+        self._field = field
+        try:
+            self.info = self._read_info()
+        except BaseException:
+            self.close()
+            raise
+        self._shape = (options.height or self.info.height, options.width or self.info.width, options.channels)
+
+    def __iter__(self) -> Iterator[VideoFrame]:
+        """Yields the frames; raises as `open_video`."""
+        size = TIME.size + math.prod(self._shape)
+        while (content := self._read(b"F", size, size)) is not None:
+            (time_s,) = TIME.unpack_from(content)
+            if not math.isfinite(time_s):
+                raise self._error("corrupt")
+            yield VideoFrame(time_s, np.frombuffer(content, np.uint8, offset=TIME.size).reshape(self._shape))
+
+    def kill(self) -> None:
+        """Ends the decoder; may be called from another thread, where an iteration then fails."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """Ends the decoder and closes the pipe."""
+        self.kill()
+        self._pipe.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _read_info(self) -> VideoInfo:
+        content = self._read(b"I", 0, _MAX_TEXT_BYTES)
+        try:
+            info = VideoInfo(**json.loads(content or b""))
+            valid = (
+                info.codec in CODECS
+                and 0 < info.height * info.width <= self._options.max_pixels
+                and math.isfinite(info.fps)
+                and 0 <= info.frame_count <= self._options.max_frames
+            )
+        except (ValueError, TypeError):
+            valid = False
+        if not valid:
+            raise self._error("corrupt")
+        return info
+
+    def _read(self, kind: bytes, least: int, most: int) -> bytes | None:
+        """Returns the content of the next record, which must be of a kind and size; None at the end of the video."""
+        header = self._receive(RECORD.size)
+        found, size = RECORD.unpack(header)
+        if found == b"E" and size == 0:
+            return None
+        if found == b"X" and size <= _MAX_TEXT_BYTES:
+            raise self._error(self._receive(size).decode(errors="replace"))
+        if found != kind or not least <= size <= most:
+            raise self._error("corrupt")
+        return self._receive(size)
+
+    def _receive(self, size: int) -> bytes:
+        """Returns that many bytes of the child; whatever keeps it from sending them is an error of the file."""
+        received, poll = bytearray(), select.poll()
+        poll.register(self._pipe, select.POLLIN)
+        give_up_at = time.monotonic() + self._silence_s
+        while len(received) < size:
+            if not poll.poll(max(0.0, give_up_at - time.monotonic()) * 1e3):
+                raise self._error("time")
+            part = self._pipe.read(size - len(received))
+            if not part:
+                self.kill()
+                raise self._error("time" if self._process.returncode == -signal.SIGXCPU else "corrupt")
+            received += part
+        return bytes(received)
+
+    def _error(self, reason: str) -> ServiceError:
+        return refusal(reason, self._options, field=self._field)
+
+
+def open_video(
+    source: bytes | Path,
+    *,
+    channels: int = 3,
+    size: tuple[int, int] | None = None,
+    bounds: VideoBounds = VideoBounds(),
+    field: str = "video",
+) -> Video:
+    """Returns a video, whose frames are decoded one by one.
+
+    Args:
+        source: An mp4 file, or its contents.
+        channels: Of the frames: 3 for RGB, 1 for gray (the luma of ITU-R BT.601).
+        size: Height and width to resize frames to, whatever their aspect ratio; None to keep the file's.
+        bounds: Bounds of the video.
+        field: Name of the video in the request, for errors.
+
+    Raises:
+        UnsupportedMedia: It is not mp4, or neither H.264 nor AV1.
+        InvalidInput: Corrupt, truncated, empty, or beyond its bounds. Iteration raises it, too.
+        Unimplemented: No decoder is installed.
+    """
+    if importlib.util.find_spec("av") is None:
+        raise Unimplemented(
+            "Reading video needs PyAV; it is not installed here.",
+            field=field,
+            hint="Install it where the video is read: pip install -c constraints.txt 'freerein[video]'.",
+        )
+    file = _opened(source)
+    try:
+        check_boxes(file, field=field)
+        height, width = size or (0, 0)
+        options = Options(channels, height, width, bounds.frames, bounds.pixels, bounds.memory_bytes, bounds.cpu_s)
+        return Video(file, options, silence_s=bounds.silence_s, field=field)
+    finally:
+        os.close(file)
+
+
+def _opened(source: bytes | Path) -> int:
+    """Returns the descriptor of a file, or of contents in memory."""
+    if isinstance(source, Path):
+        return os.open(source, os.O_RDONLY)
+    file = os.memfd_create("video")
+    with FileIO(file, "wb", closefd=False) as writer:
+        writer.write(source)
+    return file
+
+
+def _spawn(file: int, options: Options) -> "tuple[subprocess.Popen[bytes], FileIO]":
+    """Starts the decoder, without the environment of this process, which may hold its token; returns its output, too.
+
+    Its output is a pipe that its end closes.
+    """
+    readable, writable = os.pipe()
+    try:
+        fcntl.fcntl(readable, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-m", "freerein.video.decoder", str(file), options.to_json()],
+            stdin=subprocess.DEVNULL,
+            stdout=writable,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(file,),
+            env={"OPENBLAS_NUM_THREADS": "1"},
+            cwd="/",
+        )
+    except BaseException:
+        os.close(readable)
+        raise
+    finally:
+        os.close(writable)
+    return process, FileIO(readable)

@@ -1,0 +1,44 @@
+"""What the two processes of a video agree on: the options, and the records of the pipe.
+
+A record is a kind, a length of 32 bits and as many bytes:
+
+    I   once: JSON with the fields of a `VideoInfo`
+    F   for each frame: its time in seconds (float64), then its pixels
+    E   once, at the end of the video
+    X   instead of any further record: why the file cannot be decoded; `freerein.video.refusals` knows the reasons
+"""
+
+import json
+import struct
+from dataclasses import asdict, dataclass
+
+RECORD = struct.Struct("<cI")
+TIME = struct.Struct("<d")
+CODECS = ("h264", "av1")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to decode, and within which bounds.
+
+    Attributes:
+        channels: Of the frames: 3 for RGB, 1 for gray.
+        height: Height to resize frames to; 0 to keep the file's.
+        width: Width to resize frames to; 0 to keep the file's.
+        max_frames: Most frames.
+        max_pixels: Most pixels of a frame of the file.
+        memory_bytes: Most address space of the child process.
+        cpu_s: Most CPU seconds of the child process.
+    """
+
+    channels: int
+    height: int
+    width: int
+    max_frames: int
+    max_pixels: int
+    memory_bytes: int
+    cpu_s: int
+
+    def to_json(self) -> str:
+        """Returns the options as JSON."""
+        return json.dumps(asdict(self))

@@ -1,0 +1,29 @@
+"""The error of each reason for which a video is not decoded."""
+
+from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
+from freerein.video.records import CODECS, Options
+
+_ENCODE_AGAIN = "Encode it again: ffmpeg -i IN -c:v libx264 OUT.mp4."
+_SCALE_DOWN = "Scale it down first: ffmpeg -i IN -vf scale=320:-2 OUT.mp4."
+
+
+def refusal(reason: str, options: Options, *, field: str) -> ServiceError:
+    """Returns the error of a reason of the decoder, or of `time`; of one that is not known, that of a corrupt file.
+
+    `field` is the video's name in the request.
+    """
+    if reason == "codec":
+        return UnsupportedMedia(
+            f"`{field}` must be encoded with {' or '.join(CODECS)}; it has another codec.",
+            field=field,
+            hint=_ENCODE_AGAIN,
+        )
+    must, is_, hint = {
+        "frames": (f"have at most {options.max_frames} frames", "has more", "Cut it."),
+        "memory": (f"be decoded in {options.memory_bytes >> 20} MiB", "needs more", _SCALE_DOWN),
+        "pixels": (f"have frames of at most {options.max_pixels} pixels", "has larger ones", _SCALE_DOWN),
+        "size": ("have frames of one size", "has several", _ENCODE_AGAIN),
+        "stream": ("have a video stream", "has none", "Send the file that holds the pictures."),
+        "time": (f"be decoded within {options.cpu_s} s of CPU time", "takes longer", _SCALE_DOWN),
+    }.get(reason, ("be a complete mp4 file", "is corrupt or truncated", _ENCODE_AGAIN))
+    return InvalidInput(f"`{field}` must {must}; it {is_}.", field=field, hint=hint)

@@ -1,0 +1,155 @@
+"""Video: what a decoder returns, and what becomes of files that are damaged, hostile, or no video."""
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+import pytest
+
+from freerein.errors import InvalidInput, UnsupportedMedia
+from freerein.video import VideoBounds, open_video
+
+EncodeVideo = Callable[..., bytes]
+FRAMES, HEIGHT, WIDTH = 12, 64, 96
+
+
+@pytest.fixture(scope="module")
+def colours() -> npt.NDArray[np.uint8]:
+    """uint8 (T, H, W, 3); the right half is black, the left half has another red every frame."""
+    pixels = np.zeros((FRAMES, HEIGHT, WIDTH, 3), np.uint8)
+    pixels[:, :, : WIDTH // 2, 0] = np.linspace(40, 250, FRAMES, dtype=np.uint8)[:, None, None]
+    return pixels
+
+
+@pytest.fixture(scope="module")
+def h264(encode_video: EncodeVideo, colours: npt.NDArray[np.uint8]) -> bytes:
+    return encode_video(colours)
+
+
+def decoded(source: bytes | Path, **options: object) -> npt.NDArray[np.uint8]:
+    """Returns all frames of a video, uint8 (T, H, W, C)."""
+    with open_video(source, **options) as video:  # type: ignore[arg-type]
+        return np.stack([frame.pixels for frame in video])
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libsvtav1"])
+def test_frames_come_in_order_with_their_times(
+    encode_video: EncodeVideo, colours: npt.NDArray[np.uint8], codec: str
+) -> None:
+    with open_video(encode_video(colours, codec=codec)) as video:
+        frames = list(video)
+    info = video.info
+    assert (info.codec, info.height, info.width) == ("h264" if codec == "libx264" else "av1", HEIGHT, WIDTH)
+    assert (info.fps, info.frame_count) == (10.0, FRAMES)
+    assert [frame.time_s for frame in frames] == pytest.approx(np.arange(FRAMES) / 10)
+    shown = np.stack([frame.pixels for frame in frames])
+    assert shown.dtype == np.uint8
+    assert np.abs(shown[:, :, 8:40].astype(int) - colours[:, :, 8:40]).max() <= 12
+
+
+def test_a_file_is_read_as_its_contents_are(tmp_path: Path, h264: bytes) -> None:
+    path = tmp_path / "demo.mp4"
+    path.write_bytes(h264)
+    np.testing.assert_array_equal(decoded(path), decoded(h264))
+
+
+def test_frames_are_resized_and_gray_when_asked(h264: bytes) -> None:
+    colour, gray = decoded(h264), decoded(h264, channels=1)
+    luma = colour.astype(float) @ [0.299, 0.587, 0.114]
+    assert gray.shape == (FRAMES, HEIGHT, WIDTH, 1)
+    assert np.abs(gray[..., 0] - luma).max() <= 0.501
+    assert decoded(h264, size=(32, 40)).shape == (FRAMES, 32, 40, 3)
+
+
+def test_a_video_that_is_left_ends_its_decoder(h264: bytes) -> None:
+    with open_video(h264) as video:
+        next(iter(video))
+        (decoder,) = psutil.Process().children()
+        assert decoder.is_running()
+    assert not decoder.is_running()
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(h264: bytes, cut: float) -> None:
+    with pytest.raises(InvalidInput, match="truncated"):
+        decoded(h264[: int(len(h264) * cut)])
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_damaged_file_is_refused_or_decoded(h264: bytes, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    damaged = np.frombuffer(h264, np.uint8).copy()
+    places = rng.integers(40, len(damaged), 20)
+    damaged[places] = rng.integers(0, 256, len(places))
+    try:
+        frames = decoded(damaged.tobytes())
+    except (UnsupportedMedia, InvalidInput):
+        return
+    assert 1 <= len(frames) <= FRAMES
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize("contents", [b"", b"GIF89a" + bytes(1000), b"\0\0\0\x18ftypmp42" + bytes(12)])
+def test_what_is_no_video_is_refused(contents: bytes) -> None:
+    with pytest.raises((UnsupportedMedia, InvalidInput)):
+        decoded(contents)
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize(("codec", "container"), [("mpeg4", "mp4"), ("libx264", "matroska")])
+def test_another_codec_or_container_is_refused(
+    encode_video: EncodeVideo, colours: npt.NDArray[np.uint8], codec: str, container: str
+) -> None:
+    with pytest.raises(UnsupportedMedia, match="codec" if container == "mp4" else "another format"):
+        decoded(encode_video(colours, codec=codec, container=container))
+
+
+@pytest.mark.fault("S10")
+def test_a_small_file_with_huge_frames_is_refused(encode_video: EncodeVideo) -> None:
+    bomb = encode_video(np.zeros((1, 4096, 4096, 3), np.uint8))
+    assert len(bomb) < 100_000
+    with pytest.raises(InvalidInput, match="pixels"):
+        decoded(bomb)
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize(
+    ("bounds", "reason"),
+    [
+        (VideoBounds(frames=FRAMES - 1), f"at most {FRAMES - 1} frames"),
+        (VideoBounds(pixels=HEIGHT * WIDTH - 1), "pixels"),
+        (VideoBounds(memory_bytes=2**27), "needs more"),
+        (VideoBounds(silence_s=0.0), "takes longer"),
+    ],
+    ids=["frames", "pixels", "memory", "time"],
+)
+def test_bounds_hold(h264: bytes, bounds: VideoBounds, reason: str) -> None:
+    with pytest.raises(InvalidInput, match=reason):
+        decoded(h264, bounds=bounds)
+
+
+@pytest.mark.fault("S10")
+@pytest.mark.parametrize(("kill", "reason"), [(signal.SIGSEGV, "corrupt"), (signal.SIGXCPU, "takes longer")])
+def test_a_decoder_that_ends_is_an_error_of_the_file(
+    encode_video: EncodeVideo, kill: signal.Signals, reason: str
+) -> None:
+    long = encode_video(np.zeros((200, 128, 128, 3), np.uint8))  # more than the pipe holds
+    with open_video(long) as video:
+        (decoder,) = psutil.Process().children()
+        os.kill(decoder.pid, kill)
+        with pytest.raises(InvalidInput, match=reason):
+            list(video)
+
+
+def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, h264: bytes) -> None:
+    monkeypatch.setenv("FREEREIN_TOKEN", "secret")
+    with open_video(h264) as video:
+        (decoder,) = psutil.Process().children()
+        assert "FREEREIN_TOKEN" not in decoder.environ()
+        assert video.info.codec == "h264"
