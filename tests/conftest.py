@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import httpx
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +99,8 @@ def encode_video() -> Callable[..., bytes]:
     """A function that returns frames, uint8 (T, H, W, 3), as a video file with 10 frames per second."""
 
     def encode(frames: npt.NDArray[np.uint8], *, codec: str = "libx264", container: str = "mp4") -> bytes:
+        import av
+
         file = io.BytesIO()
         with av.open(file, "w", format=container) as muxer:
             stream = muxer.add_stream(codec, rate=10)
