@@ -2,14 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from experiments.segmentation.dataset import DatasetSpec
 from experiments.workbench.arms import Arm
 from freerein.learning.checkpoints import JSON
+from freerein_segmentation.model import Context
 from freerein_segmentation.training import SegmentationConfig
 
 SUPERVISED = "supervised"
 """Method of the ceiling: cross-entropy on true labels."""
+
+_CONTEXTS: Mapping[str, Context] = MappingProxyType({"causal": 0, "bidirectional": "all"})
 
 
 @dataclass(frozen=True)
@@ -18,7 +22,7 @@ class Method:
 
     Attributes:
         name: Its name in tables and arms.
-        contexts: Contexts of the network that it is trained in.
+        contexts: Contexts of the network that it is trained in; see `context_of`.
         settings: Keys of the segmentation service's configuration that it alone sets; `SUPERVISED` needs none.
     """
 
@@ -82,5 +86,11 @@ class Study:
     def fit_config(self, arm: Arm) -> SegmentationConfig:
         """Returns the configuration of an arm's network; with `learning_rates`, its `lr` has yet to be chosen."""
         (method,) = (each for each in self.methods if each.name == arm.method)
-        values = {**self.settings, **method.settings, **arm.options, "seed": arm.seed}
+        context = context_of(arm.options["context"])
+        values = {**self.settings, **method.settings, "context": context, "seed": arm.seed}
         return SegmentationConfig.from_mapping(values)
+
+
+def context_of(name: str) -> Context:
+    """Returns the context that arms and tables call `causal`, `bidirectional`, or `lookahead-5` for 5 timesteps."""
+    return _CONTEXTS[name] if name in _CONTEXTS else int(name.removeprefix("lookahead-"))

@@ -20,7 +20,7 @@ from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.training import SegmentationConfig
 
 DATA = DatasetSpec("grid", train=SplitSpec(9, 2, 4), validation=SplitSpec(3, 2, 4), test=SplitSpec(3, 5, 5))
-CONFIG = SegmentationConfig(batch_size=4, context="causal", lr=0.01)
+CONFIG = SegmentationConfig(batch_size=4, context=0, lr=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +160,14 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
     assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0)]
     assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
     assert [steps for _, steps, _ in fitted] == [2] * 3 + [4] * 3
+
+
+def test_contexts_have_names() -> None:
+    contexts = ("causal", "lookahead-5", "bidirectional")
+    study = replace(STUDY, methods=(Method("lse", contexts, {"objective": "lse"}),))
+    networks = [arm for arm in study.arms if not study.is_guess(arm)][:3]
+    assert [study.fit_config(arm).context for arm in networks] == [0, 5, "all"]
+    assert networks[1].name == "grid-lse-lookahead-5-seed0"
 
 
 def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, one_of, parse
+from freerein.learning.config import bounded, bounded_or_all, one_of, parse
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,21 @@ def test_a_wrong_value_is_refused_by_name(values: dict[str, object], message: st
 @dataclass(frozen=True)
 class Longer(Config):
     steps: int = bounded(200, least=1, most=1000)
+
+
+@dataclass(frozen=True)
+class Looking:
+    context: int | Literal["all"] = bounded_or_all("all", least=0, most=9)
+
+
+def test_a_number_may_also_be_all() -> None:
+    for context in (0, 9, "all"):
+        assert parse(Looking, {"context": context}).context == context
+    assert Looking().context == "all"
+    with pytest.raises(InvalidInput, match=re.escape("`context` must be in [0, 9]; got 10")):
+        Looking(10)
+    with pytest.raises(InvalidInput, match=re.escape("`context` must be a whole number or all")):
+        parse(Looking, {"context": "none"})
 
 
 def test_what_is_out_of_bounds_cannot_be_made_in_any_way() -> None:

@@ -8,20 +8,21 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import tensor_files, weights
 from freerein.learning.model_files import save_model
 from freerein.types.common import ActionSpec, Camera
-from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork, load
+from freerein_segmentation.model import Context, ModelSpec, SegmentationModel, SegmentationNetwork, load
 from freerein_segmentation.model import network as network_module
 
 FRONT = Camera("front", 20, 24, 3)
 CONTINUOUS = ModelSpec(skills=("a", "b", "c"), cameras=(FRONT,), action=ActionSpec(2, 0, ("dy", "dz")))
 DISCRETE = replace(
-    CONTINUOUS, cameras=(replace(FRONT, channels=1),), action=ActionSpec(1, 5, tuple("abcde")), context="causal"
+    CONTINUOUS, cameras=(replace(FRONT, channels=1),), action=ActionSpec(1, 5, tuple("abcde")), context=0
 )
 BLIND = replace(CONTINUOUS, use_actions=False)
-NAMED = {"continuous": CONTINUOUS, "discrete": DISCRETE, "no actions": BLIND}
+FINITE = replace(CONTINUOUS, context=3)
+NAMED = {"continuous": CONTINUOUS, "discrete": DISCRETE, "no actions": BLIND, "finite context": FINITE}
 SPECS = pytest.mark.parametrize("spec", NAMED.values(), ids=NAMED.keys())
 
 
@@ -80,17 +81,54 @@ def test_frames_are_encoded_a_window_at_a_time_so_that_memory_does_not_grow_with
     assert encoded == [256, 256, 88]
 
 
-def test_a_causal_network_does_not_see_the_future_and_a_bidirectional_one_does() -> None:
-    for spec, sees in ((DISCRETE, False), (CONTINUOUS, True)):
-        model = SegmentationModel(make(spec))
-        frames, actions = trajectory(spec, 12)
-        later = frames.copy()
-        later[8:] = 255 - later[8:]
-        before, after = (
-            probabilities(model, frames, actions)[:8],
-            probabilities(model, later, actions)[:8],
-        )
-        assert (not np.allclose(before, after)) == sees
+@pytest.mark.parametrize(("context", "stride", "first_seen"), [(0, 1, 8), (3, 1, 5), (3, 2, 2), ("all", 1, 0)])
+def test_a_score_depends_on_its_context_and_on_nothing_later(context: Context, stride: int, first_seen: int) -> None:
+    model = SegmentationModel(make(replace(CONTINUOUS, context=context, stride=stride)))
+    frames, actions = trajectory(CONTINUOUS, 12)
+    later = frames.copy()
+    later[8] = 255 - later[8]
+    changed = np.abs(probabilities(model, frames, actions) - probabilities(model, later, actions)).max(axis=1) > 1e-6
+    assert not changed[:first_seen].any()
+    assert changed[first_seen:9:stride].all()
+
+
+@pytest.mark.parametrize("context", [0, 1, 5, 200])
+@pytest.mark.parametrize("stride", [1, 3])
+@pytest.mark.parametrize("sizes", [(1,) * 40, (40,), (0, 7, 1, 1, 19, 2, 10)])
+def test_a_stream_predicts_what_the_whole_trajectory_does_as_soon_as_its_lag_has_passed(
+    context: int, stride: int, sizes: tuple[int, ...]
+) -> None:
+    model = SegmentationModel(make(replace(CONTINUOUS, context=context, stride=stride)))
+    assert model.lag == context * stride
+    frames, actions = trajectory(CONTINUOUS, 40)
+    stream, parts, stops = model.stream(), [], np.cumsum(sizes)
+    for start, stop in zip([0, *stops[:-1]], stops, strict=True):
+        parts.append(stream.push(frames[start:stop], actions[start:stop]))
+        assert sum(len(part.probabilities) for part in parts) == max(0, stop - model.lag)
+    parts.append(stream.finish())
+    whole = model.predict(frames, actions)
+    for name in ("probabilities", "in_distribution"):
+        together = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_allclose(together, getattr(whole, name), atol=1e-6)
+
+
+def test_what_a_stream_has_not_finished_is_predicted_as_if_the_trajectory_ended_there() -> None:
+    model = SegmentationModel(make(FINITE))
+    stream, (frames, actions) = model.stream(), trajectory(FINITE, 9)
+    stream.push(frames[:6], actions[:6])
+    shorter = probabilities(model, frames[:6], actions[:6])
+    for _ in range(2):
+        np.testing.assert_allclose(stream.finish().probabilities, shorter[3:], atol=1e-6)
+    rest = stream.push(frames[6:], actions[6:])
+    np.testing.assert_allclose(rest.probabilities, probabilities(model, frames, actions)[3:6], atol=1e-6)
+
+
+def test_a_model_of_whole_trajectories_has_no_stream() -> None:
+    model = SegmentationModel(make(CONTINUOUS))
+    assert model.lag is None
+    with pytest.raises(FailedPrecondition) as error:
+        model.stream()
+    assert "context=10" in error.value.hint
 
 
 @SPECS
@@ -149,7 +187,7 @@ def test_an_exported_model_loads_to_the_same_probabilities(spec: ModelSpec, tmp_
         {"cameras": [{**asdict(FRONT), "channels": 2}]},
         {"cameras": [{**asdict(FRONT), "height": 10**9}]},
         {"encoder": "pilot"},
-        {"context": "causal"},
+        {"context": 0},
         {"surprise": 1},
     ],
 )

@@ -24,6 +24,11 @@ def bounded(default: N, *, least: float, most: float) -> N:
     return cast(N, _Bounded(default, least, most))
 
 
+def bounded_or_all(default: int | Literal["all"], *, least: int, most: int) -> int | Literal["all"]:
+    """Returns a dataclass field for a whole number as in `bounded`, or the word `all`."""
+    return cast(int | Literal["all"], _BoundedOrAll(default, least, most))
+
+
 def one_of(names: Collection[str], default: str) -> str:
     """Returns a dataclass field for one of some names, such as a registry's keys; checked as `bounded`."""
     return cast(str, _OneOf(default, names))
@@ -65,7 +70,7 @@ class _OneOf(_Checked):
 
 
 class _Bounded(_Checked):
-    def __init__(self, default: float, least: float, most: float) -> None:
+    def __init__(self, default: float | str, least: float, most: float) -> None:
         super().__init__(default)
         self._least = least
         self._most = most
@@ -75,6 +80,12 @@ class _Bounded(_Checked):
             raise InvalidInput(
                 f"`{self._name}` must be in [{self._least:g}, {self._most:g}]; got {value:g}.", field=field, hint=hint
             )
+
+
+class _BoundedOrAll(_Bounded):
+    def check(self, value: Any, *, field: str, hint: str) -> None:
+        if value != "all":
+            super().check(value, field=field, hint=hint)
 
 
 def parse(kind: type[C], values: Mapping[str, object]) -> C:

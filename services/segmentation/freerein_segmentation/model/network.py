@@ -9,13 +9,15 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, one_of
+from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
 from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
+from freerein_segmentation.model.lookahead import MAX_CONTEXT, countdown, look_ahead
 
-Context: TypeAlias = Literal["causal", "bidirectional"]
+Memory: TypeAlias = tuple[Tensor, Tensor]
+"""State of an LSTM over one sequence, float (1, H) each."""
 
 _ACTION_FEATURES = 32
 _TIMESTEPS_AT_ONCE = 1024
@@ -30,7 +32,7 @@ class ModelSpec(InputSpec):
         use_actions: Whether executed actions are an input.
         encoder: Image encoder.
         stride: Temporal stride of the LSTM; the timesteps of each phase are a sequence of their own.
-        context: Whether scores depend on the past only (the dissertation's) or on the whole trajectory.
+        context: Future timesteps of such a sequence that its scores depend on, or `all`; 0 is the dissertation's.
         features: Number of image features per camera.
         hidden_size: LSTM units per direction.
 
@@ -42,7 +44,7 @@ class ModelSpec(InputSpec):
     use_actions: bool = True
     encoder: str = one_of(ENCODERS, "patch")
     stride: int = bounded(1, least=1, most=100)
-    context: Context = "bidirectional"
+    context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)
 
@@ -67,7 +69,7 @@ class SegmentationNetwork(nn.Module):
         self.action = nn.Linear(spec.encoded_action_size, _ACTION_FEATURES) if spec.use_actions else None
         inputs = self.image.size + (_ACTION_FEATURES if spec.use_actions else 0)
         self.past = nn.LSTM(inputs, spec.hidden_size, batch_first=True)
-        self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context == "bidirectional" else None
+        self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context else None
         self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
@@ -79,15 +81,19 @@ class SegmentationNetwork(nn.Module):
             actions: float32 (N, A) or int64 (N, 1), likewise.
             lengths: int64 (B,), timesteps of each trajectory, with sum N.
         """
-        features, ends = self.features(frames, actions), lengths.cumsum(dim=0).cpu()  # (N, D), (B,)
-        padded = pad_sequence(list(features.tensor_split(ends[:-1])), batch_first=True)  # (B, T, D)
+        features, ends = self.features(frames, actions), lengths.cumsum(dim=0)  # (N, D), (B,)
+        padded = _padded(features, ends)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden_size)
         if self.future is not None:
-            # Reversed within each length, so that padding stays last.
-            mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
-            reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden_size)
-            ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
+            if not isinstance(self.spec.context, int):
+                # Reversed within each length, so that padding stays last.
+                mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
+                reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden_size)
+                ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
+            else:
+                remaining = countdown(features) - (ends[-1] - ends).repeat_interleave(lengths)  # (N,)
+                ahead = _padded(look_ahead(self.future, features, remaining, context=self.spec.context), ends)
             memory = torch.cat([memory, ahead], dim=2)  # (B, T, 2 hidden_size)
         scores: Tensor = self.head(memory)  # (B, T, K)
         return scores, time < lengths[:, None]
@@ -106,16 +112,26 @@ class SegmentationNetwork(nn.Module):
 
         The LSTM runs window by window and carries its state, so that working memory is bounded.
         """
-        memory = _run(self.past, features)  # (T, hidden_size)
+        memory, _ = run(self.past, features)  # (T, hidden_size)
         if self.future is not None:
-            memory = torch.cat([memory, _run(self.future, features.flip(0)).flip(0)], dim=1)  # (T, 2 hidden_size)
+            if not isinstance(self.spec.context, int):
+                ahead = run(self.future, features.flip(0))[0].flip(0)
+            else:
+                ahead = look_ahead(self.future, features, countdown(features), context=self.spec.context)
+            memory = torch.cat([memory, ahead], dim=1)  # (T, 2 hidden_size)
         scores: Tensor = self.head(memory)
         return scores
 
 
-def _run(lstm: nn.LSTM, features: Tensor) -> Tensor:
-    state, memory = None, []
+def run(lstm: nn.LSTM, features: Tensor, state: Memory | None = None) -> tuple[Tensor, Memory | None]:
+    """Returns the output (T, H) of an LSTM over features (T, D) after a state, and the state after them."""
+    memory = [features.new_zeros(0, lstm.hidden_size)]
     for start in range(0, len(features), _TIMESTEPS_AT_ONCE):
         output, state = lstm(features[start : start + _TIMESTEPS_AT_ONCE], state)  # (T, hidden_size)
         memory.append(output)
-    return torch.cat(memory)
+    return torch.cat(memory), state
+
+
+def _padded(features: Tensor, ends: Tensor) -> Tensor:
+    """Returns features (N, D) of concatenated trajectories, which end at `ends`, int64 (B,), as (B, T, D)."""
+    return pad_sequence(list(features.tensor_split(ends[:-1].cpu())), batch_first=True)

@@ -1,6 +1,5 @@
 """Inference with a trained segmentation network: numpy in, numpy out."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,35 +7,26 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freerein.errors import FailedPrecondition
 from freerein.learning import model_files
 from freerein.learning.image_statistics import image_statistics
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
-
-_FRAMES_AT_ONCE = 256
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What a model says of T timesteps.
-
-    Attributes:
-        probabilities: P(y_t = k), eq. 2.1, float32 (T, K).
-        in_distribution: How much each is like those on held-out data, float32 (T,) in [0, 1]; see
-            `freerein.learning.in_distribution`.
-    """
-
-    probabilities: npt.NDArray[np.float32]
-    in_distribution: npt.NDArray[np.float32]
+from freerein_segmentation.model.stream import FRAMES_AT_ONCE, Prediction, SegmentationStream
 
 
 class SegmentationModel:
-    """Runs a trained network on its own device; see `freerein_segmentation.core.SkillModel` for the attributes."""
+    """Runs a trained network on its own device; see `freerein_segmentation.core.SkillModel` for the other attributes.
+
+    Attributes:
+        lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories.
+    """
 
     def __init__(self, network: SegmentationNetwork) -> None:
         spec = network.spec
         self.skills = spec.skills
         (self.camera,) = spec.cameras
         self.action = spec.action if spec.use_actions else None
+        self.lag = spec.context * spec.stride if isinstance(spec.context, int) else None
         self._stride = spec.stride
         self._network = network.eval()
         self._device = next(network.parameters()).device
@@ -53,11 +43,25 @@ class SegmentationModel:
             probabilities[at], in_distribution[at] = self._strided(frames[at], actions[at])
         return Prediction(probabilities, in_distribution)
 
+    def stream(self) -> SegmentationStream:
+        """Returns a stream of predictions for one trajectory.
+
+        Raises:
+            FailedPrecondition: The model sees whole trajectories.
+        """
+        context = self._network.spec.context
+        if not isinstance(context, int):
+            raise FailedPrecondition(
+                "A stream needs a model that sees a number of future timesteps; this one sees whole trajectories.",
+                hint="Fit one with --set context=10, or send the whole trajectory.",
+            )
+        return SegmentationStream(self._network, self._features, context=context)
+
     def _strided(
         self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Returns probabilities and scores of timesteps that are one stride apart, as in training."""
-        windows = [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
+        windows = [slice(start, start + FRAMES_AT_ONCE) for start in range(0, len(frames), FRAMES_AT_ONCE)]
         parts = [self._features(frames[at], actions[at]) for at in windows]
         features, distances = (torch.cat(each) for each in zip(*parts, strict=True))  # (T, D), (T,)
         probabilities = self._network.score(features).softmax(dim=1)  # (T, K)

@@ -1,11 +1,12 @@
 """Configuration of a segmentation fit."""
 
 from dataclasses import dataclass
+from typing import Literal
 
-from freerein.learning.config import bounded, one_of
+from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
-from freerein_segmentation.model import Context
+from freerein_segmentation.model import MAX_CONTEXT
 from freerein_segmentation.objectives import OBJECTIVES
 
 
@@ -15,7 +16,8 @@ class SegmentationConfig(DatasetFitConfig):
 
     Attributes:
         objective: Loss of scores against tags.
-        context: `causal`, the dissertation's, or `bidirectional`.
+        context: Future timesteps, one stride apart, that scores depend on, or all; 0 is the dissertation's. A finite
+            number makes streams possible.
         encoder: Image encoder.
         use_actions: Whether executed actions are an input.
         augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
@@ -27,7 +29,7 @@ class SegmentationConfig(DatasetFitConfig):
     """
 
     objective: str = one_of(OBJECTIVES, "lse_per_timestep")
-    context: Context = "bidirectional"
+    context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     encoder: str = one_of(ENCODERS, "patch")
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
