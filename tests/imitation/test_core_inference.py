@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ Floats = npt.NDArray[np.float32]
 class Summing:
     """Skills that end when the frame is as bright as their name is long; the recurrent state sums up the frames."""
 
-    def __init__(self, *, horizon: int = 2) -> None:
+    def __init__(self, *, horizon: int = 2, **fields: Any) -> None:
         self.spec = PolicySpec(
             action=ActionSpec(1, 0, ("x",)),
             control_dt_s=0.1,
@@ -31,6 +32,7 @@ class Summing:
             horizon=horizon,
             skills=("a", "bb", "ccc"),
             recurrent_size=2,
+            **fields,
         )
         self.encoded: list[list[str]] = []
         self.batches: list[int] = []
@@ -88,6 +90,13 @@ def test_at_a_goal_the_recurrent_state_is_reset_and_the_same_observation_is_acte
     assert (result.reached, result.confidence, result.state.goal_index, result.state.goal_steps) == (False, 1.0, 1, 0)
     assert result.state.recurrent.tolist() == [1, 0]
     assert policy.batches == [1, 1]
+
+
+def test_a_state_that_outlasts_goals_is_handed_on_and_takes_in_each_observation_once() -> None:
+    state = PolicyState(np.array([9, 8], np.float32), goal_steps=2)
+    (result,) = run([item(Summing(keeps_state=True), 1, state=state)])
+    assert (result.state.goal_index, result.state.goal_steps) == (1, 0)
+    assert result.state.recurrent.tolist() == [10, 8]
 
 
 def test_at_the_last_goal_there_is_nothing_to_do_and_it_stays_so() -> None:

@@ -22,11 +22,15 @@ from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.goal_images import GoalImagesPolicy
 from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningPolicy, SkillCloningSpec
 from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsSpec
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
 GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)
 SKILLS = SkillsSpec(**INPUTS, skills=("pick", "push"), hidden_size=16)
+CLONED = SkillCloningSpec(
+    **INPUTS, skills=("pick", "push"), features=16, hidden_size=12, memory=2, past_actions=1, chunk=3
+)
 DISCRETE: dict[str, Any] = {
     "cameras": (Camera("front", 24, 20, 1),),
     "action": ActionSpec(1, 4, ("up", "down", "left", "right")),
@@ -61,6 +65,15 @@ def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
     made.fit_normalisation(frames, torch.ones(1, spec.action.size))
+    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
+    return made
+
+
+def cloned_network(spec: SkillCloningSpec) -> SkillCloningNetwork:
+    made, generator = SkillCloningNetwork(spec), torch.Generator().manual_seed(0)
+    weights.initialise(made, generator=generator)
+    frames = tensors(images(spec, 8))
+    made.fit_normalisation(frames, torch.linspace(-1, 1, 8)[:, None].repeat(1, spec.action.size), generator=generator)
     made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
     return made
 
@@ -106,15 +119,22 @@ def skills_case(spec: SkillsSpec) -> Case:
     return Case(spec, skills_network, SkillsPolicy, "skills", skill_names)
 
 
+def cloned_case(spec: SkillCloningSpec) -> Case:
+    return Case(spec, cloned_network, SkillCloningPolicy, "skill_cloning", skill_names)
+
+
 CASES = {
     "goals": goal_case(GOALS),
     "goals-discrete": goal_case(replace(GOALS, **DISCRETE)),
     "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional")),
     "skills": skills_case(SKILLS),
     "skills-gripper": skills_case(replace(SKILLS, action=ActionSpec(3, 0, ("dy", "dz", "gripper")))),
+    "cloned": cloned_case(CLONED),
+    "cloned-discrete": cloned_case(replace(CLONED, **DISCRETE)),
+    "cloned-one-frame": cloned_case(replace(CLONED, **TWO, memory=0, past_actions=0, chunk=1, ends="budget")),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-CONTINUOUS = pytest.mark.parametrize("case", [CASES["goals"], CASES["skills"]], ids=["goals", "skills"])
+CONTINUOUS = pytest.mark.parametrize("case", [CASES[name] for name in ("goals", "skills", "cloned")])
 
 
 def inputs(case: Case, policy: Any, count: int) -> list[Any]:
@@ -231,6 +251,17 @@ def test_a_control_spec_out_of_range_is_refused(number: str) -> None:
     card["control"][number] = -1
     with pytest.raises(InvalidInput):
         ControlSpec.from_card(card)
+
+
+def test_step_limits_are_those_of_skills_or_of_all_goals() -> None:
+    network = skills_network(SKILLS)
+    own = SkillsPolicy(network, replace(CONTROL, max_steps_per_skill=(5, 7))).spec
+    assert [own.step_limit(goal) for goal in ("pick", "push", "wave", {})] == [5, 7, 30, 30]
+    assert SkillsPolicy(network, CONTROL).spec.step_limit("pick") == 30
+    with pytest.raises(InvalidInput, match="1 limits and 2 skills"):
+        SkillsPolicy(network, replace(CONTROL, max_steps_per_skill=(5,)))
+    with pytest.raises(InvalidInput):
+        replace(CONTROL, max_steps_per_skill=(5, 0))
 
 
 # --- action bins

@@ -45,7 +45,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> FitDataset:
     return FitDataset.open(data_dir, "noise")
 
 
-@pytest.mark.parametrize("method", ["goal_conditioned", "goal_cloning", "inverse_model", "skills"])
+@pytest.mark.parametrize("method", ["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"])
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(method: str, source: FitDataset, tmp_path: Path) -> None:
     def run(folder: Path, stop: Callable[[], bool] = lambda: False) -> str:
         """Fits with a learner of its own; returns the sha256 of the best weights, calibrated."""

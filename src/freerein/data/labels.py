@@ -21,6 +21,9 @@ from freerein.data.trajectory_file import read_labels, write_labels
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 
+NO_LABEL = -1
+"""Stands for no skill, at timesteps whose label was rejected."""
+
 _FOLDER, _INFO = "labels", "labels/info.json"
 _HINT = "Label the dataset first: freerein segment NAME --save."
 
@@ -77,7 +80,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
     """Returns the predicted skill at each timestep of a trajectory.
 
     Returns:
-        int64 (T,), indices into the `skills` of `info`.
+        int64 (T,), indices into the `skills` of `info`; -1 for none.
 
     Raises:
         FailedPrecondition: The trajectory was not labelled.
@@ -90,7 +93,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
 
 
 def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], ...]:
-    """Returns the labels of every trajectory, int64 (T,) each.
+    """Returns the labels of every trajectory, int64 (T,) each; -1 for none.
 
     Args:
         root: The dataset's folder.
@@ -108,8 +111,10 @@ def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[
                 f"Trajectory {index} must have a skill for each of its {length} timesteps; it has {len(values)}.",
                 hint=_HINT,
             )
-        if not np.all((values >= 0) & (values < len(skills))):
-            raise InvalidInput(f"The labels of trajectory {index} must be in [0, {len(skills)}).", hint=_HINT)
+        if not np.all((values >= NO_LABEL) & (values < len(skills))):
+            raise InvalidInput(
+                f"The labels of trajectory {index} must be in [0, {len(skills)}), or {NO_LABEL} for none.", hint=_HINT
+            )
     return found
 
 

@@ -90,25 +90,26 @@ class ActContext:
         policy: The policy.
         goals: Goals in the order in which to reach them.
         digest: Digest of the goals.
-        max_steps: Control steps after which a goal is abandoned.
+        max_steps: Control steps after which each goal is abandoned.
     """
 
     model: ModelRef
     policy: Policy
     goals: tuple[Subgoal, ...]
     digest: bytes
-    max_steps: int
+    max_steps: tuple[int, ...]
 
     @classmethod
     async def create(cls, model: ModelRef, policy: Policy, goal: Goal, *, max_steps: int) -> "ActContext":
-        """Returns the context of a goal; `max_steps` 0 stands for the model's own limit.
+        """Returns the context of a goal; `max_steps` 0 stands for the model's own limits.
 
         Raises:
             InvalidInput: The goal does not match the policy.
             UnsupportedMedia: An image is not in the encoding that it names.
         """
         goals = await parse_goal(policy.spec, goal)
-        return cls(model, policy, goals, goal_digest(goals), max_steps or policy.spec.max_steps_per_goal)
+        limits = tuple(max_steps or policy.spec.step_limit(each.content) for each in goals)
+        return cls(model, policy, goals, goal_digest(goals), limits)
 
     def decode_state(self, data: bytes) -> PolicyState:
         """Returns the policy state in an API `state`; the initial one when empty.
@@ -151,7 +152,7 @@ class ActContext:
             previous=parse_previous_action(spec, executed),
             state=state,
             elapsed=elapsed,
-            max_steps=self.max_steps,
+            max_steps=self.max_steps[min(state.goal_index, len(self.goals) - 1)],
         )
 
 

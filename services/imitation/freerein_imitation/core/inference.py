@@ -1,7 +1,7 @@
 """Batched policy inference.
 
 Each observation is tested against its current goal once. Where the goal is reached, or its time is up, the recurrent
-state is reset, and a second forward pass computes the actions for the next goal.
+state is reset, unless the policy keeps it, and a second forward pass computes the actions for the next goal.
 """
 
 import math
@@ -33,7 +33,7 @@ class InferenceRequest:
         previous: Last executed action, float32 (A,) or int64 (1,).
         state: Policy state before the observation.
         elapsed: Control steps since the observation of that state.
-        max_steps: Control steps after which a goal is abandoned.
+        max_steps: Control steps after which the current goal is abandoned.
     """
 
     policy: Policy
@@ -177,7 +177,10 @@ def _not_finite() -> OutputNotFinite:
 
 
 def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicyState:
-    """Returns the policy state after an observation was tested; a new goal starts with a reset recurrent state."""
+    """Returns the policy state after an observation was tested.
+
+    A new goal starts with a reset recurrent state, or with that before the observation, where the policy keeps it.
+    """
     state = request.state
     if isinstance(row, OutputNotFinite):
         return state
@@ -187,7 +190,8 @@ def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicySt
     reached = row.reached >= request.policy.spec.reached_threshold
     if reached or steps >= request.max_steps:
         abandoned = state.abandoned or not reached
-        return PolicyState(np.zeros_like(state.recurrent), state.goal_index + 1, 0, abandoned)
+        kept = state.recurrent if request.policy.spec.keeps_state else np.zeros_like(state.recurrent)
+        return PolicyState(kept, state.goal_index + 1, 0, abandoned)
     return PolicyState(row.recurrent, state.goal_index, steps, state.abandoned)
 
 

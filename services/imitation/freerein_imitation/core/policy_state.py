@@ -23,7 +23,7 @@ class PolicyState:
     """Recurrent state and progress through a sequence of goals.
 
     Attributes:
-        recurrent: Recurrent state, float32 (R,); zeros at the start of a goal.
+        recurrent: Recurrent state, float32 (R,); zeros at the start, and of each goal unless the policy keeps it.
         goal_index: Number of goals that are over, reached or abandoned.
         goal_steps: Control steps taken towards the current goal.
         abandoned: Whether a goal was abandoned.

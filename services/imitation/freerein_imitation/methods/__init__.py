@@ -3,7 +3,7 @@
 from types import MappingProxyType
 
 from freerein.learning.methods import Methods
-from freerein_imitation.methods import goal_cloning, goal_conditioned, inverse_model, language, skills
+from freerein_imitation.methods import goal_cloning, goal_conditioned, inverse_model, language, skill_cloning, skills
 from freerein_imitation.model.policy import Policy
 
 METHODS: Methods[Policy] = Methods(
@@ -13,6 +13,7 @@ METHODS: Methods[Policy] = Methods(
             "goal_conditioned": goal_conditioned.METHOD,
             "goal_cloning": goal_cloning.METHOD,
             "skills": skills.METHOD,
+            "skill_cloning": skill_cloning.METHOD,
             "language": language.METHOD,
             "inverse_model": inverse_model.METHOD,
         }

@@ -1,8 +1,8 @@
 """What all policies share: the spec that `GetSpec` returns, one step's output, and the base of the torch policies."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
@@ -36,6 +36,7 @@ class ControlSpec:
         control_dt_s: Time between two actions, in seconds.
         reached_threshold: A goal counts as reached from this probability on, in [0, 1].
         max_steps_per_goal: Control steps after which a goal is abandoned, unless a request says otherwise.
+        max_steps_per_skill: The same for each skill, where they differ; empty otherwise.
 
     Raises:
         InvalidInput: A number is out of its range.
@@ -44,13 +45,15 @@ class ControlSpec:
     control_dt_s: float
     reached_threshold: float
     max_steps_per_goal: int
+    max_steps_per_skill: tuple[int, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        times_are_positive = 0 < self.control_dt_s < math.inf and self.max_steps_per_goal >= 1
+        limits = (self.max_steps_per_goal, *self.max_steps_per_skill)
+        times_are_positive = 0 < self.control_dt_s < math.inf and min(limits) >= 1
         if not (times_are_positive and 0 <= self.reached_threshold <= 1):
             raise InvalidInput(
-                "A policy must have `control_dt_s` above 0, `reached_threshold` in [0, 1] and `max_steps_per_goal` of "
-                "at least 1; it does not.",
+                "A policy must have `control_dt_s` above 0, `reached_threshold` in [0, 1] and limits of at least 1 "
+                "step; it does not.",
                 hint=_RESTORE,
             )
 
@@ -85,6 +88,8 @@ class PolicySpec(ControlSpec):
         skills: Skills that a recipe may name; empty for other goal forms.
         recurrent_size: R, numbers of recurrent state.
         predicts_reached: Whether it predicts that a goal is reached.
+        keeps_state: Whether the recurrent state is kept from one goal to the next, as it tells of the robot and not of
+            the goal; else every goal starts with zeros.
     """
 
     cameras: tuple[Camera, ...]
@@ -94,6 +99,21 @@ class PolicySpec(ControlSpec):
     skills: tuple[str, ...] = ()
     recurrent_size: int = 0
     predicts_reached: bool = True
+    keeps_state: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.max_steps_per_skill) not in (0, len(self.skills)):
+            raise InvalidInput(
+                f"A policy must have as many step limits as skills, or none; got {len(self.max_steps_per_skill)} "
+                f"limits and {len(self.skills)} skills.",
+                hint=_RESTORE,
+            )
+
+    def step_limit(self, goal: object) -> int:
+        """Returns the control steps after which a goal, such as the name of a skill, is abandoned."""
+        limited = self.max_steps_per_skill and goal in self.skills
+        return self.max_steps_per_skill[self.skills.index(str(goal))] if limited else self.max_steps_per_goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +198,22 @@ class TorchPolicy(Generic[N]):
 def confidence(reached: Tensor) -> Tensor:
     """Returns the probability of the likelier of reached and not reached, float32 (N,), of that of reached (N,)."""
     return torch.maximum(reached, 1 - reached)
+
+
+def one_hot_skills(skills: Sequence[str], names: Sequence[str]) -> npt.NDArray[np.float32]:
+    """Returns one-hot codes of skill names, float32 (N, skills).
+
+    Raises:
+        InvalidInput: A name is not among `skills`.
+    """
+    unknown = sum(name not in skills for name in names)
+    if unknown:
+        raise InvalidInput(
+            f"Skills must be among {', '.join(skills)}; {unknown} of {len(names)} are not.",
+            field="goal",
+            hint="GetSpec lists a model's skills.",
+        )
+    return np.eye(len(skills), dtype=np.float32)[[skills.index(name) for name in names]]
 
 
 def lstm_state(recurrent: Tensor) -> LSTMState:

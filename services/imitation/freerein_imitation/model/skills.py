@@ -23,7 +23,14 @@ from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.keypoints import Hand, ReluLinear, SkillHeatMaps
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
+from freerein_imitation.model.policy import (
+    CameraFrames,
+    ControlSpec,
+    PolicyOutput,
+    TorchPolicy,
+    confidence,
+    one_hot_skills,
+)
 
 GRIPPER = "gripper"
 """In the name of an action's number that opens and closes a gripper."""
@@ -182,20 +189,8 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
         return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
 
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
-        """Returns one-hot codes of skill names, float32 (N, skills).
-
-        Raises:
-            InvalidInput: A name is not a skill of this policy.
-        """
-        skills = self.spec.skills
-        unknown = sum(goal not in skills for goal in goals)
-        if unknown:
-            raise InvalidInput(
-                f"Skills must be among {', '.join(skills)}; {unknown} of {len(goals)} are not.",
-                field="goal",
-                hint="GetSpec lists a model's skills.",
-            )
-        return np.eye(len(skills), dtype=np.float32)[[skills.index(goal) for goal in goals]]
+        """Returns one-hot codes of skill names, float32 (N, skills); see `one_hot_skills`."""
+        return one_hot_skills(self.spec.skills, goals)
 
     @torch.inference_mode()
     def step(

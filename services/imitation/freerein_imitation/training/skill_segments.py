@@ -37,10 +37,10 @@ class SkillSegment:
 
 
 def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegment]:
-    """Returns the runs of equal labels that are long enough.
+    """Returns the runs of equal labels that are long enough; timesteps without a label are in none.
 
     Args:
-        labels: By trajectory, the skill at each timestep, int64 (T,).
+        labels: By trajectory, the skill at each timestep, int64 (T,); -1 for none.
         min_steps: Fewest timesteps of a segment.
     """
     found = []
@@ -49,7 +49,7 @@ def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegmen
         found += [
             SkillSegment(trajectory, start, stop, int(each[start]))
             for start, stop in pairwise(bounds)
-            if stop - start >= min_steps
+            if each[start] >= 0 and stop - start >= min_steps
         ]
     return found
 
@@ -75,6 +75,23 @@ def match_tags(segments: Sequence[SkillSegment], tags: Sequence[Collection[int]]
         if len(untagged) == len(missing) <= 1:
             meant[trajectory] = {skill: skill for skill in found} | dict(zip(untagged, missing, strict=True))
     return [replace(each, skill=meant[each.trajectory][each.skill]) for each in segments if each.trajectory in meant]
+
+
+def keep_tagged(
+    segments: Sequence[SkillSegment], tags: Sequence[Collection[str]], *, skills: Sequence[str]
+) -> list[SkillSegment]:
+    """Returns the segments whose skill is among the tags of their trajectory, or whose trajectory has no tags.
+
+    Args:
+        segments: The segments.
+        tags: By trajectory, the names of its skills; empty where none is tagged.
+        skills: Names of the skills.
+    """
+    return [
+        each
+        for each in segments
+        if not tags or not tags[each.trajectory] or skills[each.skill] in tags[each.trajectory]
+    ]
 
 
 def split_segments(

@@ -1,0 +1,218 @@
+"""Behaviour-cloned skill policies of section 2.4 as one network: features of recent frames, scaled by the skill.
+
+Nothing is assumed of robot or scene: frames may be gray and actions torques, which need velocities, and so earlier
+frames. A chunk of actions is predicted at once (Zhao et al., 2023), and whether the skill has ended.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein.errors import InvalidInput
+from freerein.learning import model_files
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.in_distribution import InDistribution
+from freerein.learning.inputs import InputSpec
+from freerein_imitation.model import action_bins
+from freerein_imitation.model.policy import (
+    CameraFrames,
+    ControlSpec,
+    PolicyOutput,
+    TorchPolicy,
+    confidence,
+    one_hot_skills,
+)
+from freerein_imitation.model.skill_memory import Memory, MemorySizes
+
+_DEPTH = 3
+_MOTION_CONTRAST = 4.0  # of differences of features
+_LEAST_STD = 0.02  # of actions, in [-1, 1]
+_MOST_STATE = 16_000  # numbers; the API's `state` has 64 KiB
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillCloningSpec(InputSpec):
+    """Inputs, outputs and sizes of the network.
+
+    Attributes:
+        skills: Names of the skills.
+        ends: What ends a skill: the termination `head`, or a `budget` of steps alone.
+        encoder: Image encoder.
+        features: Image features per camera.
+        hidden_size: Units of the hidden layers.
+        memory: Earlier frames that an action depends on.
+        past_actions: Executed actions that an action depends on.
+        chunk: Actions that are predicted from one frame.
+
+    Raises:
+        InvalidInput: There are no skills, the memory is too large, or cameras or actions are out of bounds.
+    """
+
+    skills: tuple[str, ...]
+    ends: Literal["head", "budget"] = "head"
+    encoder: str = one_of(ENCODERS, "spatial")
+    features: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(256, least=8, most=1024)
+    memory: int = bounded(2, least=0, most=16)
+    past_actions: int = bounded(0, least=0, most=16)
+    chunk: int = bounded(5, least=1, most=32)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.skills:
+            raise InvalidInput("A policy must have at least 1 skill; got 0.", hint="Label the dataset with skills.")
+        if self.memory_sizes.total > _MOST_STATE:
+            raise InvalidInput(
+                f"A policy's memory must have at most {_MOST_STATE} numbers; got {self.memory_sizes.total}.",
+                field="config.memory",
+                hint="Ask for fewer earlier frames, features or actions.",
+            )
+
+    @property
+    def memory_sizes(self) -> MemorySizes:
+        """Sizes of what it remembers."""
+        size = self.encoded_action_size
+        return MemorySizes(
+            self.memory, self.features * len(self.cameras), self.past_actions, size, self.chunk, outputs=size
+        )
+
+
+class SkillCloningNetwork(nn.Module):
+    """Encoder, hidden layers that the skill scales and shifts (FiLM; Perez et al., 2018), heads for chunk and end."""
+
+    action_mean: Tensor
+    action_std: Tensor
+
+    def __init__(self, spec: SkillCloningSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        sizes, hidden = spec.memory_sizes, spec.hidden_size
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        inputs = [(1 + sizes.frames) * sizes.features + sizes.actions * sizes.action_size, *[hidden] * (_DEPTH - 1)]
+        self.layers = nn.ModuleList(nn.Linear(each, hidden) for each in inputs)
+        self.film = nn.ModuleList(nn.Linear(len(spec.skills), 2 * hidden, bias=False) for _ in inputs)
+        self.chunk_head = nn.Linear(hidden, sizes.chunk * sizes.outputs)
+        self.termination_head = nn.Linear(hidden, 1)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.register_buffer("action_mean", torch.zeros(sizes.outputs))
+        self.register_buffer("action_std", torch.ones(sizes.outputs))
+
+    @torch.no_grad()
+    def fit_normalisation(self, frames: Frames, actions: Tensor, *, generator: torch.Generator) -> None:
+        """Sets what is not trained: of the encoder, and mean and deviation of continuous actions.
+
+        Args:
+            frames: Some training frames, uint8 (N, H, W, C).
+            actions: Executed ones, (M, A).
+            generator: On the CPU.
+        """
+        self.encoder.fit_normalisation(frames, generator=generator)
+        if not self.spec.action.choices:
+            self.action_mean.copy_(actions.mean(dim=0))
+            self.action_std.copy_(actions.std(dim=0, correction=0).clamp(min=_LEAST_STD))
+
+    def forward(
+        self, features: Tensor, skill: Tensor, earlier: Tensor, is_known: Tensor, executed: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Returns standardised actions or logits of choices, float32 (B, K, O), and termination logits (B,).
+
+        Args:
+            features: Of the frames, float32 (B, D).
+            skill: One-hot, float32 (B, skills).
+            earlier: Features of earlier frames, float32 (B, n, D), newest first.
+            is_known: Which of them there are, bool (B, n).
+            executed: Encoded actions executed before, float32 (B, m, E), newest first.
+        """
+        newer = torch.cat([features[:, None], earlier[:, :-1]], dim=1)[:, : earlier.shape[1]]
+        motion = _MOTION_CONTRAST * (newer - earlier) * is_known[..., None]  # (B, n, D)
+        x = torch.cat([features, motion.flatten(1), executed.flatten(1)], dim=1)
+        for layer, film in zip(self.layers, self.film, strict=True):
+            scale, shift = film(skill).chunk(2, dim=1)
+            x = functional.relu(layer(x) * (1 + scale) + shift)
+        chunk: Tensor = self.chunk_head(x).view(len(x), self.spec.chunk, -1)
+        return chunk, self.termination_head(x)[:, 0]
+
+    def encode_actions(self, actions: Tensor) -> Tensor:
+        """Returns actions, float32 (..., A) or int64 (..., 1), as the network predicts them: float32 (..., O).
+
+        No action, 0 or -1 when discrete, may stand for an unknown one: it is zeros where discrete.
+        """
+        if self.spec.action.choices:
+            return action_bins.encode(actions, choices=self.spec.action.choices)[..., 0, :]
+        return (actions - self.action_mean) / self.action_std
+
+
+class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
+    """Executes skills by name. Its recurrent state is a `Memory`, which outlasts a skill: the robot moves on.
+
+    Args:
+        network: Trained.
+        control: Rate and limits.
+    """
+
+    def __init__(self, network: SkillCloningNetwork, control: ControlSpec) -> None:
+        spec = network.spec
+        self._sizes = spec.memory_sizes
+        super().__init__(
+            network,
+            spec,
+            control,
+            goal_form="recipe",
+            horizon=spec.chunk,
+            skills=spec.skills,
+            recurrent_size=self._sizes.total,
+            predicts_reached=spec.ends == "head",
+            keeps_state=True,
+        )
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> "SkillCloningPolicy":
+        """Returns the policy in a folder; see `freerein.learning.methods.Method`."""
+        network = model_files.load_model(folder, SkillCloningSpec, SkillCloningNetwork, device=device)
+        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+    def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
+        """Returns one-hot codes of skill names, float32 (N, skills); see `one_hot_skills`."""
+        return one_hot_skills(self.spec.skills, goals)
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: CameraFrames,
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns the output for B observations; arguments as in `Policy.step`."""
+        network, seen, skill = self._network, self._tensors(frames), self._tensor(goals)
+        executed = network.encode_actions(self._tensor(previous))
+        memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
+        features = network.encoder(seen)
+        chunk, termination = network(features, skill, memory.features, memory.is_known, memory.actions)
+        later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk))
+        reached, score = termination.sigmoid(), network.in_distribution
+        return PolicyOutput(
+            actions=self._actions(averaged).cpu().numpy(),
+            reached=(reached if self.spec.predicts_reached else torch.zeros_like(reached)).cpu().numpy(),
+            recurrent=later.flat().cpu().numpy(),
+            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
+        )
+
+    def _predicted(self, chunk: Tensor) -> Tensor:
+        """Returns what is averaged over predictions: actions, or probabilities of choices; float32 (B, K, O)."""
+        network = self._network
+        return chunk.softmax(dim=2) if self.spec.action.choices else chunk * network.action_std + network.action_mean
+
+    def _actions(self, averaged: Tensor) -> Tensor:
+        if self.spec.action.choices:
+            return averaged.argmax(dim=2, keepdim=True)
+        return averaged.clamp(-1, 1)

@@ -1,0 +1,113 @@
+"""What a skill policy remembers between two observations, as one flat vector: the API's `state` holds it.
+
+Frames are remembered as features, newest first, beside the actions executed before them. Chunks of actions that were
+predicted for the next timesteps are averaged (temporal ensembling; Zhao et al., "Learning fine-grained bimanual
+manipulation with low-cost hardware", 2023); those for another skill are dropped.
+
+Callers may change a state, so that any finite numbers must be taken: flags are compared with 0, counts are clamped.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_DECAY = 0.7
+"""Weight of a prediction relative to one that was made a timestep later."""
+
+
+@dataclass(frozen=True)
+class MemorySizes:
+    """Sizes of a memory.
+
+    Attributes:
+        frames: Earlier frames.
+        features: D, features of a frame.
+        actions: Executed actions.
+        action_size: E, numbers of an action as a network takes it.
+        chunk: K, actions of a chunk.
+        outputs: O, numbers of a predicted action.
+    """
+
+    frames: int
+    features: int
+    actions: int
+    action_size: int
+    chunk: int
+    outputs: int
+
+    @property
+    def total(self) -> int:
+        """R, numbers of the flat vector."""
+        return sum(self.parts)
+
+    @property
+    def parts(self) -> tuple[int, ...]:
+        """Numbers of each part: flags and features of frames, actions, skill, weights and sums of predictions."""
+        window = (self.frames, self.frames * self.features, self.actions * self.action_size)
+        return (*window, 1, self.chunk, self.chunk * self.outputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """Memories of B robots.
+
+    Attributes:
+        is_known: Whether there was such an earlier frame, bool (B, n), newest first.
+        features: Of earlier frames, float32 (B, n, D), newest first.
+        actions: Executed ones, float32 (B, m, E), newest first; zeros for none.
+        skill: Index of the skill that predictions are for, plus 1; 0 for none: float32 (B,).
+        weights: Of the predictions for each of the next timesteps, float32 (B, K).
+        sums: Weighted sums of them, float32 (B, K, O).
+    """
+
+    is_known: Tensor
+    features: Tensor
+    actions: Tensor
+    skill: Tensor
+    weights: Tensor
+    sums: Tensor
+
+    @classmethod
+    def parse(cls, flat: Tensor, sizes: MemorySizes) -> "Memory":
+        """Returns the memories in flat vectors, float32 (B, R), of any finite numbers."""
+        known, features, actions, skill, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
+        return cls(
+            known > 0,
+            features.reshape(len(flat), sizes.frames, sizes.features),
+            actions.reshape(len(flat), sizes.actions, sizes.action_size),
+            skill[:, 0],
+            weights.clamp(0, 1 / (1 - _DECAY)),
+            sums.reshape(len(flat), sizes.chunk, sizes.outputs),
+        )
+
+    def flat(self) -> Tensor:
+        """Returns the flat vectors, float32 (B, R)."""
+        parts = (self.is_known.float(), self.features, self.actions, self.skill[:, None], self.weights, self.sums)
+        return torch.cat([each.flatten(1) for each in parts], dim=1)
+
+    def with_action(self, action: Tensor) -> "Memory":
+        """Returns the memories after an action (B, E) was executed."""
+        actions = torch.cat([action[:, None], self.actions], dim=1)[:, : self.actions.shape[1]]
+        return Memory(self.is_known, self.features, actions, self.skill, self.weights, self.sums)
+
+    def advanced(self, features: Tensor, skill: Tensor, chunk: Tensor) -> tuple["Memory", Tensor]:
+        """Returns the memories after a frame, and the averaged chunks, float32 (B, K, O).
+
+        Args:
+            features: Of the frame, float32 (B, D).
+            skill: Index of the current skill, int64 (B,).
+            chunk: Predictions from the frame, the first for its own timestep, float32 (B, K, O).
+        """
+        same = (self.skill == skill + 1)[:, None]
+        weights = torch.where(same, self.weights, 0.0) + 1
+        sums = torch.where(same[..., None], self.sums, 0.0) + chunk
+        known = torch.cat([torch.ones_like(self.is_known[:, :1]), self.is_known], dim=1)[:, : self.is_known.shape[1]]
+        seen = torch.cat([features[:, None], self.features], dim=1)[:, : self.features.shape[1]]
+        later = Memory(known, seen, self.actions, (skill + 1).float(), _later(weights), _later(sums))
+        return later, sums / weights[..., None]
+
+
+def _later(values: Tensor) -> Tensor:
+    """Returns what was predicted, (B, K, ...), as seen from the next timestep, with less weight."""
+    return _DECAY * torch.cat([values[:, 1:], torch.zeros_like(values[:, :1])], dim=1)

@@ -1,0 +1,369 @@
+"""Behavioural cloning of skills from labelled demonstrations: a loss for the next actions, and one for a skill's end.
+
+Timesteps without a label, and segments that are too short, are left out; they are still seen as earlier frames.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from freerein.errors import InvalidInput
+from freerein.learning import weights
+from freerein.learning.augmentation import shift_frames
+from freerein.learning.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
+from freerein.learning.image_statistics import image_statistics
+from freerein.learning.inputs import spec_of
+from freerein.learning.optimiser import fit_step
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation import objectives
+from freerein_imitation.model.policy import confidence
+from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningSpec
+from freerein_imitation.training.frame_features import sampled_statistics
+from freerein_imitation.training.skill_segments import (
+    Ints,
+    SkillSegment,
+    find_segments,
+    keep_tagged,
+    relabelled,
+    split_segments,
+)
+from freerein_imitation.training.skill_spans import NONE, SkillTimes, SpanBatch, Spans
+
+State = TrainState[SkillCloningNetwork]
+
+_NORMALISATION_FRAMES = 500
+_EVALUATED_SPANS = 120
+_LIMIT_FACTOR, _LIMIT_PERCENTILE = 1.5, 95
+_BUDGET_PERCENTILE = 75
+_NO_MEMORY = 0.1
+"""Share of spans without earlier frames, as at the start of an episode."""
+
+_THRESHOLDS = np.linspace(0.5, 0.98, 25)
+_THRESHOLD_TOLERANCE = 1.0  # timesteps
+_EARLY_COST = 3.0
+"""What a timestep too early costs relative to one too late, where the threshold of the termination head is chosen: a
+skill that goes on for longer rests at its end, and one that is broken off is not completed."""
+
+
+@dataclass(frozen=True)
+class SkillCloningConfig(DatasetFitConfig):
+    """Configuration of a fit of skill cloning.
+
+    Attributes:
+        ends: What ends a skill: the termination `head`, or a `budget` of steps alone, from the labelled segments.
+        encoder: Image encoder.
+        features: Image features per camera.
+        hidden_size: Units of the hidden layers.
+        memory: Earlier frames that an action depends on.
+        past_actions: Executed actions that an action depends on. They tempt a policy to repeat itself.
+        past_action_dropout: Share of timesteps that are not told past actions.
+        chunk: Actions that are predicted from one frame.
+        shift: Largest random shift of training frames, in pixels.
+        min_segment_steps: Shorter segments are left out, as in section 2.4.
+        termination_steps: Timesteps after a segment's last in which its skill has ended.
+        termination_weight: Weight of the termination loss relative to the action loss.
+        span: Consecutive timesteps of one trajectory in a batch.
+        batch_size: Spans per update.
+    """
+
+    ends: Literal["head", "budget"] = "head"
+    encoder: str = one_of(ENCODERS, "spatial")
+    features: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(256, least=8, most=1024)
+    memory: int = bounded(2, least=0, most=16)
+    past_actions: int = bounded(0, least=0, most=16)
+    past_action_dropout: float = bounded(0.5, least=0.0, most=1.0)
+    chunk: int = bounded(5, least=1, most=32)
+    shift: int = bounded(2, least=0, most=32)
+    min_segment_steps: int = bounded(5, least=1, most=1000)
+    termination_steps: int = bounded(3, least=0, most=1000)
+    termination_weight: float = bounded(0.3, least=0.0, most=100.0)
+    span: int = bounded(10, least=1, most=256)
+    steps: int = bounded(5000, least=1, most=10_000_000)
+    batch_size: int = bounded(16, least=1, most=4096)
+    lr: float = bounded(1e-3, least=1e-7, most=1.0)
+    evaluate_every: int = bounded(500, least=1, most=1_000_000)
+    checkpoint_every: int = bounded(1000, least=1, most=1_000_000)
+    log_every: int = bounded(50, least=1, most=1_000_000)
+
+
+def network_spec(
+    config: SkillCloningConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
+) -> SkillCloningSpec:
+    """Returns the spec of the network for some cameras, actions and skills.
+
+    Raises:
+        InvalidInput: Frames, actions, skills or sizes are out of bounds.
+    """
+    return spec_of(config, SkillCloningSpec, cameras=cameras, action=action, skills=skills)
+
+
+@dataclass(frozen=True, eq=False)
+class SkillCloningLosses:
+    """Loss terms, each float ().
+
+    Attributes:
+        action: Of the chunks, over timesteps of segments.
+        termination: Of the termination head.
+    """
+
+    action: Tensor
+    termination: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class SkillCloningLearner:
+    """The learner of `freerein.learning.fit`. Its items are timesteps of training segments.
+
+    Attributes:
+        config: Configuration of the fit.
+        spec: Spec of the network; its skills are those of the training segments.
+        spans: Reads spans of the demonstrations.
+        segments: Training segments.
+        held_out: Segments of held-out trajectories.
+        items: Trajectory and timestep of each item, int64 (N, 2).
+        fingerprint: Fingerprint of the dataset and its labels.
+        device: Device to train on.
+    """
+
+    config: SkillCloningConfig
+    spec: SkillCloningSpec
+    spans: Spans
+    segments: Sequence[SkillSegment]
+    held_out: Sequence[SkillSegment]
+    items: Ints
+    fingerprint: str
+    device: torch.device
+
+    @classmethod
+    def prepare(
+        cls,
+        config: SkillCloningConfig,
+        spec: SkillCloningSpec,
+        demonstrations: Trajectories,
+        labels: Sequence[Ints],
+        *,
+        fingerprint: str,
+        device: torch.device,
+    ) -> "SkillCloningLearner":
+        """Returns the learner of labelled demonstrations.
+
+        Args:
+            config: Configuration of the fit.
+            spec: Spec of the network, with all skills that the labels may name.
+            demonstrations: Frames, executed actions, and tags where they have some.
+            labels: By trajectory, the predicted skill at each timestep, int64 (T,); -1 for none.
+            fingerprint: Fingerprint of the dataset and its labels.
+            device: Device to train on.
+
+        Raises:
+            InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
+        """
+        found = find_segments(labels, min_steps=config.min_segment_steps)
+        kept = keep_tagged(found, demonstrations.skills, skills=spec.skills)
+        training, validation = split_segments(kept, fraction=config.validation_fraction, seed=config.seed)
+        trained = sorted({each.skill for each in training})
+        training, validation = relabelled(training, trained), relabelled(validation, trained)
+        if not validation:
+            raise InvalidInput(
+                "The validation trajectories must show a skill that the training ones show; they show none.",
+                field="dataset",
+                hint="Record more demonstrations, and label them.",
+            )
+        spans = Spans(
+            demonstrations,
+            _times([*training, *validation], demonstrations.lengths(), steps_after=config.termination_steps),
+            spec.action.no_action(),
+            earlier=config.memory,
+            past_actions=config.past_actions,
+            chunk=config.chunk,
+        )
+        items = [(each.trajectory, step) for each in training for step in range(each.start, each.stop)]
+        skills = tuple(spec.skills[skill] for skill in trained)
+        return cls(
+            config,
+            replace(spec, skills=skills),
+            spans,
+            training,
+            validation,
+            np.array(items, np.int64),
+            fingerprint,
+            device,
+        )
+
+    @property
+    def size(self) -> int:
+        """Timesteps of training segments."""
+        return len(self.items)
+
+    def step_limits(self) -> tuple[int, ...]:
+        """Returns, by skill, the control steps after which it is over, from the lengths of training segments.
+
+        They are a budget, three quarters of the segments fit into which, or a generous limit beside the head.
+        """
+        lengths = [
+            [each.stop - each.start for each in self.segments if each.skill == skill]
+            for skill in range(len(self.spec.skills))
+        ]
+        if self.config.ends == "budget":
+            return tuple(math.ceil(float(np.percentile(each, _BUDGET_PERCENTILE))) for each in lengths)
+        return tuple(math.ceil(_LIMIT_FACTOR * float(np.percentile(each, _LIMIT_PERCENTILE))) for each in lengths)
+
+    def init(self, generator: torch.Generator) -> State:
+        """Returns the state before the first update."""
+        network = SkillCloningNetwork(self.spec)
+        weights.initialise(network, generator=generator)
+        shown = self._shown()
+        frames = {name: torch.from_numpy(each) for name, each in shown.sample_frames(_NORMALISATION_FRAMES).items()}
+        executed = np.concatenate([shown.actions[item] for item in range(len(shown))])
+        network.fit_normalisation(frames, torch.from_numpy(executed), generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
+
+    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
+        """Returns the state after one update on spans around some timesteps, and its metrics."""
+        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
+        trajectories, steps = self.items[items].T
+        starts = np.maximum(steps - rng.integers(self.config.span, size=len(items)), 0)
+        batch = self._augmented(self.spans.read(trajectories, starts, self.config.span), rng)
+        losses = self._losses(state.network, batch)
+        state, metrics = fit_step(state, self._total(losses), self.config)
+        named = {"action_loss": losses.action.item(), "termination_loss": losses.termination.item()}
+        return state, metrics | named
+
+    def evaluate(self, state: State) -> float:
+        """Returns the loss on spans of held-out segments."""
+        return self._total(self.validation_losses(state.network)).item()
+
+    @torch.no_grad()
+    def validation_losses(self, network: SkillCloningNetwork) -> SkillCloningLosses:
+        """Returns the losses on spans of held-out segments."""
+        span = self.config.span
+        places = [(each.trajectory, at) for each in self.held_out for at in range(each.start, each.stop, span)]
+        chosen = np.array(places[:: 1 + len(places) // _EVALUATED_SPANS], np.int64)
+        return self._losses(network, self.spans.read(chosen[:, 0], chosen[:, 1], span))
+
+    @torch.no_grad()
+    def calibrate(self, network: SkillCloningNetwork) -> None:
+        """Fits the network's in-distribution score, to training frames and to held-out ones."""
+        known, ends = sampled_statistics(self._shown()), self._end_probabilities(network)
+        statistics = []
+        for segment in self.held_out:
+            frames = {
+                camera: torch.tensor(arrays[segment.trajectory][segment.start : segment.stop])
+                for camera, arrays in self.spans.demonstrations.frames.items()
+            }
+            statistics.append(image_statistics(frames))
+        reached = torch.cat([each[: seg.stop - seg.start] for each, seg in zip(ends, self.held_out, strict=True)])
+        network.in_distribution.fit(known.to(self.device), torch.cat(statistics).to(self.device), confidence(reached))
+
+    @torch.no_grad()
+    def termination_threshold(self, network: SkillCloningNetwork) -> float:
+        """Returns the probability at which held-out skills end nearly where they were demonstrated to end.
+
+        It is the lowest that costs hardly more than the best: the robot's own frames are never quite as demonstrated.
+        """
+        ends = [each.cpu().numpy() for each in self._end_probabilities(network)]
+        lasts = np.array([each.stop - 1 - each.start for each in self.held_out])
+
+        def cost(threshold: float) -> float:
+            first = np.array([np.argmax(each >= threshold) if each.max() >= threshold else len(each) for each in ends])
+            late = first - lasts
+            return float(np.where(late < 0, -_EARLY_COST * late, late).mean())
+
+        costs = np.array([cost(threshold) for threshold in _THRESHOLDS])
+        return float(_THRESHOLDS[np.argmax(costs <= costs.min() + _THRESHOLD_TOLERANCE)])
+
+    def _end_probabilities(self, network: SkillCloningNetwork) -> list[Tensor]:
+        """Returns, of each held-out segment and the steps after it, the probability that its skill has ended."""
+        after = self.config.termination_steps
+        found = []
+        for segment in self.held_out:
+            length = len(self.spans.demonstrations.actions[segment.trajectory])
+            steps = min(segment.stop + after, length) - segment.start
+            batch = self.spans.read(np.array([segment.trajectory]), np.array([segment.start]), steps)
+            _, logits = self._predict(network, batch, np.full((1, steps), segment.skill))
+            found.append(logits[0].sigmoid())
+        return found
+
+    def _losses(self, network: SkillCloningNetwork, batch: SpanBatch) -> SkillCloningLosses:
+        has_skill, has_ended = self._tensor(batch.skill != NONE), self._tensor(batch.ended != NONE)
+        features = self._encode(network, batch)
+        chunk, logits = self._predict(network, batch, np.maximum(batch.skill, 0), features)
+        _, after = self._predict(network, batch, np.maximum(batch.ended, 0), features)
+        target = network.encode_actions(self._tensor(batch.actions))  # (B, L, K, O)
+        if self.spec.action.choices:
+            error = objectives.action_cross_entropy(chunk[..., None, :], target[..., None, :])
+        else:
+            error = functional.smooth_l1_loss(chunk, target, reduction="none").mean(dim=-1)  # (B, L, K)
+        terminates = torch.cat([self._tensor(batch.terminates), has_ended], dim=1)
+        continues = torch.cat([has_skill & ~self._tensor(batch.terminates), torch.zeros_like(has_ended)], dim=1)
+        return SkillCloningLosses(
+            objectives.masked_mean(error, self._tensor(batch.is_own)),
+            objectives.termination_loss(torch.cat([logits, after], dim=1), terminates, continues),
+        )
+
+    def _predict(
+        self, network: SkillCloningNetwork, batch: SpanBatch, skill: Ints, features: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Returns chunks, float32 (B, L, K, O), and termination logits, (B, L), of spans, given skills (B, L)."""
+        features = self._encode(network, batch) if features is None else features
+        spans, length = skill.shape
+        earlier = self.config.memory
+        at = torch.arange(length)[:, None] + torch.arange(earlier, -1, -1)  # (L, 1 + n), the newest first
+        window = features[:, at].flatten(0, 1)  # (B * L, 1 + n, D)
+        code = functional.one_hot(self._tensor(skill), len(self.spec.skills)).float()
+        chunk, logits = network(
+            window[:, 0],
+            code.flatten(0, 1),
+            window[:, 1:],
+            self._tensor(batch.is_known).flatten(0, 1),
+            network.encode_actions(self._tensor(batch.executed)).flatten(0, 1),
+        )
+        return chunk.view(spans, length, *chunk.shape[1:]), logits.view(spans, length)
+
+    def _encode(self, network: SkillCloningNetwork, batch: SpanBatch) -> Tensor:
+        """Returns the features of spans and of the frames before them, float32 (B, n + L, D)."""
+        features: Tensor = network.encoder({name: each.to(self.device) for name, each in batch.frames.items()})
+        return features.view(len(batch.skill), -1, features.shape[1])
+
+    def _augmented(self, batch: SpanBatch, rng: np.random.Generator) -> SpanBatch:
+        """Returns a batch with shifted frames, where some spans have no earlier frames, and some no past actions."""
+        spans, length = batch.skill.shape
+        shift, steps = self.config.shift, self.config.memory + length
+        offsets = torch.from_numpy(rng.integers(-shift, shift, (spans, 2), endpoint=True).repeat(steps, axis=0))
+        frames = {name: shift_frames(each, offsets) if shift else each for name, each in batch.frames.items()}
+        untold = rng.random((spans, length, 1, 1)) < self.config.past_action_dropout
+        executed = np.where(untold, self.spans.no_action, batch.executed)
+        is_known = batch.is_known & (rng.random((spans, 1, 1)) >= _NO_MEMORY)
+        return replace(batch, frames=frames, executed=executed, is_known=is_known)
+
+    def _total(self, losses: SkillCloningLosses) -> Tensor:
+        return losses.action + self.config.termination_weight * losses.termination
+
+    def _shown(self) -> Trajectories:
+        """Returns the trajectories of the training segments."""
+        return self.spans.demonstrations.subset(sorted({each.trajectory for each in self.segments}))
+
+    def _tensor(self, array: npt.NDArray[Any]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+
+def _times(segments: Sequence[SkillSegment], lengths: Ints, *, steps_after: int) -> list[SkillTimes]:
+    by_trajectory: list[list[SkillSegment]] = [[] for _ in lengths]
+    for each in segments:
+        by_trajectory[each.trajectory].append(each)
+    return [
+        SkillTimes.of(own, int(length), steps_after=steps_after)
+        for own, length in zip(by_trajectory, lengths, strict=True)
+    ]

@@ -1,0 +1,249 @@
+"""Skill cloning in a world whose frames do not tell velocities: a light that is pushed to one end or the other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.fit import fit
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.core.inference import InferenceRequest, InferenceResult, PolicyRunner
+from freerein_imitation.core.inputs import Subgoal
+from freerein_imitation.core.policy_state import PolicyState
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.skill_cloning import SkillCloningPolicy, SkillCloningSpec
+from freerein_imitation.model.skill_memory import Memory, MemorySizes
+from freerein_imitation.training.skill_cloning import SkillCloningConfig, SkillCloningLearner, network_spec
+from freerein_imitation.training.skill_segments import SkillSegment, find_segments, keep_tagged
+from freerein_imitation.training.skill_spans import SkillTimes, Spans
+
+SKILLS = ("left", "right")
+ENDS = (4.0, 19.0)
+WIDTH = 24
+CAMERAS = (Camera("front", 4, WIDTH, 1),)
+ACTION = ActionSpec(1, 0, ("force",))
+FAST = SkillCloningConfig(
+    steps=400,
+    batch_size=8,
+    span=12,
+    lr=5e-3,
+    encoder="moments",
+    features=40,
+    hidden_size=32,
+    shift=0,
+    chunk=3,
+    termination_steps=1,
+    evaluate_every=200,
+)
+
+
+@dataclass
+class Light:
+    """A light at a place, with a velocity; a force of 1 accelerates it by 1 pixel per timestep."""
+
+    place: float
+    velocity: float = 0.0
+
+    def picture(self) -> npt.NDArray[np.uint8]:
+        share = np.exp(-((np.arange(WIDTH) - self.place) ** 2) / 4)
+        return np.round(200 * share).astype(np.uint8)[None, :, None].repeat(4, axis=0)
+
+    def expert(self, skill: int) -> float:
+        """Returns the force of a critically damped spring towards the skill's end."""
+        return float(np.clip(0.1 * (ENDS[skill] - self.place) - 0.6 * self.velocity, -1, 1))
+
+    def is_there(self, skill: int) -> bool:
+        return abs(self.place - ENDS[skill]) < 1.5 and abs(self.velocity) < 0.5
+
+    def step(self, force: float) -> None:
+        self.velocity += force
+        self.place += self.velocity
+
+
+def demonstrate(count: int, *, seed: int) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:
+    """Returns trajectories of one or two skills with noisy forces, and which skill that is."""
+    rng = np.random.default_rng(seed)
+    frames, actions, labels = [], [], []
+    for _ in range(count):
+        light, seen, done, told = Light(rng.uniform(3, 20)), [], [], []
+        for skill in rng.permutation(2)[: rng.integers(1, 3)].tolist():
+            for _ in range(40):
+                force = float(np.clip(light.expert(skill) + rng.normal(0, 0.3), -1, 1))
+                seen.append(light.picture())
+                done.append([force])
+                told.append(skill)
+                if light.is_there(skill):
+                    break
+                light.step(force)
+        frames.append(np.array(seen))
+        actions.append(np.array(done, np.float32))
+        labels.append(np.array(told, np.int64))
+    return Trajectories({"front": frames}, actions), labels
+
+
+def prepare(
+    demonstrations: Trajectories,
+    labels: Sequence[npt.NDArray[np.int64]],
+    config: SkillCloningConfig = FAST,
+    skills: tuple[str, ...] = SKILLS,
+) -> SkillCloningLearner:
+    spec = network_spec(config, cameras=CAMERAS, action=ACTION, skills=skills)
+    return SkillCloningLearner.prepare(
+        config, spec, demonstrations, labels, fingerprint="f", device=torch.device("cpu")
+    )
+
+
+def control(learner: SkillCloningLearner, threshold: float) -> ControlSpec:
+    limits = learner.step_limits()
+    return ControlSpec(0.1, threshold, max(limits), max_steps_per_skill=limits)
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillCloningPolicy:
+    learner = prepare(*demonstrate(100, seed=0))
+    fitted = fit(learner, tmp_path_factory.mktemp("fit"))
+    assert fitted is not None
+    learner.calibrate(fitted.network)
+    return SkillCloningPolicy(fitted.network, control(learner, learner.termination_threshold(fitted.network)))
+
+
+def observe(policy: SkillCloningPolicy, light: Light, recipe: Sequence[str], state: PolicyState) -> InferenceResult:
+    """Returns what the service's core answers to a frame, one control step after the last."""
+    goals = tuple(Subgoal(name.encode(), name) for name in recipe)
+    request = InferenceRequest(
+        policy=policy,
+        version="v",
+        goals=goals,
+        frames={"front": light.picture()},
+        previous=np.zeros(1, np.float32),
+        state=state,
+        elapsed=1,
+        max_steps=policy.spec.step_limit(recipe[min(state.goal_index, len(recipe) - 1)]),
+    )
+    (result,) = PolicyRunner().run_batch([request])
+    assert isinstance(result, InferenceResult)
+    return result
+
+
+def start(policy: SkillCloningPolicy) -> PolicyState:
+    return PolicyState(np.zeros(policy.spec.recurrent_size, np.float32))
+
+
+def test_recipes_longer_than_any_demonstration_are_executed_and_the_end_head_goes_on_to_the_next_skill(
+    policy: SkillCloningPolicy,
+) -> None:
+    recipe, state, light, switches = ("right", "left", "right", "left"), start(policy), Light(10.0), []
+    for _ in range(200):
+        result = observe(policy, light, recipe, state)
+        switches += [light.place] * (result.state.goal_index - state.goal_index)
+        state = result.state
+        if not len(result.actions):
+            break
+        light.step(float(result.actions[0, 0]))
+    assert (state.goal_index, state.abandoned) == (4, False)
+    np.testing.assert_allclose(switches, [ENDS[SKILLS.index(skill)] for skill in recipe], atol=2.5)
+
+
+def test_a_budget_goes_on_to_the_next_skill_after_as_many_steps_as_three_quarters_of_the_segments_have() -> None:
+    learner = prepare(*demonstrate(20, seed=1), config=replace(FAST, ends="budget"))
+    network = learner.init(torch.Generator().manual_seed(0)).network
+    policy, limits = SkillCloningPolicy(network, control(learner, 1.0)), learner.step_limits()
+    lengths = [each.stop - each.start for each in learner.segments if each.skill == 0]
+    assert 0.7 < np.mean(np.array(lengths) <= limits[0]) <= 1
+    state, light, indices = start(policy), Light(10.0), []
+    for _ in range(sum(limits)):
+        result = observe(policy, light, SKILLS, state)
+        state = result.state
+        indices.append(state.goal_index)
+    assert indices == [0] * (limits[0] - 1) + [1] * limits[1] + [2]
+    assert (result.reached, result.confidence) == (None, 0.0)
+
+
+def test_velocity_is_known_from_earlier_frames_and_outlasts_a_skill(policy: SkillCloningPolicy) -> None:
+    forces = []
+    for velocity in (-1.5, 1.5):
+        result = observe(policy, Light(12.0 - velocity), ("right", "left"), start(policy))
+        moved_on = replace(result.state, goal_index=1)
+        forces.append(observe(policy, Light(12.0, velocity), ("right", "left"), moved_on).actions[0, 0])
+    assert forces[0] - forces[1] > 0.5
+
+
+def test_timesteps_without_a_label_are_left_out() -> None:
+    demonstrations, labels = demonstrate(8, seed=2)
+    for each in labels:
+        each[3:6] = -1
+    learner = prepare(demonstrations, labels, replace(FAST, min_segment_steps=1))
+    rejected = {(item, step) for item in range(8) for step in (3, 4, 5)}
+    assert rejected.isdisjoint(map(tuple, learner.items.tolist()))
+    batch = learner.spans.read(np.array([0]), np.array([0]), 8)
+    assert batch.skill[0, 3:6].tolist() == [-1, -1, -1]
+    assert batch.is_own[0].sum(axis=1)[:7].tolist() == [3, 2, 1, 0, 0, 0, 3]
+
+
+def test_segments_are_runs_of_a_label_that_the_trajectory_is_tagged_with() -> None:
+    found = find_segments([np.array([0, 0, -1, -1, 1, 1, 1, 0])], min_steps=2)
+    assert found == [SkillSegment(0, 0, 2, 0), SkillSegment(0, 4, 7, 1)]
+    assert keep_tagged(found, [("right",)], skills=SKILLS) == [SkillSegment(0, 4, 7, 1)]
+    assert keep_tagged(found, [()], skills=SKILLS) == keep_tagged(found, (), skills=SKILLS) == found
+
+
+def test_a_span_tells_what_was_seen_done_and_over_at_each_timestep() -> None:
+    frames = np.arange(6, dtype=np.uint8)[:, None, None, None]
+    actions = np.arange(6, dtype=np.float32)[:, None] / 10
+    times = SkillTimes.of([SkillSegment(0, 0, 2, 1), SkillSegment(0, 2, 6, 0)], 6, steps_after=2)
+    spans = Spans(Trajectories({"front": [frames]}, [actions]), [times], np.zeros(1, np.float32), 1, 2, 2)
+    batch = spans.read(np.array([0]), np.array([1]), 6)
+    assert batch.frames["front"].flatten().tolist() == [0, 1, 2, 3, 4, 5, 5]
+    assert batch.skill.tolist() == [[1, 0, 0, 0, 0, -1]]
+    assert batch.terminates.tolist() == [[True, False, False, False, True, False]]
+    assert batch.ended.tolist() == [[-1, 1, 1, -1, -1, -1]]
+    np.testing.assert_allclose(batch.executed[0, :2, :, 0], [[0, 0], [0.1, 0]])
+    np.testing.assert_allclose(batch.actions[0, :2, :, 0], [[0.1, 0.2], [0.2, 0.3]])
+    assert batch.is_own[0, :2].tolist() == [[True, False], [True, True]]
+    assert not spans.read(np.array([0]), np.array([0]), 1).is_known.any()
+
+
+# --- memory
+
+SIZES = MemorySizes(frames=2, features=3, actions=1, action_size=1, chunk=2, outputs=1)
+
+
+def test_a_memory_survives_being_flat_and_forgets_predictions_of_another_skill() -> None:
+    memory = Memory.parse(torch.zeros(1, SIZES.total), SIZES)
+    memory, first = memory.advanced(torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]))
+    memory = Memory.parse(memory.flat(), SIZES)
+    assert memory.is_known.tolist() == [[True, False]]
+    _, same = memory.advanced(torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]))
+    _, other = memory.advanced(torch.ones(1, 3), torch.tensor([0]), torch.tensor([[[4.0], [5.0]]]))
+    assert first.flatten().tolist() == [1, 2]
+    assert same.flatten().tolist() == pytest.approx([(0.7 * 2 + 4) / 1.7, 5])
+    assert other.flatten().tolist() == [4, 5]
+
+
+def test_any_finite_state_gives_finite_actions_in_range(policy: SkillCloningPolicy) -> None:
+    rng = np.random.default_rng(0)
+    for scale in (1.0, 1e4):
+        hostile = (scale * rng.standard_normal(policy.spec.recurrent_size)).astype(np.float32)
+        result = observe(policy, Light(9.0), SKILLS, PolicyState(hostile))
+        assert np.isfinite(result.actions).all()
+        assert np.abs(result.actions).max() <= 1
+
+
+def test_a_memory_that_does_not_fit_into_a_state_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="at most 16000 numbers; got 16403") as error:
+        SkillCloningSpec(cameras=CAMERAS, action=ACTION, skills=SKILLS, features=1024, memory=16, chunk=1)
+    assert error.value.field == "config.memory"
+
+
+def test_fits_need_a_label_that_validation_and_training_share(tmp_path: Path) -> None:
+    demonstrations, labels = demonstrate(2, seed=0)
+    with pytest.raises(InvalidInput, match="at least 2 trajectories"):
+        prepare(demonstrations, [np.full_like(each, -1) for each in labels])
+    with pytest.raises(InvalidInput, match="must show a skill"):
+        prepare(demonstrations, [np.full_like(each, item) for item, each in enumerate(labels)])
