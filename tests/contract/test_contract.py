@@ -335,11 +335,15 @@ async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
     schemas = document["components"]["schemas"]
     served = [method for method in transports.methods if method.rest_form != "none"]
     assert set(document["paths"]) == {method.path for method in served}
+    for described in (each for name, each in schemas.items() if name not in ("Problem", "JsonValue")):
+        assert described["description"]
+        assert all(each["description"] for each in described.get("properties", {}).values())
     for method in served:
         operation = document["paths"][method.path]["get" if method.reads else "post"]
         assert operation["summary"]
         if method.reads:
             assert [p["name"] for p in operation["parameters"]] == list(_leaves(method.descriptor.input_type))
+            assert all(parameter["description"] for parameter in operation["parameters"])
         else:
             assert list(schemas[method.request.__name__]["properties"]) == _names(method.descriptor.input_type)
         if not method.descriptor.server_streaming:

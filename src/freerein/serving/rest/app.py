@@ -22,6 +22,7 @@ from freerein.serving.limits import Limits, Slots
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body
+from freerein.serving.rest.docs_page import add_docs_page
 from freerein.serving.rest.middleware import RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
 
@@ -36,12 +37,13 @@ def make_app(
     An empty `token` allows every call.
     """
     served = [method for method in methods if method.rest_form != "none"]
-    app = FastAPI(title=f"freerein {name}", version=__version__, redoc_url=None, redirect_slashes=False)
+    app = FastAPI(title=f"freerein {name}", version=__version__, docs_url=None, redoc_url=None, redirect_slashes=False)
     slots = Slots(limits.streams, "streams may be open")
     for method in served:
         endpoint = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
         app.add_route(method.path, endpoint, methods=["GET" if method.reads else "POST"], include_in_schema=False)
     _add_health_and_metrics(app, health, metrics)
+    add_docs_page(app)
     app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
     app.openapi = cache(lambda: openapi_document(app, served))  # type: ignore[method-assign]  # FastAPI's documented way

@@ -7,8 +7,10 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from google.protobuf.descriptor import Descriptor
 
+from freerein.api.common.v1 import common_pb2
 from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE, TITLES
 from freerein.serving.methods import Method, RestForm
+from freerein.serving.rest.comments import comment_of
 from freerein.serving.rest.schemas import schema_of
 
 MEDIA_TYPES: dict[RestForm, str] = {
@@ -46,6 +48,10 @@ def openapi_document(app: FastAPI, methods: Sequence[Method]) -> dict[str, Any]:
         "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
     }
     document["security"] = [{}, {"token": []}]
+    services = {
+        method.descriptor.containing_service.full_name: method.descriptor.containing_service for method in methods
+    }
+    document["tags"] = [{"name": each.name, "description": comment_of(each.full_name)} for each in services.values()]
     return document
 
 
@@ -53,20 +59,40 @@ def _operation(method: Method, schemas: dict[str, Any]) -> dict[str, Any]:
     schema: dict[str, Any] = {"type": "string"}
     if method.rest_form == "reply":
         schema = _reference(method.descriptor.output_type, "serialization", schemas)
-    success = {"description": _summary(method.response), "content": {MEDIA_TYPES[method.rest_form]: {"schema": schema}}}
+    success = {
+        "description": comment_of(method.descriptor.output_type.full_name),
+        "content": {MEDIA_TYPES[method.rest_form]: {"schema": schema}},
+    }
     operation: dict[str, Any] = {
         "operationId": method.name,
-        "summary": _summary(method.request),
+        "tags": [method.descriptor.containing_service.name],
+        "summary": comment_of(method.descriptor.full_name),
         "responses": {"200": success, **_PROBLEMS},
     }
     if method.reads:
         return {"get": {**operation, "parameters": _parameters(method.descriptor.input_type)}}
     request = {"schema": _reference(method.descriptor.input_type, "validation", schemas)}
-    return {"post": {**operation, "requestBody": {"required": True, "content": {"application/json": request}}}}
+    content = {"application/json": request, "multipart/form-data": {"schema": _parts(method.descriptor.input_type)}}
+    return {"post": {**operation, "requestBody": {"required": True, "content": content}}}
 
 
-def _summary(cls: type) -> str:
-    return (cls.__doc__ or "").partition("\n")[0]
+def _parts(message: Descriptor) -> dict[str, Any]:
+    """Returns the schema of a multipart body; see `freerein.serving.rest.body`."""
+    properties = {}
+    for field in message.fields:
+        part: dict[str, Any] = {"type": "string"}
+        if field.message_type is common_pb2.Image.DESCRIPTOR:
+            part["format"] = "binary"
+        described = {"description": comment_of(field.full_name)}
+        properties[field.name] = (
+            {"type": "array", "items": part, **described} if field.is_repeated else part | described
+        )
+    return {
+        "type": "object",
+        "description": "A file is an image. A part for another message is JSON, or one for each field: `model.name`. "
+        "A name may repeat where the field is a list.",
+        "properties": properties,
+    }
 
 
 def _reference(message: Descriptor, mode: Any, schemas: dict[str, Any]) -> dict[str, str]:
@@ -84,5 +110,8 @@ def _parameters(message: Descriptor, prefix: str = "") -> list[dict[str, Any]]:
         if field.message_type is not None:
             parameters += _parameters(field.message_type, f"{prefix}{field.name}.")
         else:
-            parameters.append({"name": prefix + field.name, "in": "query", "schema": properties[field.name]})
+            schema = dict(properties[field.name])
+            description = schema.pop("description")
+            name = prefix + field.name
+            parameters.append({"name": name, "in": "query", "description": description, "schema": schema})
     return parameters

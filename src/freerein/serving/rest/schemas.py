@@ -14,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, Js
 from freerein import tensors, wire
 from freerein.api.common.v1 import common_pb2
 from freerein.field_bounds import bounds_of
+from freerein.serving.rest.comments import comment_of
 
 STRUCT = "google.protobuf.Struct"
 _INTEGERS = {
@@ -52,14 +53,11 @@ Base64 = Annotated[bytes, BeforeValidator(_bytes), WithJsonSchema({"type": "stri
 def schema_of(message: Descriptor) -> type[Schema]:
     """Returns the pydantic model of a message."""
     if message is common_pb2.Tensor.DESCRIPTOR:
-        fields = _tensor_fields()
+        types = _tensor_fields()
     else:
-        fields = {field.name: _field(field) for field in message.fields}
-    documentation = (wire.dataclass_of(message).__doc__ or "") if message.name != "Tensor" else _TENSOR_DOC
-    return create_model(message.name, __base__=Schema, __doc__=documentation.partition("\n")[0], **fields)
-
-
-_TENSOR_DOC = "An array: datatype, shape, and the elements in C order, little-endian, as base64."
+        types = {field.name: _field(field) for field in message.fields}
+    fields = {name: _described(message.fields_by_name[name], *each) for name, each in types.items()}
+    return create_model(message.name, __base__=Schema, __doc__=comment_of(message.full_name), **fields)
 
 
 def _tensor_fields() -> dict[str, Any]:
@@ -69,6 +67,15 @@ def _tensor_fields() -> dict[str, Any]:
         "shape": (Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], FailFast()], ...),
         "raw": (Base64, ...),
     }
+
+
+def _described(field: FieldDescriptor, kind: Any, default: Any) -> Any:
+    """Returns (type, default) with the comment of the field, and of each value of an enum."""
+    sentences = [comment_of(field.full_name)]
+    if field.enum_type is not None:
+        values = zip(wire.enum_names(field.enum_type), field.enum_type.values[1:], strict=True)
+        sentences += [f"`{name}`: {comment_of(f'{field.enum_type.full_name}.{value.name}')}" for name, value in values]
+    return Annotated[kind, Field(description=" ".join(sentences))], default
 
 
 def _field(field: FieldDescriptor) -> Any:
