@@ -101,7 +101,15 @@ async def _serve(settings: S, build: Build[S]) -> int:
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
     service = build(settings, limits, metrics, health)
     built.append(service)
-    app = make_app(service.name, service.methods, health=health, metrics=metrics, limits=limits, token=token)
+    app = make_app(
+        service.name,
+        service.methods,
+        health=health,
+        metrics=metrics,
+        limits=limits,
+        token=token,
+        origins=settings.origins,
+    )
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)
     ports = _chosen_ports(service.name, settings)
     try:

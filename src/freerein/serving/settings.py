@@ -1,5 +1,6 @@
 """Settings of every service, read once from the environment by `__main__`."""
 
+import re
 import ssl
 from pathlib import Path
 from typing import Self
@@ -8,6 +9,7 @@ from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
+_ORIGIN = re.compile(r"https?://[^/\s?#*]+")
 
 
 class ServiceSettings(BaseSettings):
@@ -27,6 +29,8 @@ class ServiceSettings(BaseSettings):
         write_s: Seconds that a client may leave a reply unread.
         unary_s: Seconds from request to reply of a unary call; a model call of four times as long ends the process.
         queue: Items that may wait for the model.
+        cors_origins: Origins whose web pages may call the REST API, separated by commas, such as
+            `http://localhost:3000`; unset for none.
     """
 
     model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
@@ -43,6 +47,7 @@ class ServiceSettings(BaseSettings):
     write_s: float = Field(default=30.0, gt=0, le=600)
     unary_s: float = Field(default=30.0, gt=0, le=3600)
     queue: int = Field(default=256, ge=1, le=65536)
+    cors_origins: str = ""
 
     @model_validator(mode="after")
     def _check_exposure(self) -> Self:
@@ -70,6 +75,20 @@ class ServiceSettings(BaseSettings):
                     "the key without a password"
                 ) from None
         return self
+
+    @model_validator(mode="after")
+    def _check_origins(self) -> Self:
+        if not all(_ORIGIN.fullmatch(origin) for origin in self.origins):
+            raise ValueError(
+                "FREEREIN_CORS_ORIGINS must be origins separated by commas, each a scheme, a host and perhaps a port "
+                "without a path, such as https://robots.example:8443"
+            )
+        return self
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """Origins whose web pages may call the REST API."""
+        return tuple(origin.strip() for origin in self.cors_origins.split(",") if origin.strip())
 
     @property
     def token_text(self) -> str:

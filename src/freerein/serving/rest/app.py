@@ -10,6 +10,7 @@ from typing import Any, cast
 import orjson
 from fastapi import FastAPI
 from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -30,11 +31,18 @@ _Endpoint = Callable[[Request], Awaitable[Response]]
 
 
 def make_app(
-    name: str, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
+    name: str,
+    methods: Sequence[Method],
+    *,
+    health: Health,
+    metrics: Metrics,
+    limits: Limits,
+    token: str = "",
+    origins: Sequence[str] = (),
 ) -> FastAPI:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
-    An empty `token` allows every call.
+    An empty `token` allows every call. Web pages of the `origins` may call it, too.
     """
     served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, docs_url=None, redoc_url=None, redirect_slashes=False)
@@ -49,6 +57,14 @@ def make_app(
     app.openapi = cache(lambda: openapi_document(app, served))  # type: ignore[method-assign]  # FastAPI's documented way
     paths = {method.path for method in served}
     app.add_middleware(RequestMiddleware, metrics=metrics, limits=limits, token=token, paths=paths)
+    if origins:  # outermost: a browser asks for leave without the token
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=origins,
+            allow_methods=["GET", "POST"],
+            allow_headers=["authorization", "content-type", "last-event-id", "x-request-id"],
+            expose_headers=["retry-after", "x-request-id"],
+        )
     return app
 
 
