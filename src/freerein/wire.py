@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from google.protobuf import json_format, struct_pb2
-from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor, ServiceDescriptor
 from google.protobuf.message import Message
 
 from freerein import tensors
@@ -52,6 +52,11 @@ _MESSAGES = {
     "freerein.types.segmentation": segmentation_pb2,
     "freerein.types.sim": sim_pb2,
 }
+
+
+def services() -> tuple[ServiceDescriptor, ...]:
+    """Returns the services of all `.proto` files."""
+    return tuple(each for module in _MESSAGES.values() for each in module.DESCRIPTOR.services_by_name.values())
 
 
 def message_type(cls: type) -> type[Message]:

@@ -65,7 +65,7 @@ class Session:
             raise StepOutOfOrder(
                 f"`step_id` must be {self.step_id + 1}, one more than the last; got {request.step_id}.",
                 field="step_id",
-                hint="Count steps from 1; Reset does not restart the count, Restore returns the step to go on from.",
+                hint="Count from 1; `Reset` does not restart the count, `Restore` returns the step to go on from.",
             )
         return None
 

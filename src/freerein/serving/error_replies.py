@@ -10,6 +10,7 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc_status import rpc_status
 
 from freerein.errors import Internal, ServiceError
+from freerein.serving.rest.wording import with_paths
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 GRPC_DOMAIN = "freerein"
@@ -39,16 +40,16 @@ def internal_error() -> Internal:
 
 
 def problem_document(error: ServiceError, request_id: str) -> bytes:
-    """Returns an error as a JSON problem document of at most 4 KiB."""
+    """Returns an error as a JSON problem document of at most 4 KiB; RPCs that it names have become paths."""
     return orjson.dumps(
         {
             "type": "about:blank",
             "title": TITLES[error.http_status],
             "status": error.http_status,
             "code": error.code,
-            "detail": _sanitised(error.detail),
+            "detail": _sanitised(with_paths(error.detail)),
             "field": _sanitised(error.field),
-            "hint": _sanitised(error.hint),
+            "hint": _sanitised(with_paths(error.hint)),
             "request_id": request_id,
         }
     )

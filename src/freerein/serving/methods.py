@@ -52,12 +52,12 @@ class Method:
     @property
     def path(self) -> str:
         """The REST path, such as `/v1/list-skills`."""
-        return "/v1/" + _split_words(self.name, "-")
+        return rest_path(self.name)
 
     @property
     def reads(self) -> bool:
         """Whether it is read-only, and GET over REST."""
-        return self.name.startswith(_READ_PREFIXES)
+        return rest_reads(self.name)
 
     @property
     def rest_form(self) -> RestForm:
@@ -77,6 +77,16 @@ class InvalidMessage:
 
     error: ServiceError
     seq: int | None = None
+
+
+def rest_path(rpc: str) -> str:
+    """Returns the REST path of an RPC, such as `/v1/list-skills`."""
+    return "/v1/" + _split_words(rpc, "-")
+
+
+def rest_reads(rpc: str) -> bool:
+    """Returns whether an RPC is read-only, and GET over REST."""
+    return rpc.startswith(_READ_PREFIXES)
 
 
 def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]:

@@ -104,7 +104,7 @@ class CaptionDataset:
                 f"Training and validation images must show two of the {len(self.phrases)} phrases; "
                 f"{related[0]} and {related[1]} images do.",
                 field="config.phrases",
-                hint="Try the phrases on one image with Ground; name objects by colour.",
+                hint="Try the phrases on one image with `Ground`; name objects by colour.",
             )
         training, validation = (self.subset(np.flatnonzero(has_caption & side)) for side in sides)
         return training, validation

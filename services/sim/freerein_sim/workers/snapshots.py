@@ -109,5 +109,5 @@ def _decode_envs(data: bytes, num_envs: int) -> Iterator[EnvState]:
 
 def _not_a_snapshot(got: str) -> InvalidInput:
     return InvalidInput(
-        f"`snapshot` must be what Snapshot returned; got {got}.", field="snapshot", hint="Send it back unchanged."
+        f"`snapshot` must be what `Snapshot` returned; got {got}.", field="snapshot", hint="Send it back unchanged."
     )

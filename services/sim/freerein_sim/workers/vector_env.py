@@ -261,7 +261,7 @@ class VectorEnv:
 
     def _check_reset(self, call: str) -> None:
         if not self._is_reset:
-            raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call Reset first.")
+            raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call `Reset` first.")
 
     def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
         if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
