@@ -38,6 +38,7 @@ from freerein.serving.methods import Method, methods_of
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
+from freerein.serving.rest.wording import with_paths
 from freerein.types import learning, segmentation
 from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.learning import StartFitRequest
@@ -276,7 +277,7 @@ async def outcome(transport: Any, method: Method, request: object) -> object:
     try:
         responses = await transport(method, request)
     except ServiceError as error:
-        return error.code, error.field, error.detail, error.hint
+        return error.code, error.field, with_paths(error.detail), with_paths(error.hint)
     return [{k: v for k, v in wire.to_json(response).items() if k != "timing"} for response in responses]
 
 

@@ -15,6 +15,7 @@ from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
+from freerein.serving.rest.wording import with_paths
 from freerein.types.sim import (
     CheckRequest,
     CreateSessionRequest,
@@ -79,7 +80,7 @@ async def outcome(transport: Any, method: Any, request: object) -> object:
     try:
         return [wire.to_json(response) for response in await transport(method, request)]
     except ServiceError as error:
-        return error.code, error.field, error.detail, error.hint
+        return error.code, error.field, with_paths(error.detail), with_paths(error.hint)
 
 
 @pytest.mark.parametrize(("method", "session", "fields", "code"), CASES)

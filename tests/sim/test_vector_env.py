@@ -308,8 +308,8 @@ def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) 
 
 
 def test_a_size_beyond_the_cameras_is_refused_at_once(make: MakeEnvs) -> None:
-    with pytest.raises(InvalidInput, match="257"):
-        make(BLOCKS, num_envs=1, seed=0, height=257)
+    with pytest.raises(InvalidInput, match="321"):
+        make(BLOCKS, num_envs=1, seed=0, height=321)
 
 
 def test_frames_have_the_size_asked_for(make: MakeEnvs) -> None:
