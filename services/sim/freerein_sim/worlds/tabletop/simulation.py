@@ -1,0 +1,282 @@
+"""The tabletop world in MuJoCo."""
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein_sim.worlds.mujoco_world import MujocoSimulation, Scene
+from freerein_sim.worlds.tabletop import CONTROL_DT_S, HAND_STEP, OPENING_STEP_M, appearance, initial_states, scene
+from freerein_sim.worlds.tabletop.demonstrator import Demonstrator
+from freerein_sim.worlds.tabletop.things import (
+    BASE_HALF_M,
+    BLOCK_HALF_M,
+    BOWL_RADIUS_M,
+    BOX_HALF_M,
+    BOX_HEIGHT_M,
+    CUP_HALF_M,
+    FREE_BODIES,
+    PLACED_BODIES,
+    POT_HEIGHT_M,
+    POT_RADIUS_M,
+    REACH,
+    SCALED,
+    SPONGE_HALF_M,
+    SPOON_TIP_M,
+    SPOT_PITCH_M,
+    SPOTS,
+    TASK_SKILLS,
+    THINGS,
+    Thing,
+    thing_of,
+)
+from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
+
+_SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
+_GRASP_M = 0.025
+"""Greatest distance between the point between the fingertips and a thing that closing fingers grasp."""
+
+_RELEASE_M = 0.008
+"""How far the fingers open beyond the width of the thing that they hold to release it."""
+
+_WIPED_M = -0.1
+"""Height at which spots are that were wiped away, under the table."""
+
+_WIPING_M = 0.012
+"""Greatest height of a wiping sponge's lower side."""
+
+_STAIN_M = np.array([(x, y) for x in (-0.5, 0.5) for y in (-1.0, 0.0, 1.0)]) * SPOT_PITCH_M
+"""Offset of each spot from the middle of the stain: float64 (6, 2)."""
+
+_REST_M = {**{thing.name: thing.rest_m for thing in THINGS}, "base": BASE_HALF_M}
+_ON_SHOW_M = -1.0
+_POSE_PART = slice(3, 10)
+"""Where a weld's data have the held body's pose in the hand: position, quaternion."""
+
+_ROUNDING = 1e-6
+
+Point = npt.NDArray[np.float64]
+"""float64 (3,) in metres."""
+
+
+class TabletopWorld:
+    """A flying hand and things on a table.
+
+    Args:
+        spec: The task's spec.
+        only_own: Whether only what a recipe's task uses is on show.
+    """
+
+    steps = None
+
+    def __init__(self, spec: WorldSpec, *, only_own: bool) -> None:
+        self.spec = spec
+        self._only_own = only_own
+        shared = scene.build()
+        self._nominal = shared.model
+        self._model = copy.copy(shared.model)
+        self._simulation = simulation = MujocoSimulation(spec, Scene(self._model, shared.fingerprint))
+        self.fingerprint = simulation.fingerprint
+        self._data = simulation.data
+        self._dress((appearance.LOW + appearance.HIGH) / 2)
+        self.render, self.close = simulation.render, simulation.close
+
+    def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
+        """Draws the initial state. A recipe has an effect only where no more than its objects are on show."""
+        task = self._task(recipe)
+        on_show: tuple[str, ...] = SCALED
+        if self._only_own:
+            thing = thing_of(task or TASK_SKILLS[int(rng.integers(len(TASK_SKILLS)))])
+            on_show = (thing.name, thing.used_on)
+        self._simulation.reset(rng)
+        self._model.eq_data[:] = self._nominal.eq_data
+        self._dress(appearance.draw(rng))
+        start = initial_states.draw(rng, on_show)
+        for name in FREE_BODIES:
+            yaw = start.yaws_rad[name]
+            place = (*start.places_m[name], self.scale(name) * _REST_M[name])
+            self._data.joint(name).qpos = (*place, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))
+        for name in PLACED_BODIES:
+            self._move(name, (*start.places_m[name], 0))
+        for name, offset in zip(SPOTS, self.scale("stain") * _STAIN_M, strict=True):
+            self._move(name, (*(start.places_m["stain"] + offset), 0))
+        for name, value in zip(scene.HAND_JOINTS, start.hand, strict=True):
+            self._data.joint(name).qpos = value
+        for side in ("left", "right"):
+            self._data.joint(f"finger.{side}").qpos = start.opening_m / 2
+        self._set_servos(start.hand, start.opening_m)
+        self._simulation.refresh()
+
+    def step(self, action: Action) -> StepResult:
+        """Moves the servos' set-points by the action and simulates one control step.
+
+        Fingers that close around a thing hold it, until they open.
+        """
+        check_actions(self.spec.action, action)
+        before = self.set_point
+        hand = np.clip(before[:5] + HAND_STEP * action[:5], scene.HAND_LOW, scene.HAND_HIGH)
+        opening = float(np.clip(before[5] + OPENING_STEP_M * action[5], *scene.OPENING_M))
+        held = self.held
+        if held is not None and opening > self.width(held) + _RELEASE_M:
+            self._data.eq_active[:] = 0
+        elif held is not None:
+            opening = max(opening, self.width(held))
+        self._set_servos(hand, opening)
+        if self._simulation.step(_SUBSTEPS):
+            return StepResult(terminated=True, diverged=True)
+        self._simulation.refresh()
+        if held is None and opening < before[5]:
+            self._grasp(opening)
+        self._wipe()
+        return StepResult(terminated=False)
+
+    def truth(self) -> GroundTruth:
+        """Returns the state that `predicates.STATE_NAMES` names; there is no goal."""
+        state = np.concatenate(
+            [
+                [float(self._data.joint(name).qpos[0]) for name in scene.HAND_JOINTS],
+                [sum(float(self._data.joint(f"finger.{side}").qpos[0]) for side in ("left", "right"))],
+                [0 if self.held is None else 1 + THINGS.index(self.held)],
+                *(self._data.joint(name).qpos for name in FREE_BODIES),
+                *(self.position(name)[:2] for name in (*PLACED_BODIES, "stain")),
+                [sum(self.position(name)[2] > _WIPED_M for name in SPOTS)],
+                self.point("cup", (0, 0, CUP_HALF_M)),
+                self.point("spoon", (SPOON_TIP_M, 0, 0)),
+                [self.scale("bowl") * BOWL_RADIUS_M],
+                [self.scale("pot") * POT_RADIUS_M, self.scale("pot") * POT_HEIGHT_M],
+                [self.scale("box") * BOX_HALF_M, self.scale("box") * BOX_HEIGHT_M],
+                [2 * self.scale("block") * BLOCK_HALF_M, 2 * self.scale("base") * BASE_HALF_M],
+            ]
+        )
+        return GroundTruth(state, 0.0, success=False)
+
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Demonstrator:
+        """Returns a demonstrator of a recipe; without one, of a reach and any task whose objects are on show."""
+        task = self._task(skills)
+        shown = [thing.task for thing in THINGS if self.is_on_show(thing)]
+        if task and task not in shown:
+            raise InvalidInput(
+                f"The objects of the recipe must be on show; only those of {', '.join(shown)} are.",
+                field="skills",
+                hint="Reset the environment with the recipe, or leave it out.",
+            )
+        return Demonstrator(self, thing_of(task or shown[int(rng.integers(len(shown)))]), rng)
+
+    def snapshot(self) -> bytes:
+        """Returns the appearance, how each thing was last held, and MuJoCo's integration state."""
+        own = np.concatenate([self._appearance, self._model.eq_data[:, _POSE_PART].ravel()])
+        return own.astype("<f8").tobytes() + self._simulation.snapshot()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Restores a snapshot, after checking every number."""
+        own = np.concatenate([self._appearance, self._model.eq_data[:, _POSE_PART].ravel()])
+        if len(snapshot) < own.nbytes:
+            raise _not_of_this_world()
+        own = np.frombuffer(snapshot[: own.nbytes], "<f8").astype(np.float64)
+        drawn, poses = own[: appearance.LOW.size], own[appearance.LOW.size :].reshape(len(THINGS), -1)
+        in_range = (drawn >= appearance.LOW) & (drawn <= appearance.HIGH)
+        is_near = np.abs(poses[:, :3]) < _GRASP_M + _ROUNDING
+        is_turn = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) < _ROUNDING
+        if not (in_range.all() and is_near.all() and is_turn.all()):
+            raise _not_of_this_world()
+        self._simulation.restore(snapshot[own.nbytes :])
+        self._dress(drawn)
+        self._model.eq_data[:, _POSE_PART] = poses
+        self._simulation.refresh()
+
+    @property
+    def held(self) -> Thing | None:
+        """What the hand holds."""
+        return next((thing for thing, weld in zip(THINGS, self._data.eq_active, strict=True) if weld), None)
+
+    @property
+    def set_point(self) -> npt.NDArray[np.float64]:
+        """Set-points of the servos: float64 (6,), x, y, z, pitch, roll and the distance between the fingers."""
+        fingers = self._data.actuator("finger.left").ctrl + self._data.actuator("finger.right").ctrl
+        return np.append([self._data.actuator(name).ctrl[0] for name in scene.HAND_JOINTS], fingers)
+
+    @property
+    def hand(self) -> tuple[Point, npt.NDArray[np.float64]]:
+        """The point between the fingertips, and the hand's axes as columns: float64 (3, 3)."""
+        hand = self._data.body("hand")
+        return np.array(hand.xpos), np.array(hand.xmat).reshape(3, 3)
+
+    def scale(self, name: str) -> float:
+        """Returns the factor of a thing's nominal size."""
+        return self._scales[name]
+
+    def width(self, thing: Thing) -> float:
+        """Returns the distance of fingers that hold a thing, in metres."""
+        return self.scale(thing.name) * thing.width_m
+
+    def position(self, name: str) -> Point:
+        """Returns the origin of a thing; of the stain, its middle."""
+        if name == "stain":
+            return np.asarray(np.mean([self.position(spot) for spot in SPOTS], axis=0))
+        return np.array(self._data.body(name).xpos)
+
+    def point(self, name: str, offset: tuple[float, float, float]) -> Point:
+        """Returns a point of a thing that is nominally at an offset from its origin, in its own axes."""
+        axes = np.array(self._data.body(name).xmat).reshape(3, 3)
+        return self.position(name) + axes @ (self.scale(name) * np.array(offset))
+
+    def is_on_show(self, thing: Thing) -> bool:
+        """Returns whether a thing is on the table, not on the pad."""
+        return bool(self.position(thing.name)[0] > _ON_SHOW_M)
+
+    def _task(self, recipe: Sequence[str]) -> str:
+        """Returns the skill that follows the reach, empty for an empty recipe. Raises InvalidInput for any other."""
+        skill_indices(self.spec, recipe)
+        if recipe and not (len(recipe) == 2 and recipe[0] == REACH and recipe[1] != REACH):
+            raise InvalidInput(
+                f"A recipe of this world is {REACH} and then one other skill; got {', '.join(recipe)}.", field="skills"
+            )
+        return recipe[-1] if recipe else ""
+
+    def _dress(self, drawn: appearance.Appearance) -> None:
+        self._appearance, self._scales = drawn, appearance.scales(drawn)
+        appearance.apply(self._model, self._nominal, drawn)
+
+    def _set_servos(self, hand: npt.NDArray[np.float64], opening_m: float) -> None:
+        for name, target in zip(scene.HAND_JOINTS, hand, strict=True):
+            self._data.actuator(name).ctrl = target
+        for side in ("left", "right"):
+            self._data.actuator(f"finger.{side}").ctrl = opening_m / 2
+
+    def _move(self, name: str, place: Sequence[float]) -> None:
+        self._data.mocap_pos[self._model.body(name).mocapid] = place
+
+    def _grasp(self, opening_m: float) -> None:
+        """Holds the thing that the fingers have closed around, if any."""
+        hand, turn_back = self._data.body("hand"), np.empty(4)
+        for i, thing in enumerate(THINGS):
+            offset = self.position(thing.name) - hand.xpos
+            if np.linalg.norm(offset) < _GRASP_M and opening_m <= self.width(thing):
+                weld = self._model.eq_data[i, _POSE_PART]
+                mujoco.mju_negQuat(turn_back, hand.xquat)
+                mujoco.mju_rotVecQuat(weld[:3], offset, turn_back)
+                mujoco.mju_mulQuat(weld[3:], turn_back, self._data.body(thing.name).xquat)
+                self._data.eq_active[i] = 1
+                return
+
+    def _wipe(self) -> None:
+        """Takes away the spots under a sponge that is on the table."""
+        sponge = self._data.body("sponge")
+        if sponge.xpos[2] > self.scale("sponge") * SPONGE_HALF_M[2] + _WIPING_M:
+            return
+        for name in SPOTS:
+            offset = sponge.xmat.reshape(3, 3).T @ (self.position(name) - sponge.xpos)
+            if (np.abs(offset[:2]) < self.scale("sponge") * np.array(SPONGE_HALF_M[:2])).all():
+                self._move(name, (*self.position(name)[:2], 2 * _WIPED_M))
+        self._simulation.refresh()
+
+
+def _not_of_this_world() -> InvalidInput:
+    return InvalidInput(
+        "Expected a snapshot of this world; got something else.",
+        field="snapshot",
+        hint="Send the snapshot back unchanged.",
+    )
