@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from freerein.data import Dataset
+from freerein.data import Dataset, tag_problems
 from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
@@ -26,19 +26,9 @@ def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConf
 
 
 def _check_tags(dataset: Dataset) -> None:
-    if not dataset.spec.skills or not all(dataset.skills):
-        raise InvalidInput(
-            f"Each of the dataset's {len(dataset)} trajectories must name its skills; some do not.",
-            field="dataset",
-            hint="Tag them, or record with the expert; run: freerein dataset check NAME.",
-        )
-    unknown = {skill for tags in dataset.skills for skill in tags} - set(dataset.spec.skills)
-    if unknown:
-        raise InvalidInput(
-            f"Tags must be among the dataset's {len(dataset.spec.skills)} skills; {len(unknown)} tags are not.",
-            field="dataset",
-            hint="Correct the tags; run: freerein dataset check NAME.",
-        )
+    for problem in tag_problems(dataset.spec.skills, dataset.skills):
+        if problem.severity == "error":
+            raise InvalidInput(problem.sentence, field="dataset", hint=problem.hint)
 
 
 def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:

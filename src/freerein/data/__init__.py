@@ -4,15 +4,18 @@
     <root>/meta/           LeRobot's index, rebuilt from data/ where the two differ
     <root>/cache/          decoded frames and actions, rebuilt when data/ changes
     <root>/labels/         per-timestep skills predicted by a segmentation model; see `freerein.data.labels`
+    <root>/tags.json       tags that were given after recording, instead of those in data/
     <root>/teachers.json   cards of the policies that acted, for distillation
     <root>/truth/          ground-truth labels for evaluation; only `freerein.data.truth` opens it
 
-`create` and `open_writer` write, `Dataset` reads; `inspect`, `verify` and `check` report on a dataset.
+`create` and `open_writer` write, `Dataset` reads; `inspect`, `verify` and `check` report on a dataset; `tag` and
+`label` bring annotations that people made.
 """
 
+from freerein.data.annotations import label as label
+from freerein.data.annotations import tag as tag
 from freerein.data.cache import StepCache as StepCache
 from freerein.data.checks import DatasetSummary as DatasetSummary
-from freerein.data.checks import Problem as Problem
 from freerein.data.checks import check as check
 from freerein.data.checks import inspect as inspect
 from freerein.data.checks import verify as verify
@@ -22,6 +25,8 @@ from freerein.data.layout import integer_fps as integer_fps
 from freerein.data.meta import read_teachers as read_teachers
 from freerein.data.meta import save_teachers as save_teachers
 from freerein.data.reader import Dataset as Dataset
+from freerein.data.tag_checks import Problem as Problem
+from freerein.data.tag_checks import tag_problems as tag_problems
 from freerein.data.writer import Writer as Writer
 from freerein.data.writer import create as create
 from freerein.data.writer import open_writer as open_writer

@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import layout, meta, truth
+from freerein.data.first_frames import MOST_TRAJECTORIES, first_frame_tests, low_resolution
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row
 from freerein.data.reader import Dataset
+from freerein.data.tag_checks import Problem, tag_problems
 from freerein.data.trajectory_file import read_rows
 from freerein.errors import InvalidInput, ServiceError
 
 _GAP = "The data files must be numbered without a gap; this one is missing."
 _REBUILD = "Open the dataset while no writer is open: `meta/` is rebuilt from the data files."
+_TELLING_AUROC, _SIGNIFICANT = 0.6, 0.01
 _RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
 
 
@@ -50,21 +53,6 @@ class DatasetSummary:
     labelled: int
     data_bytes: int
     fingerprint: str
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A problem of a dataset.
-
-    Attributes:
-        where: The file, relative to the dataset, or another subject.
-        sentence: What was expected and what was found.
-        hint: How to mend it.
-    """
-
-    where: str
-    sentence: str
-    hint: str
 
 
 def inspect(root: Path) -> DatasetSummary:
@@ -111,7 +99,9 @@ def verify(root: Path) -> list[Problem]:
 
 
 def check(root: Path) -> list[Problem]:
-    """Returns all problems that prevent learning skills from a dataset: tags, actions, empty trajectories.
+    """Returns what prevents or impairs learning skills from a dataset: its tags, first frames, actions, lengths.
+
+    Fits refuse a dataset with an error, and accept one with warnings.
 
     Raises:
         NotFound: There is no dataset in `root`.
@@ -120,8 +110,9 @@ def check(root: Path) -> list[Problem]:
     dataset = Dataset(root)
     if len(dataset) == 0:
         return [Problem("data", "A dataset must hold trajectories; this one is empty.", "Record demonstrations first.")]
-    trajectories = (problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index))
-    return [*_skill_problems(dataset), *trajectories]
+    trajectories = [problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index)]
+    first_frames = [] if trajectories else _first_frame_problems(dataset)
+    return [*tag_problems(dataset.spec.skills, dataset.skills), *first_frames, *trajectories]
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
@@ -217,23 +208,21 @@ def _where(folder: str, index: int) -> str:
     return layout.trajectory_path(Path(folder), index).as_posix()
 
 
-def _skill_problems(dataset: Dataset) -> Iterator[Problem]:
-    if not dataset.spec.skills:
-        sentence = "Trajectories must be tagged with the skills that occur in them; the dataset names no skills."
-        yield Problem("skills", sentence, "Record demonstrations of a task with skills, or tag the trajectories.")
-        return
-    untagged = dataset.skills.count(())
-    if untagged:
-        sentence = f"Every trajectory must be tagged with the skills that occur in it; {untagged} are not."
-        yield Problem("skills", sentence, "Tag them, or leave them out.")
-    for skill in dataset.spec.skills:
-        count = sum(skill in skills for skills in dataset.skills)
-        if count in (0, len(dataset)):
-            found = "none" if count == 0 else "all: tags cannot tell where in a trajectory it is"
-            sentence = (
-                f"The skill {skill!r} must occur in some trajectories and be missing in others; it occurs in {found}."
-            )
-            yield Problem("skills", sentence, "Record trajectories with it and trajectories without it.")
+def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
+    """Asks of each camera by itself, because a learner may be given any of them."""
+    tagged = [index for index, skills in enumerate(dataset.skills) if skills]
+    items = tagged[:: -(-len(tagged) // MOST_TRAJECTORIES) or 1]
+    tags = [dataset.skills[index] for index in items]
+    for camera in dataset.spec.cameras:
+        frames = [low_resolution(dataset.first_frame(index, camera)) for index in items]
+        for test in first_frame_tests(np.array(frames), tags, rng=np.random.default_rng(0)):
+            if test.auroc >= _TELLING_AUROC and test.p_value <= _SIGNIFICANT:
+                sentence = (
+                    f"First frames must not tell the tags; those of camera {camera} tell {test.skill!r} with an AUROC "
+                    f"of {test.auroc:.2f} on held-out trajectories (0.5 is chance, p <= {test.p_value:.3f})."
+                )
+                hint = "Show all objects in every scene and begin alike: else a model names skills by the scene."
+                yield Problem("skills", sentence, hint, "warning")
 
 
 def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
@@ -242,7 +231,7 @@ def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
         yield Problem(where, "A trajectory must have at least one timestep; this one has none.", "Leave it out.")
         return
     try:
-        actions = dataset[index].actions
+        actions = dataset.actions(index)
     except InvalidInput as error:
         yield Problem(where, error.detail, error.hint)
         return

@@ -12,6 +12,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,9 +23,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from freerein.atomic_files import write_atomic
-from freerein.data import layout, statistics
+from freerein.data import layout, statistics, tags
 from freerein.data.layout import DatasetSpec, dumps, loads
 from freerein.data.statistics import STATISTICS, FeatureStatistics
+from freerein.data.tags import Tags
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import FailedPrecondition, InvalidInput
 
@@ -54,7 +56,15 @@ class WriterLock:
 
 
 def read_spec(root: Path) -> DatasetSpec | None:
-    """Returns the spec, from the first data file if `meta/` is lost; None when freerein did not write the dataset."""
+    """Returns the spec, from the first data file if `meta/` is lost; None when freerein did not write the dataset.
+
+    Its skills are those of tags that were given later, where there are any.
+    """
+    spec, given = _recorded_spec(root), tags.read(root)
+    return replace(spec, skills=given.skills) if spec and given else spec
+
+
+def _recorded_spec(root: Path) -> DatasetSpec | None:
     stored, first = root / layout.SPEC_FILE, layout.trajectory_path(root / "data", 0)
     if stored.is_file():
         return loads(stored.read_bytes())
@@ -91,7 +101,17 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
         rows.append(describe(data, index=index, first_frame=frames))
         frames += rows[-1]["length"]
     is_current = valid == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
-    return extended(table, rows), is_current and all((root / name).is_file() for name in _FILES)
+    recorded, given = extended(table, rows), tags.read(root)
+    tagged = with_tags(recorded, given) if given else recorded
+    is_current = is_current and tagged["skills"].equals(recorded["skills"])
+    return tagged, is_current and all((root / name).is_file() for name in _FILES)
+
+
+def with_tags(episodes: pa.Table, given: Tags) -> pa.Table:
+    """Returns an episodes table with tags that were given later."""
+    column = episodes.schema.get_field_index("skills")
+    skills = pa.array(given.applied(episodes["skills"].to_pylist()), pa.list_(pa.string()))
+    return episodes.set_column(column, "skills", skills)
 
 
 def load_and_repair(root: Path, spec: DatasetSpec) -> pa.Table:

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from freerein.data import layout, lerobot, meta
+from freerein.data import layout, lerobot, meta, tags
 from freerein.data.cache import StepCache, open_or_build
 from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, decode_terminations, read_rows
 from freerein.errors import InvalidInput
@@ -37,10 +38,12 @@ class Dataset:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        spec = meta.read_spec(root)
+        spec, given = meta.read_spec(root), tags.read(root)
         if spec is None:
             foreign = lerobot.read(root)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
+            if given:
+                self.spec, table = replace(foreign.spec, skills=given.skills), meta.with_tags(table, given)
             self._terminated_key = foreign.terminated_key
         else:
             self.spec, table = spec, meta.load_and_repair(root, spec)
@@ -52,6 +55,7 @@ class Dataset:
         chunks, files = table["data/chunk_index"].to_pylist(), table["data/file_index"].to_pylist()
         self._places = list(zip(chunks, files, strict=True))
         self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
+        self._tags_sha256 = given.sha256 if given else ""
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -81,12 +85,24 @@ class Dataset:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
         return decode_actions(self._rows(range(len(self))[index], ["action"]), self.spec)
 
-    @cached_property
+    def first_frame(self, index: int, camera: str) -> npt.NDArray[np.uint8]:
+        """Returns the first frame of one trajectory, uint8 (H, W, C); raises as `dataset[index]`."""
+        rows = self._rows(range(len(self))[index], [self._keys[camera]])
+        frame: npt.NDArray[np.uint8] = self._frames(rows.slice(0, 1), camera)[0]
+        return frame
+
+    @property
     def fingerprint(self) -> str:
-        """The sha256, in hexadecimal, over the sha256 of every data file.
+        """The sha256, in hexadecimal, over the sha256 of every data file, and of tags that were given later.
 
         Reads no data file of a dataset that freerein wrote: the writer recorded the hashes, and `verify` checks them.
         """
+        if not self._tags_sha256:
+            return self._data_sha256
+        return hashlib.sha256(f"{self._data_sha256}\n{self._tags_sha256}".encode()).hexdigest()
+
+    @cached_property
+    def _data_sha256(self) -> str:
         hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
@@ -152,7 +168,7 @@ class Dataset:
         return layout.numbered(self._root / "data", chunk=place[0], file=place[1])
 
     def _cache_file(self, name: str) -> Path:
-        return self._root / "cache" / self.fingerprint[:16] / f"{name}.raw"
+        return self._root / "cache" / self._data_sha256[:16] / f"{name}.raw"
 
 
 def _sha256(path: Path) -> str:

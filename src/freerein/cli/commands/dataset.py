@@ -1,4 +1,4 @@
-"""`freerein dataset`: inspects and checks datasets; finds the ones that other commands name."""
+"""`freerein dataset`: inspects, checks and annotates datasets; finds the ones that other commands name."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -14,7 +14,7 @@ from freerein.data import Dataset, DatasetSummary, Problem, dataset_path
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import Trajectory
 
-app = typer.Typer(help="Inspect and check datasets.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(help="Inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
 
 _MOST_GOAL_TEXTS = 6
 
@@ -53,19 +53,55 @@ def verify(name: _Name, as_json: AsJson = False) -> None:
 @app.command()
 @command
 def check(name: _Name, as_json: AsJson = False) -> None:
-    """List what prevents learning skills from a dataset; exit code 1 where there is anything."""
+    """List what prevents learning skills from a dataset, and warnings; exit code 1 where a fit would refuse it."""
     _report(name, data.check, as_json=as_json, verdict="is fit for training")
+
+
+@app.command()
+@command
+def tag(
+    name: _Name,
+    table: Annotated[Path, typer.Argument(metavar="TAGS.CSV", help="Columns `trajectory` and `skills`.")],
+    as_json: AsJson = False,
+) -> None:
+    """Tag trajectories with the skills that occur in them: lines such as `0,reach;pour` below `trajectory,skills`.
+
+    All lines are valid, or nothing changes; trajectories that are not listed keep their tags.
+    """
+    count = data.tag(dataset_root(name), table.read_bytes())
+    _show_count(name, "tagged", count, as_json=as_json)
+
+
+@app.command()
+@command
+def label(
+    name: _Name,
+    table: Annotated[Path, typer.Argument(metavar="LABELS.CSV", help="Columns `trajectory`, `start`, `end`, `skill`.")],
+    as_json: AsJson = False,
+) -> None:
+    """Store true labels of a few trajectories, to measure frame accuracy; no fit sees them.
+
+    Lines such as `0,0,41,reach` below `trajectory,start,end,skill` cover a trajectory by segments [start, end).
+    """
+    count = data.label(dataset_root(name), table.read_bytes())
+    _show_count(name, "labelled", count, as_json=as_json)
+
+
+def _show_count(name: str, done: str, count: int, *, as_json: bool) -> None:
+    print_json({"dataset": name, done: count}) if as_json else typer.echo(f"{count} trajectories of {name} are {done}.")
 
 
 def _report(name: str, examine: Callable[[Path], list[Problem]], *, as_json: bool, verdict: str) -> None:
     problems = examine(dataset_root(name))
+    errors = sum(problem.severity == "error" for problem in problems)
     if as_json:
         print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
     elif problems:
-        show_table(("where", "problem", "fix"), [(each.where, each.sentence, each.hint) for each in problems])
-    else:
-        typer.echo(f"The dataset {name} {verdict}.")
-    if problems:
+        rows = [(each.severity, each.where, each.sentence, each.hint) for each in problems]
+        show_table(("", "where", "problem", "fix"), rows)
+    if not as_json and not errors:
+        typer.echo(f"The dataset {name} {verdict}{', with warnings' if problems else ''}.")
+    if errors:
         raise typer.Exit(1)
 
 
