@@ -19,6 +19,7 @@ from freerein.serving.rest.wording import with_paths
 from freerein.types.sim import (
     CheckRequest,
     CreateSessionRequest,
+    DrawRecipesRequest,
     ExpertActionsRequest,
     Recipe,
     ResetRequest,
@@ -45,9 +46,16 @@ CASES = [
     ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("pick-red",) * 257),) * 2}, "invalid_input"),
     ("ExpertActions", UNPRIVILEGED, {}, "failed_precondition"),
     ("ExpertActions", "0" * 32, {}, "session_not_found"),
+    ("Reset", PRIVILEGED, {"seed": 3, "recipes": (Recipe(("pick-red",)), Recipe())}, ANSWER),
+    ("Reset", PRIVILEGED, {"recipes": (Recipe(("pick-red",)), Recipe(("pick-red", "pick-red")))}, "invalid_input"),
     ("Step", PRIVILEGED, {"step_id": 5, "actions": ACTIONS}, "step_out_of_order"),
 ]
-REQUESTS = {"Check": CheckRequest, "ExpertActions": ExpertActionsRequest, "Step": StepRequest}
+REQUESTS = {
+    "Check": CheckRequest,
+    "ExpertActions": ExpertActionsRequest,
+    "Reset": ResetRequest,
+    "Step": StepRequest,
+}
 
 
 def build(_data_dir: Path, health: Health) -> Service:
@@ -106,6 +114,28 @@ async def test_the_experts_of_equal_sessions_act_alike_over_every_transport(tran
 
     assert outcomes[0] == outcomes[1] == outcomes[2]
     assert isinstance(outcomes[0], list)
+
+
+@pytest.mark.parametrize(
+    ("fields", "code"),
+    [
+        ({"task": "grid", "count": 3, "seed": 1}, ANSWER),
+        ({"task": "grid", "count": 0}, "invalid_input"),
+        ({"task": "grid", "max_skills": 6}, "invalid_input"),
+        ({"task": "grid", "skills": ("no-such",)}, "invalid_input"),
+        ({"task": "grid", "conditions": ("no-such",)}, "invalid_input"),
+        ({"task": "pendulum"}, "unimplemented"),
+        ({"task": "no-such"}, "not_found"),
+    ],
+)
+async def test_recipes_are_drawn_alike_over_every_transport(transports: Any, fields: dict[str, Any], code: str) -> None:
+    method, request = transports.method("DrawRecipes"), DrawRecipesRequest(**fields)
+
+    outcomes = [await outcome(transport, method, request) for transport in transports.all]
+
+    assert outcomes[0] == outcomes[1] == outcomes[2]
+    assert isinstance(outcomes[0], list) == (code == ANSWER)
+    assert code == ANSWER or outcomes[0][0] == code
 
 
 async def test_tasks_are_listed_and_snapshots_taken_over_every_transport(transports: Any) -> None:

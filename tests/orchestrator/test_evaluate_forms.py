@@ -163,6 +163,24 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
 
 @pytest.mark.e2e
 @pytest.mark.timeout(180)
+@pytest.mark.parametrize(
+    ("asked", "skills"),
+    [({"task": "grid"}, 5), ({"task": "blocks", "conditions": ["blocks-2"], "skills_per_recipe": 2}, 2)],
+    ids=["grid", "blocks-2"],
+)
+def test_the_expert_completes_recipes_that_the_world_displays_or_shows_the_objects_of(
+    evaluation: Callable[..., Any], asked: dict[str, Any], skills: int
+) -> None:
+    run = evaluation(RECIPES | {"policy": "expert", "episodes": 4, "num_envs": 4, **asked})
+    assert run.do()
+    result = run.artifact("result.json")
+    assert result["figures"]["skills_completed"]["value"] == result["figures"]["whole"]["value"] == 1
+    assert result["figures"]["whole"]["baseline"] == 0
+    assert result["counts"] == {"episodes": 4, "skills": 4 * skills}
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
 def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"num_envs": 2})
     assert run.do()

@@ -26,6 +26,7 @@ from freerein_sim.workers.protocol import check_frames
 from freerein_sim.workers.worker import worker_lost
 
 MAX_COUNT = 100_000
+MAX_RECIPES = 10_000
 _REAP_EVERY_S = 1.0
 
 R = TypeVar("R")
@@ -174,6 +175,14 @@ class SimCore:
             for each in making:
                 each.cancel()
             await asyncio.gather(*making, return_exceptions=True)
+
+    async def draw_recipes(self, request: sim.DrawRecipesRequest) -> sim.DrawRecipesResponse:
+        """Returns recipes of a task."""
+        self._task(request.task)
+        if not 1 <= request.count <= MAX_RECIPES:
+            raise InvalidInput(f"`count` must be 1 to {MAX_RECIPES}; got {request.count}.", field="count")
+        worker = await self._pool.place(0)
+        return await worker.call(request, sim.DrawRecipesResponse)
 
     async def check(self, request: sim.CheckRequest) -> sim.CheckResponse:
         """Returns where a predicate of a privileged session's task holds."""

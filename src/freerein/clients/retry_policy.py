@@ -30,6 +30,7 @@ IDEMPOTENT = {
         "Snapshot",
         "Restore",
         "Demonstrate",
+        "DrawRecipes",
         "Check",
         "CloseSession",
     ),

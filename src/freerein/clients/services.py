@@ -19,6 +19,7 @@ class SimClient(Client):
     snapshot = UnaryRpc(sim.SnapshotRequest, sim.SnapshotResponse)
     restore = UnaryRpc(sim.RestoreRequest, sim.RestoreResponse)
     demonstrate = ServerStreamRpc(sim.DemonstrateRequest, sim.DemonstrateResponse)
+    draw_recipes = UnaryRpc(sim.DrawRecipesRequest, sim.DrawRecipesResponse)
     check = UnaryRpc(sim.CheckRequest, sim.CheckResponse)
     expert_actions = UnaryRpc(sim.ExpertActionsRequest, sim.ExpertActionsResponse)
     close_session = UnaryRpc(sim.CloseSessionRequest, sim.CloseSessionResponse)

@@ -45,6 +45,8 @@ class Task:
         predicates: What a privileged session can check.
         has_expert: Whether the task has a scripted expert.
         conditions: Named variations with which a session can be created.
+        min_skills: Fewest skills of a recipe.
+        max_skills: Most skills of a recipe; conditions may allow fewer.
     """
 
     name: str
@@ -58,6 +60,8 @@ class Task:
     predicates: tuple[Predicate, ...] = ()
     has_expert: bool = False
     conditions: tuple[str, ...] = ()
+    min_skills: int = 0
+    max_skills: int = 0
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,13 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Recipe:
+    """Skills in order."""
+
+    skills: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class ResetRequest:
     """Begins new episodes.
 
@@ -132,12 +143,14 @@ class ResetRequest:
         envs: Indices of environments; empty for all.
         seed: Re-seeds the generators before the reset; None keeps them.
         cameras: Cameras to render; empty for no frames.
+        recipes: What each environment's episode requires, if it is reset; empty for what the world draws.
     """
 
     session: str
     envs: tuple[int, ...] = ()
     seed: int | None = None
     cameras: tuple[str, ...] = ()
+    recipes: tuple[Recipe, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +278,8 @@ class DemonstrateRequest:
 
     Attributes:
         skills: Skills to choose from; empty for all of the task.
-        min_skills: Fewest different skills in one trajectory; 0 means 1.
-        max_skills: Most different skills in one trajectory; 0 means as many as `skills`.
+        min_skills: Fewest different skills in one trajectory; 0 means the fewest of a recipe of the task.
+        max_skills: Most different skills in one trajectory; 0 means as many of `skills` as a recipe may have.
         count: Number of trajectories.
         seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
         first: Index of the first trajectory to send.
@@ -306,6 +319,26 @@ class DemonstrateResponse:
     labels: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
+@dataclass(frozen=True)
+class DrawRecipesRequest:
+    """Draws `count` recipes of a task: recipe i is that of trajectory i of the `DemonstrateRequest` of equal fields."""
+
+    task: str
+    count: int = 1
+    seed: int = 0
+    skills: tuple[str, ...] = ()
+    min_skills: int = 0
+    max_skills: int = 0
+    conditions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DrawRecipesResponse:
+    """The recipes, in the order in which they were drawn."""
+
+    recipes: tuple[Recipe, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class CheckRequest:
     """Asks a privileged session where a predicate of its task holds.
@@ -329,19 +362,11 @@ class CheckResponse:
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """Skills in order."""
-
-    skills: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class ExpertActionsRequest:
     """Asks a privileged session for the scripted expert's next actions; to be called once before each step.
 
     Attributes:
-        recipes: Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty
-            recipe: the one that the world displays, or all of the task's skills in order if it displays none.
+        recipes: Recipe of each environment, read by the first call of its episode; empty for the episode's own.
     """
 
     session: str
@@ -355,10 +380,12 @@ class ExpertActionsResponse:
     Attributes:
         actions: float32 or int64 (N, size); 0 where the expert has finished.
         finished: bool (N,), whether the expert has finished.
+        skills: int64 (N,), index of the skill that the action belongs to, into the task's skills; -1 for none.
     """
 
     actions: npt.NDArray[Any]
     finished: npt.NDArray[np.bool_]
+    skills: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

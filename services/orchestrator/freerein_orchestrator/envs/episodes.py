@@ -14,6 +14,7 @@ from freerein.types.common import Goal
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
+    Recipe,
     ResetRequest,
     StepRequest,
     StepResponse,
@@ -66,6 +67,7 @@ def run_episodes(
     interrupt: Callable[[], None],
     *,
     goals: Sequence[Goal] = (),
+    recipes: Sequence[Recipe] = (),
     cameras: Sequence[str] = (),
     max_steps: int = 0,
 ) -> tuple[Episode, ...]:
@@ -77,6 +79,7 @@ def run_episodes(
         policy: Acts; its random draws are seeded by the session's seed.
         interrupt: Called before each step; raises to stop.
         goals: The goal of each environment; empty for a policy that takes none.
+        recipes: What each episode requires; empty for what the worlds draw.
         cameras: Cameras to record beside those of the policy.
         max_steps: Steps after which episodes are cut off; 0 for whole episodes.
 
@@ -89,7 +92,7 @@ def run_episodes(
     lengths = np.zeros(request.num_envs, np.int64)
     try:
         acting = policy.start(PolicySession(session, request.seed or 0, goals))
-        first = sim.reset(ResetRequest(session, cameras=recorded))
+        first = sim.reset(ResetRequest(session, cameras=recorded, recipes=tuple(recipes)))
         frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
         while not lengths.all() and (not max_steps or len(steps) < max_steps):
             interrupt()

@@ -155,7 +155,7 @@ def expert_policy(sim: SyncClient, task: Task) -> PolicyHandle:
             field="config.policy",
             hint="Evaluate another policy, or choose another task.",
         )
-    return PolicyHandle(lambda session: _ExpertPolicy(sim, session), {"policy": "expert"})
+    return PolicyHandle(lambda session: _ExpertPolicy(sim, task, session), {"policy": "expert"})
 
 
 @dataclass(frozen=True)
@@ -169,17 +169,27 @@ class _StoredPolicy:
         return PolicyOutput(self.network.act(frames[self.camera], episode_starts))
 
 
-@dataclass(frozen=True)
 class _ExpertPolicy:
     """Asks the sim service, which knows the session's true states."""
 
-    sim: SyncClient
-    session: PolicySession
+    def __init__(self, sim: SyncClient, task: Task, session: PolicySession) -> None:
+        self._sim = sim
+        self._session = session
+        self._recipes = [[task.skills.index(skill) for skill in goal.recipe] for goal in session.goals]
+        self._over = np.zeros(len(session.goals), np.int64)
 
-    def act(self, _frames: Mapping[str, Frames], _episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
-        recipes = tuple(Recipe(goal.recipe) for goal in self.session.goals)
-        reply: ExpertActionsResponse = self.sim.expert_actions(ExpertActionsRequest(self.session.id, recipes))
-        return PolicyOutput(reply.actions)
+    def act(self, _frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        recipes = tuple(Recipe(goal.recipe) for goal in self._session.goals)
+        reply: ExpertActionsResponse = self._sim.expert_actions(ExpertActionsRequest(self._session.id, recipes))
+        if not recipes:
+            return PolicyOutput(reply.actions)
+        places = zip(self._recipes, reply.skills.tolist(), reply.finished.tolist(), strict=True)
+        over = [
+            len(recipe) if finished else recipe.index(skill) if skill in recipe else 0
+            for recipe, skill, finished in places
+        ]
+        self._over = np.maximum(np.where(episode_starts, 0, self._over), over)
+        return PolicyOutput(reply.actions, self._over)
 
 
 class _ServedPolicy:

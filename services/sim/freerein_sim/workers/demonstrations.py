@@ -1,4 +1,4 @@
-"""Demonstrations: draws skills and their order, and records the policy. Each depends on the seed and its index only."""
+"""Demonstrations and recipes: draws skills and their order. Each depends on the seed and its index only."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,13 @@ import numpy as np
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera, Trajectory
-from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
+from freerein.types.sim import (
+    DemonstrateRequest,
+    DemonstrateResponse,
+    DrawRecipesRequest,
+    DrawRecipesResponse,
+    Recipe,
+)
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
@@ -32,7 +38,7 @@ def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateR
     """
     views = _views(world.spec, request)
     skills, (fewest, most) = _skills(task, world.spec, request)
-    rng = generator(np.random.SeedSequence(request.seed, spawn_key=(request.first,)))
+    rng = _generator(request.seed, request.first)
     for _ in range(_MAX_TRIES):
         recipe = task.recipes.draw(rng, skills, fewest=fewest, most=most) if request.behaviour == "expert" else None
         made = _act(world, recipe, views, rng)
@@ -42,6 +48,21 @@ def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateR
         f"The expert must succeed within {_MAX_TRIES} tries; for trajectory {request.first} it did not.",
         hint=f"Skip it: ask again with `first` {request.first + 1}.",
     )
+
+
+def draw_recipes(task: TaskDefinition, spec: WorldSpec, request: DrawRecipesRequest) -> DrawRecipesResponse:
+    """Returns recipes of a task; `spec` is that of its world under the request's conditions.
+
+    Recipe i is that of demonstration i, if its expert succeeds at once.
+    """
+    skills, (fewest, most) = _choice(task, spec, request)
+    rngs = (_generator(request.seed, index) for index in range(request.count))
+    return DrawRecipesResponse(tuple(Recipe(task.recipes.draw(rng, skills, fewest=fewest, most=most)) for rng in rngs))
+
+
+def _generator(seed: int, index: int) -> np.random.Generator:
+    """Returns the generator of `SeedSequence(seed).spawn(count)[index]`."""
+    return generator(np.random.SeedSequence(seed, spawn_key=(index,)))
 
 
 def _act(
@@ -70,7 +91,7 @@ def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisod
 def _skills(
     task: TaskDefinition, spec: WorldSpec, request: DemonstrateRequest
 ) -> tuple[tuple[str, ...], tuple[int, int]]:
-    """Returns the skills to choose from, and the fewest and the most of a trajectory; 0 of an expert that has none."""
+    """Returns what the expert chooses from, as `_choice`; nothing for random actions."""
     if request.behaviour == "random":
         if request.skills or request.min_skills or request.max_skills:
             raise InvalidInput(
@@ -79,6 +100,13 @@ def _skills(
                 hint="Random actions execute no skills: leave them out, or ask for the expert.",
             )
         return (), (0, 0)
+    return _choice(task, spec, request)
+
+
+def _choice(
+    task: TaskDefinition, spec: WorldSpec, request: DemonstrateRequest | DrawRecipesRequest
+) -> tuple[tuple[str, ...], tuple[int, int]]:
+    """Returns the skills to choose from, and the fewest and the most of a recipe."""
     if not spec.has_expert:
         raise no_expert()
     skills = request.skills or spec.skills

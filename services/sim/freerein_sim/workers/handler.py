@@ -4,6 +4,7 @@ import logging
 import secrets
 import socket
 from collections.abc import Mapping
+from contextlib import closing
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
@@ -61,6 +62,8 @@ class RequestHandler:
                 response = self._create_session(request)
             case sim.DemonstrateRequest():
                 response = self._demonstrate(request)
+            case sim.DrawRecipesRequest():
+                response = self._draw_recipes(request)
             case sim.CloseSessionRequest():
                 self._discard(request.session)
                 response = sim.CloseSessionResponse()
@@ -89,6 +92,15 @@ class RequestHandler:
         task = self._task(request.task)
         protocol.check_frames(task.describe(), cameras, height=request.height, width=request.width, images=images)
         return demonstrations.make_demonstration(task, world, request)
+
+    def _draw_recipes(self, request: sim.DrawRecipesRequest) -> sim.DrawRecipesResponse:
+        """Returns recipes; conditions may limit their length, which only the world's own spec says."""
+        task = self._task(request.task)
+        spec = task.spec
+        if request.conditions:
+            with closing(build(task, request.conditions)) as world:
+                spec = world.spec
+        return demonstrations.draw_recipes(task, spec, request)
 
     def _demonstration_world(self, request: sim.DemonstrateRequest) -> World:
         """Returns the world of the task's last demonstration, or a new one where that had other conditions."""
@@ -127,7 +139,7 @@ def _answer_in_session(envs: VectorEnv, request: object) -> object:
     response: object
     match request:
         case sim.ResetRequest():
-            response = envs.reset(request.envs, request.seed, cameras=request.cameras)
+            response = envs.reset(request.envs, request.seed, cameras=request.cameras, recipes=request.recipes)
         case sim.StepRequest():
             response = envs.step(request.actions, request.cameras)
         case sim.RenderRequest():

@@ -38,6 +38,7 @@ CALLS: tuple[type[Any], ...] = (
     sim.CheckRequest,
     sim.ExpertActionsRequest,
     sim.CloseSessionRequest,
+    sim.DrawRecipesRequest,
 )
 """Request of each call."""
 

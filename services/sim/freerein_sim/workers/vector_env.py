@@ -1,6 +1,7 @@
 """A vector of environments of one task, stepped together: a session without a service. Synchronous, single-threaded."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import (
+    NO_SKILL,
     ScriptedPolicy,
     TaskDefinition,
     check_actions,
@@ -23,7 +25,7 @@ from freerein_sim.worlds.world import (
 )
 
 MAX_RECIPE = 256
-"""Most skills of a recipe for the expert."""
+"""Most skills of a recipe."""
 
 
 class VectorEnv:
@@ -59,6 +61,7 @@ class VectorEnv:
         self.num_envs = num_envs
         self.step_id = 0
         self._height, self._width = height, width
+        self._conditions = conditions
         self._privileged = privileged
         self._cameras(camera.name for camera in task.spec.cameras)
         self._worlds = [build(task, conditions) for _ in range(num_envs)]
@@ -68,21 +71,30 @@ class VectorEnv:
         self._is_reset = False
         self._tried_views: set[Camera] = set()
 
-    def reset(self, envs: Sequence[int] = (), seed: int | None = None, *, cameras: Sequence[str] = ()) -> ResetResponse:
+    def reset(
+        self,
+        envs: Sequence[int] = (),
+        seed: int | None = None,
+        *,
+        cameras: Sequence[str] = (),
+        recipes: Sequence[Recipe] = (),
+    ) -> ResetResponse:
         """Begins new episodes; the first reset must be of all environments.
 
         Args:
             envs: Indices of environments; empty for all.
             seed: Re-seeds all generators first; None keeps them.
             cameras: Cameras to render.
+            recipes: Recipe of each environment, what its new episode requires; empty for the worlds' own.
         """
-        chosen = self._chosen(envs)
+        chosen, recipes = self._chosen(envs), self._recipes(recipes)
+        self._try_recipes([recipes[i] for i in chosen])
         views = self._cameras(cameras)
         self._try_views(views)
         if seed is not None:
             self._rngs = _generators(seed, self.num_envs)
         for i in chosen:
-            self._begin(i)
+            self._begin(i, recipes[i].skills)
         self._is_reset = True
         return ResetResponse(self._frames(views, range(self.num_envs)), self._truth() if self._privileged else None)
 
@@ -132,7 +144,7 @@ class VectorEnv:
 
         Args:
             recipes: Recipe of each environment, read when its expert is made. None, or an empty one, means the recipe
-                that the world displays, or all of the task's skills in order if it displays none.
+                of the episode, or all of the task's skills in order where episodes have none.
         """
         self._check_reset("ExpertActions")
         self._experts |= {
@@ -145,6 +157,7 @@ class VectorEnv:
         return ExpertActionsResponse(
             actions=np.stack([nothing if each is None else each.action for each in chosen]),
             finished=np.array([each is None for each in chosen]),
+            skills=np.array([NO_SKILL if each is None else each.skill for each in chosen], np.int64),
         )
 
     def snapshot(self) -> bytes:
@@ -174,8 +187,8 @@ class VectorEnv:
         for world in self._worlds:
             world.close()
 
-    def _begin(self, env: int) -> None:
-        self._worlds[env].reset(self._rngs[env])
+    def _begin(self, env: int, recipe: Sequence[str] = ()) -> None:
+        self._worlds[env].reset(self._rngs[env], recipe=recipe)
         self._steps[env] = 0
         self._experts.pop(env, None)
 
@@ -207,6 +220,13 @@ class VectorEnv:
         for view in untried:
             self._worlds[0].render(view.name, height=view.height, width=view.width)
         self._tried_views |= untried
+
+    def _try_recipes(self, recipes: Sequence[Recipe]) -> None:
+        """Resets another world with each recipe, so that one that is none of the task's is refused before a reset."""
+        if any(recipe.skills for recipe in recipes):
+            with closing(build(self.task, self._conditions)) as world:
+                for recipe in recipes:
+                    world.reset(np.random.default_rng(0), recipe=recipe.skills)
 
     def _restore_worlds(self, states: Sequence[snapshots.EnvState]) -> None:
         """Restores all worlds, or none."""

@@ -96,7 +96,11 @@ class GridWorld:
         """Places agent and objects so that an expert can finish in time; an empty recipe means all, shuffled."""
         wanted = skill_indices(SPEC, recipe)
         if len(set(wanted)) != len(wanted):
-            raise InvalidInput("A recipe of this world names each skill once; got one twice.", field="skills")
+            raise InvalidInput(
+                "A recipe of this world names each skill once; got one twice.",
+                field="skills",
+                hint="Leave the recipe out for all skills in any order.",
+            )
         self._recipe = wanted or tuple(int(i) for i in rng.permutation(len(COLOURS)))
         self._picked = ()
         while True:

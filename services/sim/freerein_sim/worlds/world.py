@@ -100,7 +100,8 @@ class MakeExpert(Protocol):
         """Returns an expert that executes the skills in order, starting from the current state.
 
         Args:
-            skills: Empty means the recipe that the world displays, or all of the spec's if it displays none.
+            skills: Empty means the recipe of the episode: the one that its reset was given or drew. In a world whose
+                episodes have none, all of the spec's.
             rng: Draws what the expert chooses freely.
 
         Raises:
@@ -127,10 +128,11 @@ class UnsavedWorld(Protocol):
 
         Args:
             rng: Draws the initial state.
-            recipe: Skills that the episode requires, in order, in worlds that display them; empty for a random recipe.
+            recipe: Skills that the episode will execute, in order; empty for a recipe that the world draws, if its
+                episodes have any.
 
         Raises:
-            InvalidInput: The recipe names an unknown skill.
+            InvalidInput: The recipe names an unknown skill, or is none of this world's.
         """
 
     def step(self, action: Action) -> StepResult:
@@ -213,6 +215,7 @@ class TaskDefinition:
 
     def describe(self) -> freerein.types.sim.Task:
         """Returns the task as the API describes it."""
+        fewest, most = self.recipes.lengths(self.spec.skills)
         return freerein.types.sim.Task(
             name=self.name,
             world=self.world,
@@ -225,6 +228,8 @@ class TaskDefinition:
             predicates=tuple(predicate.describe() for predicate in self.predicates),
             has_expert=self.spec.has_expert,
             conditions=tuple(condition.name for condition in self.conditions),
+            min_skills=fewest,
+            max_skills=most,
         )
 
 

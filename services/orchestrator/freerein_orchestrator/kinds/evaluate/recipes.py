@@ -1,4 +1,4 @@
-"""Form `recipes`: each robot executes all skills of the task, in an order of its own.
+"""Form `recipes`: each robot executes a recipe that the task draws, by default as long as they come.
 
 A skill counts by true states: the task's predicates `completed/SKILL` and, where it offers them, `lifted/SKILL` judge
 its attempt. Random actions with as many steps per skill are the baseline.
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
 from freerein.types.common import Goal
+from freerein.types.sim import DrawRecipesRequest, DrawRecipesResponse, Recipe
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, States, TruthSession, check_predicates, truth_session
@@ -31,10 +32,12 @@ class RecipesConfig(PolicyConfig):
 
     Attributes:
         form: The form.
+        skills_per_recipe: Skills of each recipe; 0 means the most that a recipe of the task has.
         steps_per_skill: Steps after which a skill is abandoned; 0 shares the steps of an episode equally.
     """
 
     form: Literal["recipes"] = "recipes"
+    skills_per_recipe: int = bounded(0, least=0, most=256)
     steps_per_skill: int = bounded(0, least=0, most=10_000)
 
     def __post_init__(self) -> None:
@@ -63,20 +66,23 @@ class RecipesEvaluation:
             name for name in (COMPLETED, LIFTED) if {f"{name}/{skill}" for skill in task.skills} <= offered
         ]
         self._setup = setup
-        self._max_steps = setup.config.steps_per_skill or max(1, task.max_episode_steps // len(task.skills))
+        self._length = setup.config.skills_per_recipe or task.max_skills
+        self._max_steps = setup.config.steps_per_skill or max(1, task.max_episode_steps // self._length)
         self._policy = find_policy(setup, max_steps_per_goal=self._max_steps)
         self.subject: dict[str, Any] = self._policy.description
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
         """Returns trials `first` to `first + count`."""
-        setup, policy, rng = self._setup, self._policy, np.random.default_rng(self._setup.seed(first))
-        skills = setup.task.skills
-        recipes = [tuple(skills[index] for index in rng.permutation(len(skills))) for _ in range(count)]
+        setup, policy = self._setup, self._policy
+        drawn = self._draw_recipes(first, count)
+        recipes = [recipe.skills for recipe in drawn]
         request = setup.session(count, first, height=policy.height, width=policy.width)
-        goals, steps = [Goal(recipe=recipe) for recipe in recipes], self._max_steps * len(skills)
-        executed = run_episodes(setup.sim, request, policy, setup.interrupt, goals=goals, max_steps=steps)
+        goals, steps = [Goal(recipe=recipe) for recipe in recipes], self._max_steps * self._length
+        executed = run_episodes(
+            setup.sim, request, policy, setup.interrupt, goals=goals, recipes=drawn, max_steps=steps
+        )
         random = exploration_policy(setup.task.action)
-        baseline = run_episodes(setup.sim, request, random, setup.interrupt, max_steps=steps)
+        baseline = run_episodes(setup.sim, request, random, setup.interrupt, recipes=drawn, max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
             checker = _AttemptChecker(truth, self._predicates, self._max_steps)
             outcomes = checker.outcomes(recipes, executed)
@@ -92,6 +98,24 @@ class RecipesEvaluation:
             )
             for recipe, own, chance in zip(recipes, outcomes, by_chance, strict=True)
         ]
+
+    def _draw_recipes(self, first: int, count: int) -> Sequence[Recipe]:
+        """Returns the recipes of trials `first` to `first + count`.
+
+        Raises:
+            InvalidInput: The task has no recipes of so many skills.
+        """
+        setup = self._setup
+        request = DrawRecipesRequest(
+            setup.task.name,
+            count,
+            setup.seed(first),
+            min_skills=self._length,
+            max_skills=self._length,
+            conditions=setup.config.conditions,
+        )
+        reply: DrawRecipesResponse = setup.sim.draw_recipes(request)
+        return reply.recipes
 
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials."""

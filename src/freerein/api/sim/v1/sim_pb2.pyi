@@ -37,6 +37,8 @@ class Task(_message.Message):
     PREDICATES_FIELD_NUMBER: _builtins.int
     HAS_EXPERT_FIELD_NUMBER: _builtins.int
     CONDITIONS_FIELD_NUMBER: _builtins.int
+    MIN_SKILLS_FIELD_NUMBER: _builtins.int
+    MAX_SKILLS_FIELD_NUMBER: _builtins.int
     name: _builtins.str
     """Task name."""
     world: _builtins.str
@@ -49,6 +51,10 @@ class Task(_message.Message):
     """Steps after which an episode is truncated."""
     has_expert: _builtins.bool
     """Whether the task has a scripted expert."""
+    min_skills: _builtins.int
+    """Fewest skills of a recipe."""
+    max_skills: _builtins.int
+    """Most skills of a recipe; conditions may allow fewer."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Camera]:
         """The cameras."""
@@ -83,10 +89,12 @@ class Task(_message.Message):
         predicates: _abc.Iterable[Global___Predicate] | None = ...,
         has_expert: _builtins.bool = ...,
         conditions: _abc.Iterable[_builtins.str] | None = ...,
+        min_skills: _builtins.int = ...,
+        max_skills: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "max_skills", b"max_skills", "min_skills", b"min_skills", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -315,6 +323,7 @@ class ResetRequest(_message.Message):
     ENVS_FIELD_NUMBER: _builtins.int
     SEED_FIELD_NUMBER: _builtins.int
     CAMERAS_FIELD_NUMBER: _builtins.int
+    RECIPES_FIELD_NUMBER: _builtins.int
     session: _builtins.str
     """The session."""
     seed: _builtins.int
@@ -327,6 +336,12 @@ class ResetRequest(_message.Message):
     def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Cameras to render; empty for no frames."""
 
+    @_builtins.property
+    def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
+        """Recipe of each environment of the session, what its new episode requires; those of environments that are not reset
+        are ignored. Empty, or an empty recipe: the world draws one, if its episodes have any.
+        """
+
     def __init__(
         self,
         *,
@@ -334,10 +349,11 @@ class ResetRequest(_message.Message):
         envs: _abc.Iterable[_builtins.int] | None = ...,
         seed: _builtins.int | None = ...,
         cameras: _abc.Iterable[_builtins.str] | None = ...,
+        recipes: _abc.Iterable[Global___Recipe] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "seed", b"seed"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "cameras", b"cameras", "envs", b"envs", "seed", b"seed", "session", b"session"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "cameras", b"cameras", "envs", b"envs", "recipes", b"recipes", "seed", b"seed", "session", b"session"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__seed: _TypeAlias = _typing.Literal["seed"]  # noqa: Y015
     _WhichOneofArgType__seed: _TypeAlias = _typing.Literal["_seed", b"_seed"]  # noqa: Y015
@@ -838,9 +854,9 @@ class DemonstrateRequest(_message.Message):
     behaviour: Global___DemonstrateRequest.Behaviour.ValueType
     """Scripted policy."""
     min_skills: _builtins.int
-    """Fewest different skills in one trajectory; 0 means 1."""
+    """Fewest different skills in one trajectory; 0 means the fewest of a recipe of the task."""
     max_skills: _builtins.int
-    """Most different skills in one trajectory; 0 means as many as `skills`."""
+    """Most different skills in one trajectory; 0 means as many of `skills` as a recipe of the task may have."""
     count: _builtins.int
     """Number of trajectories. At most 100000."""
     seed: _builtins.int
@@ -925,6 +941,80 @@ class DemonstrateResponse(_message.Message):
 Global___DemonstrateResponse: _TypeAlias = DemonstrateResponse  # noqa: Y015
 
 @_typing.final
+class DrawRecipesRequest(_message.Message):
+    """Draws recipes."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TASK_FIELD_NUMBER: _builtins.int
+    COUNT_FIELD_NUMBER: _builtins.int
+    SEED_FIELD_NUMBER: _builtins.int
+    SKILLS_FIELD_NUMBER: _builtins.int
+    MIN_SKILLS_FIELD_NUMBER: _builtins.int
+    MAX_SKILLS_FIELD_NUMBER: _builtins.int
+    CONDITIONS_FIELD_NUMBER: _builtins.int
+    task: _builtins.str
+    """Task name."""
+    count: _builtins.int
+    """Number of recipes. At most 10000."""
+    seed: _builtins.int
+    """Recipe i is drawn from SeedSequence(seed).spawn(count)[i], as that of trajectory i of Demonstrate."""
+    min_skills: _builtins.int
+    """Fewest skills of a recipe; 0 means the task's."""
+    max_skills: _builtins.int
+    """Most skills of a recipe; 0 means as many of `skills` as a recipe of the task may have."""
+    @_builtins.property
+    def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Skills to choose from; empty for all of the task."""
+
+    @_builtins.property
+    def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Conditions, as in CreateSession."""
+
+    def __init__(
+        self,
+        *,
+        task: _builtins.str = ...,
+        count: _builtins.int = ...,
+        seed: _builtins.int = ...,
+        skills: _abc.Iterable[_builtins.str] | None = ...,
+        min_skills: _builtins.int = ...,
+        max_skills: _builtins.int = ...,
+        conditions: _abc.Iterable[_builtins.str] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["conditions", b"conditions", "count", b"count", "max_skills", b"max_skills", "min_skills", b"min_skills", "seed", b"seed", "skills", b"skills", "task", b"task"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DrawRecipesRequest: _TypeAlias = DrawRecipesRequest  # noqa: Y015
+
+@_typing.final
+class DrawRecipesResponse(_message.Message):
+    """The recipes."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RECIPES_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
+        """In the order in which they were drawn."""
+
+    def __init__(
+        self,
+        *,
+        recipes: _abc.Iterable[Global___Recipe] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["recipes", b"recipes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DrawRecipesResponse: _TypeAlias = DrawRecipesResponse  # noqa: Y015
+
+@_typing.final
 class CheckRequest(_message.Message):
     """Asks where a predicate holds."""
 
@@ -998,8 +1088,8 @@ class ExpertActionsRequest(_message.Message):
     """A privileged session."""
     @_builtins.property
     def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
-        """Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty recipe: the one
-        that the world displays, or all of the task's skills in order if it displays none.
+        """Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty recipe: that of the
+        episode, or all of the task's skills in order where episodes have none.
         """
 
     def __init__(
@@ -1048,6 +1138,7 @@ class ExpertActionsResponse(_message.Message):
 
     ACTIONS_FIELD_NUMBER: _builtins.int
     FINISHED_FIELD_NUMBER: _builtins.int
+    SKILLS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """FP32 or INT64 (num_envs, size), as the task's ActionSpec says; 0 where the expert has finished."""
@@ -1056,15 +1147,20 @@ class ExpertActionsResponse(_message.Message):
     def finished(self) -> _common_pb2.Tensor:
         """BOOL (num_envs): whether the expert has finished."""
 
+    @_builtins.property
+    def skills(self) -> _common_pb2.Tensor:
+        """INT64 (num_envs): index of the skill that the action belongs to, into the task's skills; -1 for none."""
+
     def __init__(
         self,
         *,
         actions: _common_pb2.Tensor | None = ...,
         finished: _common_pb2.Tensor | None = ...,
+        skills: _common_pb2.Tensor | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished", "skills", b"skills"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "finished", b"finished", "skills", b"skills"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

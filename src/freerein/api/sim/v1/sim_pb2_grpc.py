@@ -80,6 +80,11 @@ class SimServiceStub:
                 request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.FromString,
                 _registered_method=True)
+        self.DrawRecipes = channel.unary_unary(
+                '/freerein.api.sim.v1.SimService/DrawRecipes',
+                request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesResponse.FromString,
+                _registered_method=True)
         self.Check = channel.unary_unary(
                 '/freerein.api.sim.v1.SimService/Check',
                 request_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.CheckRequest.SerializeToString,
@@ -165,6 +170,13 @@ class SimServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def DrawRecipes(self, request, context):
+        """Draws recipes of a task, such as an evaluation asks of policies.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def Check(self, request, context):
         """Judges true states by a predicate of the task. Privileged sessions only.
         """
@@ -233,6 +245,11 @@ def add_SimServiceServicer_to_server(servicer, server):
                     servicer.Demonstrate,
                     request_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.FromString,
                     response_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.SerializeToString,
+            ),
+            'DrawRecipes': grpc.unary_unary_rpc_method_handler(
+                    servicer.DrawRecipes,
+                    request_deserializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesResponse.SerializeToString,
             ),
             'Check': grpc.unary_unary_rpc_method_handler(
                     servicer.Check,
@@ -494,6 +511,33 @@ class SimService:
             '/freerein.api.sim.v1.SimService/Demonstrate',
             freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateRequest.SerializeToString,
             freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DemonstrateResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DrawRecipes(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.sim.v1.SimService/DrawRecipes',
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesRequest.SerializeToString,
+            freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2.DrawRecipesResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -53,6 +53,8 @@ class SimServiceStub:
     """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _grpc.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]
     """Records a scripted policy and streams trajectories as they finish."""
+    DrawRecipes: _grpc.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]
+    """Draws recipes of a task, such as an evaluation asks of policies."""
     Check: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]
     """Judges true states by a predicate of the task. Privileged sessions only."""
     ExpertActions: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]
@@ -85,6 +87,8 @@ class SimServiceAsyncStub(SimServiceStub):
     """Restores a snapshot; the same actions then give the same bits."""
     Demonstrate: _aio.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]  # type: ignore[assignment]
     """Records a scripted policy and streams trajectories as they finish."""
+    DrawRecipes: _aio.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]  # type: ignore[assignment]
+    """Draws recipes of a task, such as an evaluation asks of policies."""
     Check: _aio.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]  # type: ignore[assignment]
     """Judges true states by a predicate of the task. Privileged sessions only."""
     ExpertActions: _aio.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]  # type: ignore[assignment]
@@ -168,6 +172,14 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_sim_pb2.DemonstrateResponse], _abc.AsyncIterator[_sim_pb2.DemonstrateResponse]]:
         """Records a scripted policy and streams trajectories as they finish."""
+
+    @_abc_1.abstractmethod
+    def DrawRecipes(
+        self,
+        request: _sim_pb2.DrawRecipesRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_sim_pb2.DrawRecipesResponse, _abc.Awaitable[_sim_pb2.DrawRecipesResponse]]:
+        """Draws recipes of a task, such as an evaluation asks of policies."""
 
     @_abc_1.abstractmethod
     def Check(
