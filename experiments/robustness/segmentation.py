@@ -96,7 +96,13 @@ def evaluate_guess(guess: Guess, work: Path) -> Outcome:
 
 def _decode(probabilities: npt.NDArray[np.float32], skills: tuple[str, ...]) -> Decoded:
     defaults = SegmentRequest()
-    return decode(probabilities, skills=skills, smoothing=defaults.smoothing, min_segment=defaults.min_segment)
+    return decode(
+        probabilities,
+        skills=skills,
+        smoothing=defaults.smoothing,
+        min_segment=defaults.min_segment,
+        min_kept=defaults.min_kept,
+    )
 
 
 def _accuracy(right: list[npt.NDArray[np.bool_]]) -> Sample:

@@ -40,6 +40,7 @@ _EXACT = 2.0**53  # integers below it are exact as doubles
 # dtypes of arrays that are repeated numbers in the message
 _ARRAY_DTYPES = {
     FieldDescriptor.TYPE_FLOAT: np.float32,
+    FieldDescriptor.TYPE_INT32: np.int64,
     FieldDescriptor.TYPE_UINT32: np.int64,
 }
 _MESSAGES = {

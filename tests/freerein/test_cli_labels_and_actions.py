@@ -64,6 +64,18 @@ def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
     assert labels.info(root).model.version == document["model"]["version"]
 
 
+def test_short_segments_are_rejected_in_a_dataset(
+    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+    root = data_dir / "datasets" / "rejected"
+    record(root, [0, 1, 1], [3, 2])
+
+    _run("segment", "rejected", "--save", "--min-kept", "2")
+
+    assert [found.tolist() for found in labels.all_labels(root, np.array([3, 2]))] == [[-1, 1, 1], [-1, -1]]
+
+
 def test_labels_that_could_not_all_be_made_do_not_count(
     segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ def root(tmp_path: Path) -> Path:
     with create(tmp_path / "demos", spec) as writer:
         writer.append(each)
         writer.append(each)
-    for index, values in enumerate(([0, 0, 1, 1], [1, 1, 1, 0])):
+    for index, values in enumerate(([0, 0, 1, 1], [1, 1, 1, -1])):
         labels.save(tmp_path / "demos", index, np.array(values))
     labels.finish(tmp_path / "demos", INFO)
     return tmp_path / "demos"
@@ -31,7 +31,7 @@ def root(tmp_path: Path) -> Path:
 
 def test_labels_come_back_with_the_model_that_made_them(root: Path) -> None:
     assert labels.info(root) == INFO
-    assert [each.tolist() for each in labels.all_labels(root, LENGTHS)] == [[0, 0, 1, 1], [1, 1, 1, 0]]
+    assert [each.tolist() for each in labels.all_labels(root, LENGTHS)] == [[0, 0, 1, 1], [1, 1, 1, -1]]
     assert labels.labels(root, 1).dtype == np.int64
 
 

@@ -179,8 +179,8 @@ def test_each_part_of_a_fit_trains_its_own_layers() -> None:
     assert {"input_layer", "waypoint_head", "termination_head"} <= changed[2]
 
 
-def test_segments_are_runs_of_one_label_that_are_long_enough() -> None:
-    labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1])]
+def test_segments_are_runs_of_one_skill_that_are_long_enough() -> None:
+    labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1, -1, -1])]
     assert find_segments(labels, min_steps=2) == [
         SkillSegment(0, 0, 3, 0),
         SkillSegment(0, 4, 6, 0),

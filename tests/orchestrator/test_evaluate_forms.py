@@ -263,9 +263,11 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
     assert pipeline.artifact("label.labels.json")["model"] == vars(labels.info(dataset_path(tmp_path, "demos")).model)
     assert len(labels.labels(dataset_path(tmp_path, "demos"), 5)) > 0
 
-    run = new_run(tmp_path, "evaluate", SEGMENTATION, **addresses)
+    run = new_run(tmp_path, "evaluate", SEGMENTATION | {"min_kept": 2}, **addresses)
     result = finish_after_a_stop(run)
     check_figures(result, "frame_accuracy", "balanced_accuracy")
+    figures = {name: figure["value"] for name, figure in result["figures"].items()}
+    assert figures["kept"] * figures.get("kept_accuracy", 0) == pytest.approx(figures["frame_accuracy"])
     (picture,) = run.artifact("frames.json")
     assert len(frames_of(run)["trajectory"]) == len(picture["truth"]) == len(picture["labels"])
     assert set(picture["truth"]) <= set(range(len(picture["skills"])))

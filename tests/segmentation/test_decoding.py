@@ -18,8 +18,8 @@ def certain(labels: list[int], *, skills: int = 3, confidence: float = 0.8) -> P
     return np.where(np.eye(skills, dtype=bool)[labels], confidence, rest).astype(np.float32)
 
 
-def decode(given: Probabilities, *, smoothing: float, min_segment: int) -> Decoded:
-    return decoding.decode(given, skills=SKILLS, smoothing=smoothing, min_segment=min_segment)
+def decode(given: Probabilities, *, smoothing: float = 0.0, min_segment: int = 0, min_kept: int = 0) -> Decoded:
+    return decoding.decode(given, skills=SKILLS, smoothing=smoothing, min_segment=min_segment, min_kept=min_kept)
 
 
 @st.composite
@@ -88,6 +88,30 @@ def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, 
         segment.skill for segment in segments for _ in range(segment.start, segment.end)
     ]
     assert ((decoded.confidence >= 0) & (decoded.confidence <= 1)).all()
+
+
+def test_short_segments_are_rejected_after_merging() -> None:
+    flicker = certain([0] * 4 + [1] * 2 + [2] * 3 + [0] * 5)
+    rejected = decode(flicker, min_kept=4)
+    assert rejected.labels.tolist() == [0] * 4 + [-1] * 5 + [0] * 5
+    assert [(each.start, each.end, each.skill) for each in rejected.segments] == [(0, 4, "a"), (9, 14, "a")]
+    assert rejected.confidence.tolist() == decode(flicker).confidence.tolist()
+    assert decode(flicker, min_segment=4, min_kept=4).labels.tolist() == decode(flicker, min_segment=4).labels.tolist()
+
+
+def test_a_trajectory_may_be_rejected_as_a_whole() -> None:
+    rejected = decode(certain([0, 1, 1]), min_kept=3)
+    assert rejected.labels.tolist() == [-1] * 3
+    assert rejected.segments == ()
+
+
+@settings(deadline=None)
+@given(probabilities(), st.integers(0, 20), st.integers(0, 20))
+def test_what_is_kept_is_long_enough_and_unchanged(given_: Probabilities, least: int, kept: int) -> None:
+    whole, decoded = decode(given_, min_segment=least), decode(given_, min_segment=least, min_kept=kept)
+    assert [each for each in whole.segments if each.end - each.start >= kept] == list(decoded.segments)
+    assert ((decoded.labels == whole.labels) | (decoded.labels == -1)).all()
+    assert (decoded.labels != -1).sum() == sum(each.end - each.start for each in decoded.segments)
 
 
 @settings(deadline=None)

@@ -20,9 +20,7 @@ from freerein.data import layout
 from freerein.data.trajectory_file import read_labels, write_labels
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
-
-NO_LABEL = -1
-"""Stands for no skill, at timesteps whose label was rejected."""
+from freerein.types.segmentation import NO_SKILL
 
 _FOLDER, _INFO = "labels", "labels/info.json"
 _HINT = "Label the dataset first: freerein segment NAME --save."
@@ -33,7 +31,7 @@ class LabelsInfo:
     """Describes the predicted labels of a dataset.
 
     Attributes:
-        skills: Skill names; labels are indices into them.
+        skills: Skill names; labels are indices into them, or -1 for none.
         model: Name and version of the segmentation model.
     """
 
@@ -80,7 +78,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
     """Returns the predicted skill at each timestep of a trajectory.
 
     Returns:
-        int64 (T,), indices into the `skills` of `info`; -1 for none.
+        int64 (T,), indices into the `skills` of `info`; -1 for none, where the segment was rejected.
 
     Raises:
         FailedPrecondition: The trajectory was not labelled.
@@ -93,7 +91,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
 
 
 def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], ...]:
-    """Returns the labels of every trajectory, int64 (T,) each; -1 for none.
+    """Returns the labels of every trajectory, int64 (T,) each, as `labels` does.
 
     Args:
         root: The dataset's folder.
@@ -111,9 +109,9 @@ def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[
                 f"Trajectory {index} must have a skill for each of its {length} timesteps; it has {len(values)}.",
                 hint=_HINT,
             )
-        if not np.all((values >= NO_LABEL) & (values < len(skills))):
+        if not np.all((values >= NO_SKILL) & (values < len(skills))):
             raise InvalidInput(
-                f"The labels of trajectory {index} must be in [0, {len(skills)}), or {NO_LABEL} for none.", hint=_HINT
+                f"The labels of trajectory {index} must be in [0, {len(skills)}), or {NO_SKILL} for none.", hint=_HINT
             )
     return found
 

@@ -8,6 +8,9 @@ import numpy.typing as npt
 
 from freerein.types.common import Image, ModelRef, Timing
 
+NO_SKILL = -1
+"""Label of a timestep whose segment was rejected."""
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentRequest:
@@ -19,6 +22,8 @@ class SegmentRequest:
         actions: float32 (T, A) or int64 (T, 1), as in training; None for a model without actions.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
+        min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
+            rejected: they have no skill. 0 and 1 keep all.
     """
 
     model: ModelRef = ModelRef()
@@ -27,6 +32,7 @@ class SegmentRequest:
     actions: npt.NDArray[Any] | None = None
     min_segment: int = 0
     smoothing: float = 0.0
+    min_kept: int = 0
 
 
 @dataclass(frozen=True)
@@ -50,11 +56,12 @@ class SegmentResponse:
     """One label per timestep, and the segments that they form.
 
     Attributes:
-        labels: int64 (T,), indices into `skills`.
-        confidence: float32 (T,), probability of each label.
+        labels: int64 (T,), indices into `skills`; `NO_SKILL` where the segment was rejected.
+        confidence: float32 (T,), probability of each label; of a rejected one, that of the skill that it had.
         in_distribution: float32 (T,) in [0, 1], how much each prediction, before smoothing, is like those on held-out
             data; see `freerein.learning.in_distribution`.
-        segments: In order; together they cover [0, T) without gap or overlap.
+        segments: In order, without overlap; between them lie the rejected timesteps. Without rejection they cover
+            [0, T).
     """
 
     labels: npt.NDArray[np.int64]

@@ -13,7 +13,13 @@ from freerein.data import Dataset, dataset_path, labels
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, Trajectory, check_name
-from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein.types.segmentation import (
+    NO_SKILL,
+    ListSkillsRequest,
+    ListSkillsResponse,
+    SegmentRequest,
+    SegmentResponse,
+)
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 
@@ -31,6 +37,8 @@ class LabelConfig:
         camera: The camera of the frames; empty for the dataset's first.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+        min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
+            rejected: they have no skill. 0 and 1 keep all.
 
     Raises:
         InvalidInput: The dataset's name is invalid.
@@ -41,7 +49,8 @@ class LabelConfig:
     version: str = ""
     camera: str = ""
     smoothing: float = bounded(0.0, least=0.0, most=100.0)
-    min_segment: int = bounded(0, least=0, most=1_000_000)
+    min_segment: int = bounded(0, least=0, most=1000)
+    min_kept: int = bounded(0, least=0, most=1000)
 
     def __post_init__(self) -> None:
         check_name(self.dataset, field="config.dataset")
@@ -74,7 +83,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
         answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
         labels.save(root, index, answer.labels)
         write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
-        metrics.append(index + 1, {"confidence": float(answer.confidence.mean())})
+        metrics.append(index + 1, _metrics(answer))
     labels.finish(root, labels.LabelsInfo(model.skills, model.model))
     card = {
         "dataset": config.dataset,
@@ -92,7 +101,12 @@ def _request(config: LabelConfig, model: ListSkillsResponse, trajectory: Traject
         actions=trajectory.actions if model.action_size else None,
         min_segment=config.min_segment,
         smoothing=config.smoothing,
+        min_kept=config.min_kept,
     )
+
+
+def _metrics(answer: SegmentResponse) -> dict[str, float]:
+    return {"confidence": float(answer.confidence.mean()), "kept": float((answer.labels != NO_SKILL).mean())}
 
 
 def _camera(dataset: Dataset, name: str) -> str:

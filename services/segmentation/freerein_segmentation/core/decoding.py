@@ -1,4 +1,4 @@
-"""Decodes skill probabilities into labels and segments: temporal smoothing, argmax, merging of short segments."""
+"""Decodes skill probabilities into labels and segments: smoothing, argmax, merging and rejection of short segments."""
 
 import heapq
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.metrics import run_starts
-from freerein.types.segmentation import Segment
+from freerein.types.segmentation import NO_SKILL, Segment
 
 Probabilities: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
@@ -21,9 +21,9 @@ class Decoded(NamedTuple):
     """The labels of one trajectory.
 
     Attributes:
-        labels: int64 (T,), skill index of each timestep.
-        confidence: float32 (T,), smoothed probability of that skill, in [0, 1].
-        segments: In order; together they cover [0, T) without gap or overlap.
+        labels: int64 (T,), skill index of each timestep; `NO_SKILL` where its segment was rejected.
+        confidence: float32 (T,), smoothed probability of that skill, in [0, 1]; of the rejected one, where it was.
+        segments: In order, without overlap; between them lie the rejected timesteps.
     """
 
     labels: Labels
@@ -31,14 +31,17 @@ class Decoded(NamedTuple):
     segments: tuple[Segment, ...]
 
 
-def decode(probabilities: Probabilities, *, skills: Sequence[str], smoothing: float, min_segment: int) -> Decoded:
+def decode(
+    probabilities: Probabilities, *, skills: Sequence[str], smoothing: float, min_segment: int, min_kept: int
+) -> Decoded:
     """Returns the labels and segments of a trajectory with probabilities float32 (T, K), T at least 1.
 
-    `smoothing` and `min_segment` are those of `SegmentRequest`.
+    `smoothing`, `min_segment` and `min_kept` are those of `SegmentRequest`.
     """
     smoothed = smooth(probabilities, sigma=smoothing)
     labels = merge_short(smoothed.argmax(axis=1).astype(np.int64), smoothed, min_segment=min_segment)
     confidence = np.take_along_axis(smoothed, labels[:, None], axis=1)[:, 0].clip(max=1.0)  # rounding
+    labels = reject_short(labels, min_kept=min_kept)
     return Decoded(labels, confidence, _segments(labels, confidence, skills))
 
 
@@ -77,6 +80,13 @@ def merge_short(labels: Labels, probabilities: Probabilities, *, min_segment: in
         if runs.length(joined) < min_segment:
             heapq.heappush(short, (runs.length(joined), joined))
     return runs.labels()
+
+
+def reject_short(labels: Labels, *, min_kept: int) -> Labels:
+    """Returns labels (T,) with `NO_SKILL` in place of the runs that are shorter than `min_kept` timesteps."""
+    starts = run_starts(labels)
+    lengths = np.diff(starts, append=len(labels))
+    return np.where(np.repeat(lengths >= min_kept, lengths), labels, NO_SKILL)
 
 
 class _Runs:
@@ -129,4 +139,5 @@ def _segments(labels: Labels, confidence: npt.NDArray[np.float32], skills: Seque
     return tuple(
         Segment(start, end, skills[labels[start]], float(confidence[start:end].mean()))
         for start, end in zip(starts, [*starts[1:], len(labels)], strict=True)
+        if labels[start] != NO_SKILL
     )

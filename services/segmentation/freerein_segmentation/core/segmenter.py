@@ -91,6 +91,7 @@ class Segmenter:
             skills=model.skills,
             smoothing=request.smoothing,
             min_segment=request.min_segment,
+            min_kept=request.min_kept,
         )
         return SegmentResponse(
             labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing()
@@ -118,12 +119,13 @@ def _check_output(item: _Item, prediction: Prediction) -> Prediction | ServiceEr
 
 
 def _check_options(request: SegmentRequest) -> None:
-    if request.min_segment > MAX_MIN_SEGMENT:
-        raise InvalidInput(
-            f"`min_segment` must be at most {MAX_MIN_SEGMENT} timesteps; got {request.min_segment}.",
-            field="min_segment",
-            hint="5 is usual, as in the dissertation.",
-        )
+    for name, length in (("min_segment", request.min_segment), ("min_kept", request.min_kept)):
+        if length > MAX_MIN_SEGMENT:
+            raise InvalidInput(
+                f"`{name}` must be at most {MAX_MIN_SEGMENT} timesteps; got {length}.",
+                field=name,
+                hint="5 is usual, as in the dissertation.",
+            )
     if not 0.0 <= request.smoothing <= MAX_SMOOTHING:
         raise InvalidInput(
             f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {request.smoothing:g}.",

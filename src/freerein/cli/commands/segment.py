@@ -19,7 +19,7 @@ from freerein.clients import SegmentationClient
 from freerein.data import Dataset, labels
 from freerein.data.labels import LabelsInfo
 from freerein.types.common import ModelRef
-from freerein.types.segmentation import ListSkillsRequest, SegmentRequest, SegmentResponse
+from freerein.types.segmentation import NO_SKILL, ListSkillsRequest, SegmentRequest, SegmentResponse
 
 _COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", "bright_magenta")
 _WIDEST_BAR = 100
@@ -38,13 +38,14 @@ def segment(
     camera: Annotated[str, typer.Option(help="Camera of the frames; the dataset's first by default.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
     min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
+    min_kept: Annotated[int, typer.Option(min=0, help="Reject segments shorter than this many timesteps.")] = 0,
     save: Annotated[bool, typer.Option("--save", help="Label the whole dataset and store the labels.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Label every timestep of a trajectory with a skill; with --save, of the whole dataset."""
     opened = Dataset(dataset_root(dataset))
     chosen = camera_or_first(opened, camera)
-    request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing)
+    request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing, min_kept=min_kept)
     if save:
         with progress_bar(f"labelling {dataset}", total=len(opened), is_shown=not as_json) as on_count:
             info = call(
@@ -110,10 +111,12 @@ def _show(answer: SegmentResponse) -> None:
 
 
 def skill_bar(labels: Sequence[int], *, width: int) -> Text:
-    """Returns a trajectory as a line of at most `width` letters: A in its own colour for skill 0, B for skill 1."""
+    """Returns a trajectory as a line of at most `width` letters: A in its own colour for skill 0, a dot for none."""
     cells = min(width, len(labels))
     return Text.assemble(*(_mark(labels[cell * len(labels) // cells]) for cell in range(cells)))
 
 
 def _mark(skill: int) -> Text:
+    if skill == NO_SKILL:
+        return Text("·", style="dim")
     return Text(ascii_uppercase[skill % len(ascii_uppercase)], style=f"black on {_COLOURS[skill % len(_COLOURS)]}")

@@ -12,7 +12,13 @@ from freerein.errors import InvalidInput, Unavailable
 from freerein.learning.config import bounded
 from freerein.metrics import frame_accuracy, majority_accuracy
 from freerein.types.common import ModelRef
-from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein.types.segmentation import (
+    NO_SKILL,
+    ListSkillsRequest,
+    ListSkillsResponse,
+    SegmentRequest,
+    SegmentResponse,
+)
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Frames, Result, Setup, Trial, ratio_figure
 
@@ -26,6 +32,9 @@ class SegmentationConfig(FormConfig):
         model: Name of the segmentation model; empty for the service's default.
         version: Its version; empty for the active one.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
+        min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+        min_kept: Shortest segment in timesteps that is kept, after merging; 0 and 1 keep all. With rejection, the share
+            of timesteps that is kept and the accuracy of those are figures, too.
         min_skills: Fewest different skills per demonstration; 0 means 1.
         max_skills: Most different skills per demonstration; 0 means all of the task.
     """
@@ -34,6 +43,8 @@ class SegmentationConfig(FormConfig):
     model: str = ""
     version: str = ""
     smoothing: float = bounded(0.0, least=0.0, most=100.0)
+    min_segment: int = bounded(0, least=0, most=1000)
+    min_kept: int = bounded(0, least=0, most=1000)
     min_skills: int = bounded(0, least=0, most=1000)
     max_skills: int = bounded(0, least=0, most=1000)
 
@@ -57,9 +68,8 @@ class SegmentationEvaluation:
         self._service = setup.context.client("segmentation")
         asked = setup.subject.get("model", {"name": config.model, "version": config.version})
         self._model: ListSkillsResponse = self._service.list_skills(ListSkillsRequest(ModelRef(**asked)))
-        self._labels = np.array(  # of the task, by the model's labels
-            [task.skills.index(skill) if skill in task.skills else -1 for skill in self._model.skills], np.int64
-        )
+        known = [task.skills.index(skill) if skill in task.skills else NO_SKILL for skill in self._model.skills]
+        self._labels = np.array([*known, NO_SKILL])  # of the task, by the model's labels; the last is of NO_SKILL
         self.subject: dict[str, Any] = {"model": asdict(self._model.model)}
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
@@ -99,6 +109,8 @@ class SegmentationEvaluation:
             frames,
             actions=trajectory.actions if self._model.action_size else None,
             smoothing=self._setup.config.smoothing,
+            min_segment=self._setup.config.min_segment,
+            min_kept=self._setup.config.min_kept,
         )
         answer: SegmentResponse = self._service.segment(request)
         labels = self._labels[answer.labels]
@@ -107,6 +119,7 @@ class SegmentationEvaluation:
             "labels": labels.tolist(),
             "confidence": answer.confidence.tolist(),
             "frame_accuracy": frame_accuracy(labels, truth),
+            "kept": int((answer.labels != NO_SKILL).sum()),
         }
         return Trial(values)
 
@@ -124,13 +137,17 @@ class SegmentationEvaluation:
             len(values) // 2
         ]
         names = ("truth", "labels", "confidence", "frame_accuracy")
+        right, kept = correct.sum(axis=1, keepdims=True), np.array([[each["kept"]] for each in values])
+        figures = {
+            "frame_accuracy": ratio_figure(right, lengths, seed=seed, baseline=baseline),
+            "balanced_accuracy": ratio_figure(correct, timesteps, seed=seed, baseline=1 / occurring),
+        }
+        if self._setup.config.min_kept:
+            figures["kept"] = ratio_figure(kept, lengths, seed=seed)
+            if kept.any():
+                figures["kept_accuracy"] = ratio_figure(right, kept, seed=seed)
         return Result(
-            {
-                "frame_accuracy": ratio_figure(
-                    correct.sum(axis=1, keepdims=True), lengths, seed=seed, baseline=baseline
-                ),
-                "balanced_accuracy": ratio_figure(correct, timesteps, seed=seed, baseline=1 / occurring),
-            },
+            figures,
             {"demonstrations": len(values), "timesteps": int(lengths.sum())},
             pictures=[{"skills": list(skills), **{name: values[median][name] for name in names}}],
             frames={"trajectory": self._frames(median)},

@@ -31,10 +31,15 @@ class SegmentRequest(_message.Message):
     ACTIONS_FIELD_NUMBER: _builtins.int
     MIN_SEGMENT_FIELD_NUMBER: _builtins.int
     SMOOTHING_FIELD_NUMBER: _builtins.int
+    MIN_KEPT_FIELD_NUMBER: _builtins.int
     min_segment: _builtins.int
     """Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all; at most 1000."""
     smoothing: _builtins.float
     """Standard deviation of the temporal Gaussian filter of the probabilities, in timesteps; 0 for none, at most 100."""
+    min_kept: _builtins.int
+    """Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are rejected: they have no
+    skill. 0 and 1 keep all; at most 1000.
+    """
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Which model; unset for the active version of the default one."""
@@ -60,10 +65,11 @@ class SegmentRequest(_message.Message):
         actions: _common_pb2.Tensor | None = ...,
         min_segment: _builtins.int = ...,
         smoothing: _builtins.float = ...,
+        min_kept: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_segment", b"min_segment", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -118,15 +124,15 @@ class SegmentResponse(_message.Message):
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """Index into `skills` of each of T timesteps."""
+        """Index into `skills` of each of T timesteps; -1 for none, where the segment was rejected."""
 
     @_builtins.property
     def confidence(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """Probability of each of T labels, in [0, 1]."""
+        """Probability of each of T labels, in [0, 1]; of a rejected one, that of the skill that it had."""
 
     @_builtins.property
     def segments(self) -> _containers.RepeatedCompositeFieldContainer[Global___Segment]:
-        """Segments in order; together they cover [0, T) without gap or overlap."""
+        """Segments in order, without overlap; between them lie the rejected timesteps. Without rejection they cover [0, T)."""
 
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
