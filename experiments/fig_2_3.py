@@ -83,7 +83,7 @@ class _Figure:
         shown = [_shown(result) for world in _WORLDS for result in results if _is_shown(result, world)]
         return Table(
             title="Skills found in held-out trajectories (Figure 2.3)",
-            text="The first test trajectory of each world, and the labels of our network of seed 0, neither decoded nor "
+            text="The first test trajectory of each world, and the labels of our network of seed 0: not decoded, not "
             "chosen for their looks.",
             sections=(Section(_HEADER, tuple(map(_cells, shown))),),
             claims=(),
