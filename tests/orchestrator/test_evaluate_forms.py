@@ -24,7 +24,7 @@ from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
-from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds
+from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
 from freerein_orchestrator.kinds.evaluate.sentences import confusion_matrix, told_is_done
 from freerein_reward.model import DualEncoder, DualEncoderSpec
 
@@ -357,3 +357,16 @@ def test_a_policy_without_goals_goes_on_when_truly_there_or_the_time_is_up() -> 
 def test_an_attempt_lasts_until_the_policy_goes_on() -> None:
     answers = np.array([0, 0, 0, 1, 1, 3])
     assert [attempt_bounds(answers, place) for place in range(4)] == [(0, 3), (3, 5), (5, 5), (5, 6)]
+
+
+def test_a_skill_that_a_policy_never_learned_is_skipped_and_has_no_attempt() -> None:
+    recipe, known = ("a", "b", "c", "d"), ("c", "a", "e")
+    assert known_skills(recipe, known) == ("a", "c")
+    index = places_in_recipe(np.array([0, 0, 1, 2]), recipe, known)
+    assert index is not None
+    assert index.tolist() == [0, 0, 2, 4]
+    assert [attempt_bounds(index, place) for place in range(4)] == [(0, 2), (2, 2), (2, 3), (3, 3)]
+    assert known_skills(recipe, ()) == recipe
+    assert known_skills(recipe, ("e",)) == ("e",)
+    assert places_in_recipe(np.array([0, 1]), recipe, ("e",)).tolist() == [4, 4]  # type: ignore[union-attr]
+    assert places_in_recipe(None, recipe, known) is None

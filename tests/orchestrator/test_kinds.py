@@ -19,6 +19,7 @@ CONFIGS: dict[RunKind, tuple[dict[str, Any], int]] = {
     "ppo": ({"task": "grid", "iterations": 5.0, "reward": "oracle"}, 5),
     "distill": ({"teachers": ["left", "right"], "rollouts": 4, "config": {"steps": 9}}, 17),
     "evaluate": ({"task": "grid", "policy": {"run": "fit"}, "episodes": 3}, 3),
+    "skills": ({"task": "grid", "count": 8, "episodes": 3, "policies": {"steps": 7}, "segmentation": {"steps": 5}}, 34),
     "pipeline": ({"steps": [{"name": "fit", "kind": "fit", "config": FIT}]}, 30),
 }
 

@@ -15,7 +15,7 @@ COMMANDS = {
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
     "sim": "List simulated tasks and record demonstrations.",
     "fit": "Fits of models.",
-    "runs": "Runs: collect, fit, label, ppo, distill, evaluate and pipelines; they survive crashes.",
+    "runs": "Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
     "dataset": "Inspect, check and annotate datasets.",
     "models": "Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their "
     "runs: see `freerein runs artifacts`.",

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from freerein.types.common import ModelRef
 from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, ListJobsRequest, WatchJobRequest
 
-RunKind = Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline"]
+RunKind = Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline", "skills"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,6 +73,7 @@ class PolicyHandle:
         height: Frame height in pixels; 0 for the cameras' own.
         width: Frame width in pixels; as `height`.
         max_steps_per_goal: Steps after which it abandons a goal; 0 for a policy without goals.
+        skills: Skills that its recipes may name; empty for any.
     """
 
     start: Callable[[PolicySession], BatchPolicy]
@@ -81,6 +82,7 @@ class PolicyHandle:
     height: int = 0
     width: int = 0
     max_steps_per_goal: int = 0
+    skills: tuple[str, ...] = ()
 
 
 def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: ModelRef | None = None) -> PolicyHandle:
@@ -140,6 +142,7 @@ def served_policy(
         tuple(camera.name for camera in spec.cameras),
         *spec.frame_size(task),
         max_steps_per_goal or reply.max_steps_per_goal,
+        reply.skills,
     )
 
 

@@ -7,6 +7,7 @@ from freerein.types.orchestrator import RunKind
 from freerein_orchestrator.kinds import collect, distill, evaluate, fit, label, ppo
 from freerein_orchestrator.kinds.kind import Kind as Kind
 from freerein_orchestrator.kinds.pipeline import pipeline_kind
+from freerein_orchestrator.kinds.skills import skills_kind
 
 _SINGLE: Mapping[RunKind, Kind[Any]] = {
     "collect": collect.KIND,
@@ -16,4 +17,5 @@ _SINGLE: Mapping[RunKind, Kind[Any]] = {
     "label": label.KIND,
     "ppo": ppo.KIND,
 }
-KINDS: Mapping[RunKind, Kind[Any]] = {**_SINGLE, "pipeline": pipeline_kind(_SINGLE)}
+_PIPELINE = pipeline_kind(_SINGLE)
+KINDS: Mapping[RunKind, Kind[Any]] = {**_SINGLE, "pipeline": _PIPELINE, "skills": skills_kind(_PIPELINE)}

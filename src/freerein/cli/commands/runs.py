@@ -33,14 +33,14 @@ from freerein.types.orchestrator import (
 T = TypeVar("T")
 
 app = typer.Typer(
-    help="Runs: collect, fit, label, ppo, distill, evaluate and pipelines; they survive crashes.",
+    help="Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
     no_args_is_help=True,
     add_completion=False,
 )
 
 _Kind = Annotated[
-    Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline"],
-    typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate or pipeline."),
+    Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline", "skills"],
+    typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate, pipeline or skills."),
 ]
 _Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
 _Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]

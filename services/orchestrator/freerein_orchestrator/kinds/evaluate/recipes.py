@@ -1,11 +1,12 @@
 """Form `recipes`: each robot executes a recipe that the task draws, by default as long as they come.
 
 A skill counts by true states: the task's predicates `completed/SKILL` and, where it offers them, `lifted/SKILL` judge
-its attempt. Random actions with as many steps per skill are the baseline.
+its attempt. A skill that the policy never learned is skipped, and not completed. Random actions with as many steps per
+skill are the baseline.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,12 +34,15 @@ class RecipesConfig(PolicyConfig):
     Attributes:
         form: The form.
         skills_per_recipe: Skills of each recipe; 0 means the most that a recipe of the task has.
-        steps_per_skill: Steps after which a skill is abandoned; 0 shares the steps of an episode equally.
+        steps_per_skill: Steps after which a skill is abandoned; 0 leaves it to `step_limits`.
+        step_limits: `equal` shares the steps of an episode equally among the skills, `own` are the model's, which may
+            differ between skills.
     """
 
     form: Literal["recipes"] = "recipes"
     skills_per_recipe: int = bounded(0, least=0, most=256)
     steps_per_skill: int = bounded(0, least=0, most=10_000)
+    step_limits: Literal["equal", "own"] = "equal"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -67,8 +71,10 @@ class RecipesEvaluation:
         ]
         self._setup = setup
         self._length = setup.config.skills_per_recipe or task.max_skills
-        self._max_steps = setup.config.steps_per_skill or max(1, task.max_episode_steps // self._length)
-        self._policy = find_policy(setup, max_steps_per_goal=self._max_steps)
+        asked, own = setup.config.steps_per_skill, setup.config.step_limits == "own"
+        self._max_steps = asked or max(1, task.max_episode_steps // self._length)
+        self._steps = task.max_episode_steps if own and not asked else self._max_steps * self._length
+        self._policy = find_policy(setup, max_steps_per_goal=asked if own else self._max_steps)
         self.subject: dict[str, Any] = self._policy.description
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
@@ -77,10 +83,14 @@ class RecipesEvaluation:
         drawn = self._draw_recipes(first, count)
         recipes = [recipe.skills for recipe in drawn]
         request = setup.session(count, first, height=policy.height, width=policy.width)
-        goals, steps = [Goal(recipe=recipe) for recipe in recipes], self._max_steps * self._length
-        executed = run_episodes(
+        goals, steps = [Goal(recipe=known_skills(recipe, policy.skills)) for recipe in recipes], self._steps
+        episodes = run_episodes(
             setup.sim, request, policy, setup.interrupt, goals=goals, recipes=drawn, max_steps=steps
         )
+        executed = [
+            replace(each, goal_index=places_in_recipe(each.goal_index, recipe, policy.skills))
+            for each, recipe in zip(episodes, recipes, strict=True)
+        ]
         random = exploration_policy(setup.task.action)
         baseline = run_episodes(setup.sim, request, random, setup.interrupt, recipes=drawn, max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
@@ -129,6 +139,21 @@ class RecipesEvaluation:
         if figure := share_figure(whole, by_chance, seed=seed):
             figures[WHOLE] = figure
         return Result(figures, {"episodes": len(values), "skills": sum(len(each["recipe"]) for each in values)})
+
+
+def known_skills(recipe: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
+    """Returns the skills of a recipe that a policy knows, one that it knows if there are none; `known` empty: all."""
+    return tuple(skill for skill in recipe if not known or skill in known) or tuple(known)[:1]
+
+
+def places_in_recipe(
+    goal_index: npt.NDArray[np.int64] | None, recipe: Sequence[str], known: Collection[str]
+) -> npt.NDArray[np.int64] | None:
+    """Returns the places in a recipe that goal indices stand for, int64 (T,), where a policy skips unknown skills."""
+    if goal_index is None:
+        return None
+    places = [place for place, skill in enumerate(recipe) if not known or skill in known]
+    return np.array([*places, len(recipe), len(recipe)])[goal_index]
 
 
 @dataclass(frozen=True)

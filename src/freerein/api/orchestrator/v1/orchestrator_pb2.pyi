@@ -50,6 +50,8 @@ class Run(_message.Message):
         """Executes several of the other kinds in sequence."""
         KIND_LABEL: Run._Kind.ValueType  # 7
         """Labels every timestep of a dataset by a segmentation model."""
+        KIND_SKILLS: Run._Kind.ValueType  # 8
+        """Learns skill policies from demonstrations with tags, and has them execute recipes: a pipeline of the above."""
 
     class Kind(_Kind, metaclass=_KindEnumTypeWrapper):
         """Kind of a run."""
@@ -70,6 +72,8 @@ class Run(_message.Message):
     """Executes several of the other kinds in sequence."""
     KIND_LABEL: Run.Kind.ValueType  # 7
     """Labels every timestep of a dataset by a segmentation model."""
+    KIND_SKILLS: Run.Kind.ValueType  # 8
+    """Learns skill policies from demonstrations with tags, and has them execute recipes: a pipeline of the above."""
 
     @_typing.final
     class MetricsEntry(_message.Message):
