@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments import registry
 from experiments.workbench import results, table
-from experiments.workbench.arms import Arm, Experiment, choose, is_current
+from experiments.workbench.arms import Arm, choose, is_current
 from experiments.workbench.results import ArmResult
 from experiments.workbench.runner import Ending, Places, run_arms
 from freerein.errors import NotFound, ServiceError
@@ -44,11 +44,11 @@ def _run(arguments: argparse.Namespace) -> int:
 def _table(arguments: argparse.Namespace) -> int:
     """Makes the tables of the named experiments, else of all that have results."""
     for name in arguments.names or registry.EXPERIMENTS:
-        experiment, folder = registry.load(name), arguments.results / name
-        found = _load_current(experiment, folder)
+        experiment = registry.load(name)
+        found = [each for source in (name, *experiment.sources) for each in _load_current(source, arguments.results)]
         if found:
             made = experiment.table(found)
-            table.save(made, folder)
+            table.save(made, arguments.results / name)
             print(table.markdown(made))
         elif arguments.names:
             raise NotFound(
@@ -58,11 +58,12 @@ def _table(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _load_current(experiment: Experiment, folder: Path) -> list[ArmResult]:
-    """Returns the results that the present arms would not replace; names the others on standard error."""
+def _load_current(name: str, folder: Path) -> list[ArmResult]:
+    """Returns the results that an experiment's present arms would not replace; names the others on standard error."""
+    experiment = registry.load(name)
     arms = {arm.name: arm for arm in experiment.arms}
     current = []
-    for result in results.load_all(folder):
+    for result in results.load_all(folder / name):
         if result.name in arms and is_current(experiment, arms[result.name], result):
             current.append(result)
         else:

@@ -53,6 +53,7 @@ def _result(experiment: Experiment, arm: Arm, outcome: Outcome, elapsed: Elapsed
         cpu_minutes=round(elapsed.cpu_minutes, 3),
         machine=results.machine(),
         command=command,
+        shown=outcome.shown,
     )
 
 

@@ -85,6 +85,11 @@ class RobustnessExperiment:
     def _policies(self) -> dict[str, StoredPolicy]:
         return {policy.task: policy for policy in stored_policies(self.policies)}
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
         config: dict[str, Any] = {"version": _VERSION}

@@ -56,7 +56,7 @@ def world_hash(task: str) -> str:
     """Returns the sha256 of some demonstrations: starts, frames, actions and labels, whatever the code looks like."""
     fewest, most = tasks()[task].recipes.lengths(tasks()[task].spec.skills)
     digest = hashlib.sha256()
-    for arrays in _demonstrations(Part(task, 0, 0, fewest, most, first=0, stop=_HASHED_DEMONSTRATIONS)):
+    for arrays in demonstrations(Part(task, 0, 0, fewest, most, first=0, stop=_HASHED_DEMONSTRATIONS)):
         for name in FILES:
             digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode() + arrays[name].tobytes())
     return digest.hexdigest()
@@ -67,12 +67,12 @@ def main(folder: Path, part: Part) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as opened:
         files = {name: opened.enter_context((folder / name).open("wb")) for name in FILES}
-        for arrays in _demonstrations(part):
+        for arrays in demonstrations(part):
             for name, file in files.items():
                 file.write(arrays[name].tobytes())
 
 
-def _demonstrations(part: Part) -> Iterator[dict[str, npt.NDArray[Any]]]:
+def demonstrations(part: Part) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """Yields the arrays of each trajectory of a part."""
     task = tasks()[part.task]
     with closing(task.make()) as world:

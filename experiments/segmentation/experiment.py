@@ -20,6 +20,11 @@ from freerein.learning.fit import FitResult, fit
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig
 
+SHOWN_LABELS = "test.labels"
+"""What a network shows: its labels of the first test trajectories."""
+
+_SHOWN = 4
+
 Fitted = FitResult[SegmentationNetwork]
 
 
@@ -39,6 +44,11 @@ class SegmentationExperiment:
     def arms(self) -> tuple[Arm, ...]:
         """The arms of each study in turn."""
         return tuple(arm for study in self.studies for arm in study.arms)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """None."""
+        return ()
 
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns the data and, for a network, the segmentation service's configuration and what is tried."""
@@ -128,7 +138,8 @@ def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Pa
         count = _evaluated(study, split)
         predicted = evaluation.predict(fitted.network, dataset.open_split(data, study.data, split), count=count)
         parts.append(evaluation.score(predicted, truth.first_labels(data, split, count), split=split))
-    return _joined(parts)
+    shown = [each.argmax(axis=1).tolist() for each in predicted[:_SHOWN]]
+    return _joined([*parts, Outcome({}, {}, {SHOWN_LABELS: shown})])
 
 
 def _evaluated(study: Study, split: SplitName) -> int:
@@ -140,4 +151,5 @@ def _joined(parts: Sequence[Outcome]) -> Outcome:
     return Outcome(
         {name: value for part in parts for name, value in part.figures.items()},
         {name: sample for part in parts for name, sample in part.samples.items()},
+        {name: value for part in parts for name, value in part.shown.items()},
     )

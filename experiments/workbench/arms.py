@@ -42,6 +42,10 @@ class Experiment(Protocol):
     def arms(self) -> Sequence[Arm]:
         """All arms, in the order in which they run."""
 
+    @property
+    def sources(self) -> Sequence[str]:
+        """Names of other experiments whose results its table shows, too."""
+
     def config(self, arm: Arm) -> dict[str, JSON]:
         """Returns everything that the arm's result depends on, beside the world and the code."""
 
@@ -65,7 +69,10 @@ class Experiment(Protocol):
         """
 
     def table(self, results: Sequence[ArmResult]) -> Table:
-        """Returns the table of the arms that have results, at least one; all are current, see `is_current`."""
+        """Returns the table of its arms, and of its sources', that have results, at least one.
+
+        All are current, see `is_current`.
+        """
 
 
 def is_current(experiment: Experiment, arm: Arm, result: ArmResult) -> bool:

@@ -4,7 +4,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ TABLE_FILE = "table.json"
 """Name of the file of claims, which lies beside the results."""
 
 _PACKAGES = ("freerein", "numpy", "torch")
+_COMPACT = ("samples", "shown")
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,12 @@ class Outcome:
     Attributes:
         figures: Value by figure, such as `test.frame_accuracy`.
         samples: Figures that claims are made of, by trial.
+        shown: What pictures show, such as the labels of a few trajectories.
     """
 
     figures: Mapping[str, float]
     samples: Mapping[str, Sample]
+    shown: Mapping[str, JSON] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class ArmResult:
         cpu_minutes: Their CPU time.
         machine: Processor, cores, system and package versions.
         command: The command that makes it.
+        shown: As in `Outcome`.
     """
 
     name: str
@@ -83,15 +87,16 @@ class ArmResult:
     cpu_minutes: float
     machine: Mapping[str, JSON]
     command: str
+    shown: Mapping[str, JSON] = field(default_factory=dict)
 
 
 def save(result: ArmResult, folder: Path) -> None:
-    """Writes `folder / <name>.json`; each sample on lines of its own."""
-    document = {name: value for name, value in asdict(result).items() if name != "samples"}
+    """Writes `folder / <name>.json`; each sample on a line of its own."""
+    document = {name: value for name, value in asdict(result).items() if name not in _COMPACT}
     head = json.dumps(document, indent=2, allow_nan=False).removesuffix("\n}")
-    samples = (f"    {json.dumps(name)}: {_compact(asdict(each))}" for name, each in result.samples.items())
-    text = head + ',\n  "samples": {\n' + ",\n".join(samples) + "\n  }\n}\n"
-    write_atomic(folder / f"{result.name}.json", text.encode())
+    samples = {name: asdict(each) for name, each in result.samples.items()}
+    parts = [head, _lines("samples", samples), *([_lines("shown", result.shown)] if result.shown else [])]
+    write_atomic(folder / f"{result.name}.json", (",\n".join(parts) + "\n}\n").encode())
 
 
 def load_all(folder: Path) -> list[ArmResult]:
@@ -121,6 +126,12 @@ def machine() -> dict[str, JSON]:
         "python": platform.python_version(),
         **{name: version(name) for name in _PACKAGES},
     }
+
+
+def _lines(key: str, values: Mapping[str, Any]) -> str:
+    """Returns a member of a JSON object whose values are on lines of their own."""
+    lines = (f"    {json.dumps(name)}: {_compact(each)}" for name, each in values.items())
+    return f"  {json.dumps(key)}: {{\n" + ",\n".join(lines) + "\n  }"
 
 
 def _compact(document: Mapping[str, Any]) -> str:

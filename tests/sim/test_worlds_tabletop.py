@@ -205,11 +205,21 @@ def test_a_world_restored_with_a_thing_in_the_hand_goes_on_the_same(thing: Thing
         assert restored.snapshot() == saved.snapshot()
 
 
+def test_without_a_recipe_the_expert_executes_that_of_the_episode_also_after_a_restore() -> None:
+    with closing(begin(0, 0, "wipe")) as saved, closing(begin(0, 1, "stack")) as restored:
+        restored.restore(saved.snapshot())
+        expert = expert_of(restored)((), np.random.default_rng(0))
+        episode = record_episode(restored, expert, cameras=(), max_steps=SPEC.max_episode_steps)
+
+    assert episode.success
+    assert SPEC.skills[episode.labels[-1]] == "wipe"
+
+
 def test_a_restored_world_has_the_sizes_and_the_light_of_the_saved_one_and_impossible_ones_are_refused() -> None:
     with closing(begin(0, 1, "pour")) as saved, closing(begin(0, 2, "pour")) as restored:
         snapshot = saved.snapshot()
         before = restored.snapshot()
-        for number, value in ((0, 2.0), (40, 1.0), (42, 5.0)):
+        for number, value in ((0, 2.0), (40, 1.0), (42, 5.0), (68, 5.0), (68, 0.5)):
             broken = bytearray(snapshot)
             broken[8 * number : 8 * number + 8] = np.array([value], "<f8").tobytes()
             with pytest.raises(InvalidInput, match="a snapshot of this world"):

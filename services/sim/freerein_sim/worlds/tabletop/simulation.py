@@ -28,7 +28,6 @@ from freerein_sim.worlds.tabletop.things import (
     SPOON_TIP_M,
     SPOT_PITCH_M,
     SPOTS,
-    TASK_SKILLS,
     THINGS,
     Thing,
     thing_of,
@@ -56,6 +55,9 @@ _ON_SHOW_M = -1.0
 _POSE_PART = slice(3, 10)
 """Where a weld's data have the held body's pose in the hand: position, quaternion."""
 
+_OWN_NUMBERS = appearance.LOW.size + 7 * len(THINGS) + 1
+"""Numbers in a snapshot before MuJoCo's: the appearance, a pose for each weld, and the episode's task."""
+
 _ROUNDING = 1e-6
 
 Point = npt.NDArray[np.float64]
@@ -82,15 +84,14 @@ class TabletopWorld:
         self.fingerprint = simulation.fingerprint
         self._data = simulation.data
         self._dress((appearance.LOW + appearance.HIGH) / 2)
+        self._thing = THINGS[0]
         self.render, self.close = simulation.render, simulation.close
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
-        """Draws the initial state. A recipe has an effect only where no more than its objects are on show."""
-        task = self._task(recipe)
-        on_show: tuple[str, ...] = SCALED
-        if self._only_own:
-            thing = thing_of(task or TASK_SKILLS[int(rng.integers(len(TASK_SKILLS)))])
-            on_show = (thing.name, thing.used_on)
+        """Draws the initial state. A recipe has an effect on it only where no more than its objects are on show."""
+        task, drawn = self._task(recipe), THINGS[int(rng.integers(len(THINGS)))]
+        self._thing = thing_of(task) if task else drawn
+        on_show = (self._thing.name, self._thing.used_on) if self._only_own else SCALED
         self._simulation.reset(rng)
         self._model.eq_data[:] = self._nominal.eq_data
         self._dress(appearance.draw(rng))
@@ -154,36 +155,40 @@ class TabletopWorld:
         return GroundTruth(state, 0.0, success=False)
 
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Demonstrator:
-        """Returns a demonstrator of a recipe; without one, of a reach and any task whose objects are on show."""
+        """Returns a demonstrator of a recipe; without one, of the episode's."""
         task = self._task(skills)
-        shown = [thing.task for thing in THINGS if self.is_on_show(thing)]
-        if task and task not in shown:
+        thing = thing_of(task) if task else self._thing
+        shown = [each.task for each in THINGS if self.is_on_show(each)]
+        if thing.task not in shown:
             raise InvalidInput(
                 f"The objects of the recipe must be on show; only those of {', '.join(shown)} are.",
                 field="skills",
                 hint="Reset the environment with the recipe, or leave it out.",
             )
-        return Demonstrator(self, thing_of(task or shown[int(rng.integers(len(shown)))]), rng)
+        return Demonstrator(self, thing, rng)
 
     def snapshot(self) -> bytes:
-        """Returns the appearance, how each thing was last held, and MuJoCo's integration state."""
-        own = np.concatenate([self._appearance, self._model.eq_data[:, _POSE_PART].ravel()])
-        return own.astype("<f8").tobytes() + self._simulation.snapshot()
+        """Returns the episode's task, the appearance, how each thing was last held, and MuJoCo's integration state."""
+        own = (self._appearance, self._model.eq_data[:, _POSE_PART].ravel(), [THINGS.index(self._thing)])
+        return np.concatenate(own).astype("<f8").tobytes() + self._simulation.snapshot()
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot, after checking every number."""
-        own = np.concatenate([self._appearance, self._model.eq_data[:, _POSE_PART].ravel()])
-        if len(snapshot) < own.nbytes:
+        size = 8 * _OWN_NUMBERS
+        if len(snapshot) < size:
             raise _not_of_this_world()
-        own = np.frombuffer(snapshot[: own.nbytes], "<f8").astype(np.float64)
-        drawn, poses = own[: appearance.LOW.size], own[appearance.LOW.size :].reshape(len(THINGS), -1)
+        own = np.frombuffer(snapshot[:size], "<f8").astype(np.float64)
+        drawn, welds, task = np.split(own, [appearance.LOW.size, _OWN_NUMBERS - 1])
+        poses = welds.reshape(len(THINGS), -1)
         in_range = (drawn >= appearance.LOW) & (drawn <= appearance.HIGH)
         is_near = np.abs(poses[:, :3]) < _GRASP_M + _ROUNDING
         is_turn = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) < _ROUNDING
-        if not (in_range.all() and is_near.all() and is_turn.all()):
+        is_task = np.isin(task, range(len(THINGS)))
+        if not all(each.all() for each in (in_range, is_near, is_turn, is_task)):
             raise _not_of_this_world()
-        self._simulation.restore(snapshot[own.nbytes :])
+        self._simulation.restore(snapshot[size:])
         self._dress(drawn)
+        self._thing = THINGS[int(task[0])]
         self._model.eq_data[:, _POSE_PART] = poses
         self._simulation.refresh()
 
@@ -232,7 +237,9 @@ class TabletopWorld:
         skill_indices(self.spec, recipe)
         if recipe and not (len(recipe) == 2 and recipe[0] == REACH and recipe[1] != REACH):
             raise InvalidInput(
-                f"A recipe of this world is {REACH} and then one other skill; got {', '.join(recipe)}.", field="skills"
+                f"A recipe of this world is {REACH} and then one other skill; got {', '.join(recipe)}.",
+                field="skills",
+                hint="Leave the recipe out for any.",
             )
         return recipe[-1] if recipe else ""
 
