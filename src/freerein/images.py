@@ -104,6 +104,16 @@ def check_frames(frames: npt.NDArray[Any], *, axis: str) -> npt.NDArray[np.uint8
     return frames
 
 
+def resize(frames: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    """Returns frames (T, H, W, C) at another height and width, each pixel the mean of those that it covers."""
+    height, width = size
+    resized = np.empty((len(frames), height, width, frames.shape[-1]), np.uint8)
+    for t, frame in enumerate(frames):
+        pixels = PIL.Image.fromarray(frame[..., 0] if frame.shape[-1] == 1 else frame)
+        resized[t] = np.asarray(pixels.resize((width, height), PIL.Image.Resampling.BOX)).reshape(resized.shape[1:])
+    return resized
+
+
 def check_one_form(*, has_frames: bool, has_images: bool) -> None:
     """Raises InvalidInput unless exactly one of a request's `frames` and `images` is given."""
     if has_frames == has_images:

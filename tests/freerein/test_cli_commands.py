@@ -91,6 +91,16 @@ def test_a_whole_dataset_is_verified_and_fit_for_training(data_dir: Path) -> Non
         assert (result.exit_code, [each for each in problems if each["severity"] == "error"]) == (0, [])
 
 
+def test_a_dataset_is_imported_under_a_new_name_and_other_sizes(data_dir: Path) -> None:
+    source = str(data_dir / "datasets" / "demos")
+    imported = json.loads(_run("dataset", "import", source, "small", "--size", "2x3", "--json").stdout)
+    document = json.loads(_run("dataset", "inspect", "small", "--json").stdout)
+    assert (imported["imported"], document["spec"]["cameras"]) == (2, {"top": [2, 3, 3]})
+    for words, code in (([source, "small"], "already_exists"), ([source, "x", "--size", "3"], "invalid_input")):
+        refused = json.loads(_run("dataset", "import", *words, "--json").stderr)
+        assert refused["error"]["code"] == code
+
+
 def test_a_user_tags_and_labels_trajectories_by_tables(data_dir: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     table.write_text("trajectory,skills\n0,reach;pour\n1,reach\n")

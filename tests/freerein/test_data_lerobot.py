@@ -175,7 +175,6 @@ def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root:
         ({"codebase_version": "v2.1"}, "version"),
         ({"fps": 29.97}, "fps"),
         ({"data_path": "../../{chunk_index}.parquet"}, "path"),
-        ({"features": INFO["features"] | {"observation.image": {"dtype": "video"}}}, "video"),
         ({"features": INFO["features"] | {"action": {"dtype": "string", "shape": [1], "names": None}}}, "action"),
         ({"features": {"action": INFO["features"]["action"]}}, "camera"),
         ({"features": {}}, "camera"),

@@ -16,7 +16,7 @@ COMMANDS = {
     "sim": "List simulated tasks and record demonstrations.",
     "fit": "Fits of models.",
     "runs": "Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
-    "dataset": "Inspect, check and annotate datasets.",
+    "dataset": "Import, inspect, check and annotate datasets.",
     "models": "Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their "
     "runs: see `freerein runs artifacts`.",
 }

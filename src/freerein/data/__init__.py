@@ -9,7 +9,7 @@
     <root>/truth/          ground-truth labels for evaluation; only `freerein.data.truth` opens it
 
 `create` and `open_writer` write, `Dataset` reads; `inspect`, `verify` and `check` report on a dataset; `tag` and
-`label` bring annotations that people made.
+`label` bring annotations that people made; `import_trajectories` brings datasets of other tools.
 """
 
 from freerein.data.annotations import label as label
@@ -19,6 +19,8 @@ from freerein.data.checks import DatasetSummary as DatasetSummary
 from freerein.data.checks import check as check
 from freerein.data.checks import inspect as inspect
 from freerein.data.checks import verify as verify
+from freerein.data.importing import LeRobotSource as LeRobotSource
+from freerein.data.importing import import_trajectories as import_trajectories
 from freerein.data.layout import DatasetSpec as DatasetSpec
 from freerein.data.layout import dataset_path as dataset_path
 from freerein.data.layout import integer_fps as integer_fps

@@ -214,7 +214,7 @@ def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
     items = tagged[:: -(-len(tagged) // MOST_TRAJECTORIES) or 1]
     tags = [dataset.skills[index] for index in items]
     for camera in dataset.spec.cameras:
-        frames = [low_resolution(dataset.first_frame(index, camera)) for index in items]
+        frames = [low_resolution(frame) for frame in dataset.first_frames(items, camera)]
         for test in first_frame_tests(np.array(frames), tags, rng=np.random.default_rng(0)):
             if test.auroc >= _TELLING_AUROC and test.p_value <= _SIGNIFICANT:
                 sentence = (
@@ -235,9 +235,9 @@ def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
     except InvalidInput as error:
         yield Problem(where, error.detail, error.hint)
         return
-    choices = dataset.spec.action.choices
-    low, high = (0, choices - 1) if choices else (-1, 1)
+    low, high = dataset.spec.action_bounds
     outside = int(np.sum(~((actions >= low) & (actions <= high))))
     if outside:
-        sentence = f"Actions must be finite and in [{low}, {high}]; {outside} of {actions.size} numbers are not."
+        found = f"{outside} of {actions.size} numbers are not"
+        sentence = f"Actions must be {dataset.spec.action_range}; {found}."
         yield Problem(where, sentence, "Scale the actions by the robot's limits before recording.")

@@ -5,6 +5,7 @@ import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from freerein.errors import InvalidInput
@@ -13,6 +14,7 @@ from freerein.types.common import ActionSpec, check_name
 CODEBASE_VERSION = "v3.0"
 CHUNK_SIZE = 1000
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 SPEC_FILE = "meta/freerein.json"
 TASKS_FILE = "meta/tasks.parquet"
 EPISODES_FILE = "meta/episodes/chunk-000/file-000.parquet"
@@ -30,6 +32,7 @@ _INDEX_COLUMNS = {
     "index": "int64",
     "task_index": "int64",
 }
+_LARGEST = float(np.finfo(np.float32).max)
 _CHUNK = re.compile(r"chunk-(\d{3,})")
 _FILE = re.compile(r"file-(\d{3,})\.parquet")
 
@@ -46,6 +49,7 @@ class DatasetSpec:
         skills: Skill names; labels are indices into them. May be empty.
         task: Goal text of trajectories without one of their own.
         has_terminations: Whether every trajectory has `terminated`; otherwise none has.
+        has_scaled_actions: Whether continuous actions are in [-1, 1]; otherwise they are in the robot's own unit.
     """
 
     fps: int
@@ -55,6 +59,7 @@ class DatasetSpec:
     skills: tuple[str, ...] = ()
     task: str = ""
     has_terminations: bool = False
+    has_scaled_actions: bool = True
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where a value is out of range."""
@@ -79,6 +84,18 @@ class DatasetSpec:
                 f"got {self.action.size} with {self.action.choices} choices.",
                 field="action",
             )
+
+    @property
+    def action_bounds(self) -> tuple[float, float]:
+        """Least and greatest value of each number of an action, without bounds in the robot's own unit."""
+        own_unit = not (self.has_scaled_actions or self.action.choices)
+        return (-_LARGEST, _LARGEST) if own_unit else self.action.bounds
+
+    @property
+    def action_range(self) -> str:
+        """The bounds in words, such as `finite and in [-1, 1]`."""
+        low, high = self.action_bounds
+        return "finite" if high == _LARGEST else f"finite and in [{low:g}, {high:g}]"
 
 
 def integer_fps(control_dt_s: float) -> int:
@@ -120,6 +137,7 @@ def loads(text: str | bytes) -> DatasetSpec:
             skills=tuple(document["skills"]),
             task=str(document["task"]),
             has_terminations=bool(document.get("has_terminations", False)),  # missing before there were any
+            has_scaled_actions=bool(document.get("has_scaled_actions", True)),  # likewise
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InvalidInput(

@@ -1,4 +1,6 @@
-"""Reads the metadata of LeRobotDataset v3 datasets of other tools, with images stored as images, and an action.
+"""Reads the metadata of LeRobotDataset v3 datasets of other tools, of images or video, and an action.
+
+Depth cameras are left out. Continuous actions may be in any unit.
 
 Terminations are those of `next.terminated`, else of LeRobot's own `next.done`: true at the end of an episode, for most
 tools that write it also where the episode was truncated.
@@ -16,22 +18,31 @@ import pyarrow.parquet as pq
 from freerein.data import layout
 from freerein.data.layout import DatasetSpec
 from freerein.data.trajectory_file import corrupt_as_invalid
+from freerein.data.videos import VideoSpan, check_length
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec
 
 _EPISODE_COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_index"]
+_VIDEO_COLUMNS = {"chunk_index": pa.int64(), "file_index": pa.int64(), "from_timestamp": pa.float64()}
+_END_COLUMN = "to_timestamp"
 
 
 @dataclass(frozen=True)
 class LeRobotMeta:
-    """Metadata of a dataset that another tool wrote, the column of the frames by camera, and that of the terminations.
+    """Metadata of a dataset that another tool wrote.
 
-    The episodes have one row per trajectory, with `length`, `data/chunk_index`, `data/file_index`, `tasks`, `skills`.
+    Attributes:
+        spec: Properties that the trajectories share.
+        episodes: One row per trajectory: `length`, `data/chunk_index`, `data/file_index`, `tasks`, `skills`.
+        camera_keys: The column of the frames, by camera whose frames are images.
+        videos: Where each trajectory's frames lie, by camera whose frames are video.
+        terminated_key: The column of the terminations.
     """
 
     spec: DatasetSpec
     episodes: pa.Table
     camera_keys: dict[str, str]
+    videos: dict[str, tuple[VideoSpan, ...]]
     terminated_key: str
 
 
@@ -40,15 +51,17 @@ def read(root: Path) -> LeRobotMeta:
 
     Raises:
         NotFound: There is no dataset.
-        InvalidInput: It is not a supported LeRobotDataset v3: other version, video, unsupported action, or corrupt.
+        InvalidInput: It is not a supported LeRobotDataset v3: other version, unsupported action, or corrupt.
     """
     info = _read_json(root / layout.INFO_FILE)
     if info is None:
         raise NotFound("There must be a dataset; nothing here looks like one.", hint="List the datasets that exist.")
     try:
         _check_layout(info)
-        keys, terminated_key = _camera_keys(info["features"]), _terminated_key(info["features"])
-        episodes = _episodes(root)
+        images, videos = (_camera_keys(info["features"], dtype=dtype) for dtype in ("image", "video"))
+        keys = images | videos
+        terminated_key, stored = _terminated_key(info["features"]), _stored_episodes(root)
+        episodes = _with_lists(stored)
         spec = DatasetSpec(
             fps=int(info["fps"]),
             cameras={camera: _frame_size(info["features"][key]) for camera, key in keys.items()},
@@ -57,13 +70,15 @@ def read(root: Path) -> LeRobotMeta:
             skills=tuple(sorted({skill for skills in episodes["skills"].to_pylist() for skill in skills})),
             task=_task(root),
             has_terminations=bool(terminated_key),
+            has_scaled_actions=False,
         )
+        spans = {camera: _spans(root, stored, key, fps=spec.fps) for camera, key in videos.items()}
     except (KeyError, TypeError, ValueError):
         raise InvalidInput(
             "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
         ) from None
-    return LeRobotMeta(spec, episodes, keys, terminated_key)
+    return LeRobotMeta(spec, episodes, images, spans, terminated_key)
 
 
 def _check_layout(info: dict[str, Any]) -> None:
@@ -72,21 +87,37 @@ def _check_layout(info: dict[str, Any]) -> None:
             "The dataset must be a LeRobotDataset v3; it is of another version.",
             hint="Convert it with LeRobot's script convert_dataset_v21_to_v30.",
         )
-    if info["data_path"] != layout.DATA_PATH or info["fps"] != int(info["fps"]):
+    has_own_paths = info["data_path"] != layout.DATA_PATH or info.get("video_path") not in (None, layout.VIDEO_PATH)
+    if has_own_paths or info["fps"] != int(info["fps"]):
         raise InvalidInput(
-            "The dataset must keep LeRobot's own data path, and an integer fps; it does not.",
+            "The dataset must keep LeRobot's own data and video paths, and an integer fps; it does not.",
             hint="Write it again with LeRobotDataset.create.",
         )
 
 
-def _camera_keys(features: dict[str, Any]) -> dict[str, str]:
-    if any(feature["dtype"] == "video" for feature in features.values()):
-        raise InvalidInput(
-            "Frames must be stored as images; this dataset stores video.",
-            hint="Record or convert it with LeRobotDataset.create(..., use_videos=False).",
-        )
-    images = [key for key, feature in features.items() if feature["dtype"] == "image"]
-    return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation."): key for key in images}
+def _camera_keys(features: dict[str, Any], *, dtype: str) -> dict[str, str]:
+    """Returns the features of the cameras whose frames are `image` or `video`, by camera."""
+    keys = [key for key, feature in features.items() if feature["dtype"] == dtype and not _is_depth(feature)]
+    return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation."): key for key in keys}
+
+
+def _is_depth(feature: dict[str, Any]) -> bool:
+    info = feature.get("info") or feature.get("video_info") or {}
+    return any(name.endswith("is_depth_map") and bool(value) for name, value in info.items())
+
+
+def _spans(root: Path, episodes: pa.Table, key: str, *, fps: int) -> tuple[VideoSpan, ...]:
+    """Returns where the frames of each trajectory lie, by the table of the episodes."""
+    with corrupt_as_invalid("`meta/episodes`"):
+        names = [*_VIDEO_COLUMNS, _END_COLUMN]
+        columns = [episodes[f"videos/{key}/{name}"].cast(_VIDEO_COLUMNS.get(name, pa.float64())) for name in names]
+        rows = list(zip(*(column.to_pylist() for column in (*columns, episodes["length"])), strict=True))
+        files = [layout.VIDEO_PATH.format(video_key=key, chunk_index=row[0], file_index=row[1]) for row in rows]
+        spans = [VideoSpan(root, file, row[2], row[4]) for file, row in zip(files, rows, strict=True)]
+    return tuple(
+        check_length(span, row[3], index=index, fps=fps)
+        for index, (span, row) in enumerate(zip(spans, rows, strict=True))
+    )
 
 
 def _terminated_key(features: dict[str, Any]) -> str:
@@ -135,21 +166,25 @@ def _task(root: Path) -> str:
     return str(texts[0]) if len(texts) == 1 else ""
 
 
-def _episodes(root: Path) -> pa.Table:
+def _stored_episodes(root: Path) -> pa.Table:
     folder = root / "meta" / "episodes"
     with corrupt_as_invalid("`meta/episodes`"):
         paths = [layout.numbered(folder, chunk=f.chunk, file=f.file) for f in layout.numbered_files(folder)]
-        tables = [_with_lists(pq.read_table(path, use_threads=False)) for path in paths]
-        return pa.concat_tables(tables).sort_by("episode_index")
+        tables = [pq.read_table(path, use_threads=False) for path in paths]
+        joined = pa.concat_tables(tables, promote_options="permissive").sort_by("episode_index")
+        for name in _EPISODE_COLUMNS:
+            joined = joined.set_column(joined.schema.get_field_index(name), name, joined[name].cast(pa.int64()))
+        return joined
 
 
 def _with_lists(table: pa.Table) -> pa.Table:
     """Returns the columns used here; tasks and skills are empty lists where their column is missing."""
     chosen, strings = table.select(_EPISODE_COLUMNS), pa.list_(pa.string())
-    for name in ("tasks", "skills"):
-        is_there = name in table.column_names
-        column = table[name].cast(strings).fill_null([]) if is_there else pa.array([[]] * len(table), strings)
-        chosen = chosen.append_column(name, column)
+    with corrupt_as_invalid("`meta/episodes`"):
+        for name in ("tasks", "skills"):
+            is_there = name in table.column_names
+            column = table[name].cast(strings).fill_null([]) if is_there else pa.array([[]] * len(table), strings)
+            chosen = chosen.append_column(name, column)
     return chosen
 
 

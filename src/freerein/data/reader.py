@@ -1,7 +1,7 @@
 """`Dataset`, what learners read. Ground truth cannot be reached: no module imported here knows where it lies."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from freerein import images
 from freerein.data import layout, lerobot, meta, tags
 from freerein.data.cache import StepCache, open_or_build
 from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, decode_terminations, read_rows
+from freerein.data.videos import VideoSpan, video_frames
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
 
@@ -22,7 +24,7 @@ class Dataset:
     """Read-only sequence of the trajectories that a dataset held when it was opened.
 
     Opening compares `meta/` with `data/` and rewrites it where a crash left it out of date. Also opens any
-    LeRobotDataset v3 with images stored as images, and an action. Where that has no `next.terminated`, `terminated` is
+    LeRobotDataset v3 of images or video, and an action. Where that has no `next.terminated`, `terminated` is
     its `next.done`, which most tools also set where an episode was truncated.
 
     Attributes:
@@ -42,12 +44,14 @@ class Dataset:
         if spec is None:
             foreign = lerobot.read(root)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
+            self._videos = foreign.videos
             if given:
                 self.spec, table = replace(foreign.spec, skills=given.skills), meta.with_tags(table, given)
             self._terminated_key = foreign.terminated_key
         else:
             self.spec, table = spec, meta.load_and_repair(root, spec)
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
+            self._videos = dict[str, tuple[VideoSpan, ...]]()
             self._terminated_key = layout.TERMINATED_KEY if spec.has_terminations else ""
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
@@ -67,29 +71,43 @@ class Dataset:
             IndexError: There is no such trajectory.
             InvalidInput: Its file is corrupt, or does not match the spec.
         """
-        index = range(len(self))[index]
-        terminated_keys = [self._terminated_key] if self.spec.has_terminations else []
-        rows = self._rows(index, [*self._keys.values(), "action", *terminated_keys])
-        return Trajectory(
-            frames={camera: self._frames(rows, camera) for camera in self._keys},
-            actions=decode_actions(rows, self.spec),
-            skills=self.skills[index],
-            goal_text=self.goal_texts[index],
-            terminated=self._terminations(rows) if self.spec.has_terminations else None,
-        )
+        return next(self.stream([range(len(self))[index]]))
 
     def __iter__(self) -> Iterator[Trajectory]:
-        return (self[index] for index in range(len(self)))
+        return self.stream(range(len(self)))
+
+    def stream(
+        self, items: Sequence[int], *, cameras: Sequence[str] = (), size: tuple[int, int] | None = None
+    ) -> Iterator[Trajectory]:
+        """Yields decoded trajectories; files of several are decoded once where `items` ascend.
+
+        Args:
+            items: Their indices.
+            cameras: Cameras of the frames; empty for all.
+            size: Height and width to scale frames to; None to keep their own.
+
+        Raises:
+            InvalidInput: A file is corrupt, or does not match the spec.
+        """
+        chosen = cameras or tuple(self.spec.cameras)
+        frames = {camera: self._frames(items, camera, size=size) for camera in chosen}
+        for index in items:
+            rows = self._rows(index, ["action", *([self._terminated_key] if self.spec.has_terminations else [])])
+            yield Trajectory(
+                frames={camera: next(each) for camera, each in frames.items()},
+                actions=decode_actions(rows, self.spec),
+                skills=self.skills[index],
+                goal_text=self.goal_texts[index],
+                terminated=self._terminations(rows) if self.spec.has_terminations else None,
+            )
 
     def actions(self, index: int) -> Actions:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
         return decode_actions(self._rows(range(len(self))[index], ["action"]), self.spec)
 
-    def first_frame(self, index: int, camera: str) -> npt.NDArray[np.uint8]:
-        """Returns the first frame of one trajectory, uint8 (H, W, C); raises as `dataset[index]`."""
-        rows = self._rows(range(len(self))[index], [self._keys[camera]])
-        frame: npt.NDArray[np.uint8] = self._frames(rows.slice(0, 1), camera)[0]
-        return frame
+    def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
+        return (frames[0] for frames in self._frames(items, camera, most=1))
 
     @property
     def fingerprint(self) -> str:
@@ -103,7 +121,9 @@ class Dataset:
 
     @cached_property
     def _data_sha256(self) -> str:
-        hashes = self._hashes or [_sha256(self._path(place)) for place in dict.fromkeys(self._places)]
+        videos = (span.root / span.file for spans in self._videos.values() for span in spans)
+        files = dict.fromkeys([*map(self._path, self._places), *videos])
+        hashes = self._hashes or [_sha256(path) for path in files]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
     def cached_frames(self, camera: str) -> StepCache[np.uint8]:
@@ -113,13 +133,13 @@ class Dataset:
             InvalidInput: The dataset is empty or has no such camera; or as `dataset[i]`.
             FailedPrecondition: The disk is too small for the decoded frames.
         """
-        if camera not in self._keys:
+        if camera not in self.spec.cameras:
             raise InvalidInput(
-                f"`camera` must be one of {', '.join(self._keys)}; got another name.",
+                f"`camera` must be one of {', '.join(self.spec.cameras)}; got another name.",
                 field="camera",
                 hint="Choose a camera that the dataset has.",
             )
-        parts = (self._frames(self._rows(index, [self._keys[camera]]), camera) for index in range(len(self)))
+        parts = self._frames(range(len(self)), camera)
         path, shape = self._cache_file(f"frames-{camera}"), self.spec.cameras[camera]
         return open_or_build(path, dtype=np.dtype(np.uint8), shape=shape, lengths=self.lengths, parts=parts)
 
@@ -158,8 +178,21 @@ class Dataset:
             )
         return rows
 
-    def _frames(self, rows: pa.Table, camera: str) -> npt.NDArray[np.uint8]:
-        return decode_frames(rows, camera_key=self._keys[camera], size=self.spec.cameras[camera])
+    def _frames(
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, most: int | None = None
+    ) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yields the frames of one camera, uint8 (T, H, W, C), at most the first `most` of each trajectory."""
+        height, width, channels = self.spec.cameras[camera]
+        if camera in self._videos:
+            spans = [self._videos[camera][index] for index in items]
+            cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
+            yield from video_frames(cut, fps=self.spec.fps, size=(*(size or (height, width)), channels))
+            return
+        key = self._keys[camera]
+        for index in items:
+            rows = self._rows(index, [key]).slice(0, most)
+            frames = decode_frames(rows, camera_key=key, size=(height, width, channels))
+            yield images.resize(frames, size) if size else frames
 
     def _terminations(self, rows: pa.Table) -> npt.NDArray[np.bool_]:
         return decode_terminations(rows, key=self._terminated_key)

@@ -195,12 +195,13 @@ def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
     expected = f"{spec.action.dtype} (T, {spec.action.size}) with T >= 1"
     if actions.dtype != spec.action.dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
         raise InvalidInput(f"Actions must be {expected}; got {actions.dtype} {actions.shape}.", field="actions")
-    low, high = (0, spec.action.choices - 1) if spec.action.choices else (-1, 1)
+    low, high = spec.action_bounds
     if not np.all((actions >= low) & (actions <= high)):
         raise InvalidInput(
-            f"Actions must be finite and in [{low}, {high}]; some are not.",
+            f"Actions must be {spec.action_range}; some are not.",
             field="actions",
-            hint="Scale continuous actions by the world's action spec.",
+            hint="Scale continuous actions by the world's action spec, or make the dataset without "
+            "`has_scaled_actions`.",
         )
 
 

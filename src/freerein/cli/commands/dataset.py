@@ -1,4 +1,4 @@
-"""`freerein dataset`: inspects, checks and annotates datasets; finds the ones that other commands name."""
+"""`freerein dataset`: imports, inspects, checks and annotates datasets; finds the ones that other commands name."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -8,15 +8,16 @@ from typing import Annotated
 import typer
 
 from freerein import data
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
 from freerein.cli.settings import CliSettings
-from freerein.data import Dataset, DatasetSummary, Problem, dataset_path
+from freerein.data import Dataset, DatasetSummary, LeRobotSource, Problem, dataset_path, import_trajectories
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import Trajectory
 
-app = typer.Typer(help="Inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
 
 _MOST_GOAL_TEXTS = 6
+_LARGEST_SIDE = 1024
 
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
@@ -30,6 +31,36 @@ def list_datasets(as_json: AsJson = False) -> None:
         print_json({"datasets": names})
     else:
         show_table(("dataset",), [(name,) for name in names])
+
+
+@app.command("import")
+@command
+def import_dataset(
+    path: Annotated[Path, typer.Argument(help="Folder of a LeRobotDataset v3, of images or video.")],
+    name: Annotated[str, typer.Argument(help="Name of the new dataset in the data directory.")],
+    size: Annotated[
+        str, typer.Option(metavar="HxW", help="Scale frames, such as 96x128; their own size if empty.")
+    ] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Import a dataset of another tool: video is decoded once, actions stay in their own unit."""
+    source = LeRobotSource(path, size=_size(size))
+    with progress_bar(f"importing {name}", total=len(source), is_shown=not as_json) as on_count:
+        import_trajectories(source, dataset_root(name), on_count=on_count)
+    _show_count(name, "imported", len(source), as_json=as_json)
+
+
+def _size(text: str) -> tuple[int, int] | None:
+    height, _, width = text.partition("x")
+    if not text:
+        return None
+    if not all(each.isascii() and each.isdigit() and 0 < int(each) <= _LARGEST_SIDE for each in (height, width)):
+        raise InvalidInput(
+            f"The size must be height x width, each from 1 to {_LARGEST_SIDE} pixels; it is not.",
+            field="size",
+            hint="For example: --size 96x128.",
+        )
+    return int(height), int(width)
 
 
 @app.command()
@@ -145,7 +176,8 @@ def _goal_texts(summary: DatasetSummary) -> str:
 def _rows(name: str, summary: DatasetSummary) -> list[tuple[str, str]]:
     spec = summary.spec
     cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
-    action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers"
+    unit = "in [-1, 1]" if spec.has_scaled_actions else "in their own unit"
+    action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers {unit}"
     return [
         ("dataset", name),
         ("task", spec.task),

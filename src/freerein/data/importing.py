@@ -1,0 +1,92 @@
+"""Imports trajectories of other tools as a dataset of ours: all of them, or none."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+from freerein.atomic_files import fsync_folder
+from freerein.data.layout import DatasetSpec
+from freerein.data.reader import Dataset
+from freerein.data.writer import create
+from freerein.errors import AlreadyExists, InvalidInput
+from freerein.types.common import Trajectory
+
+
+class Source(Protocol):
+    """Trajectories of another tool."""
+
+    @property
+    def spec(self) -> DatasetSpec:
+        """Properties that they share, as they will be stored."""
+
+    def __len__(self) -> int:
+        """Returns their number."""
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        """Yields each, decoded; raises InvalidInput where one is missing, corrupt or does not match the spec."""
+
+
+class LeRobotSource:
+    """The trajectories of a LeRobotDataset v3, of images or video; actions stay in their own unit.
+
+    Args:
+        folder: Its folder.
+        size: Height and width to scale frames to; None to keep their own.
+
+    Raises:
+        NotFound: There is no dataset.
+        InvalidInput: It is not a supported LeRobotDataset v3, or corrupt.
+    """
+
+    def __init__(self, folder: Path, *, size: tuple[int, int] | None = None) -> None:
+        self._dataset = Dataset(folder)
+        self._size = size
+        own = self._dataset.spec
+        cameras = {
+            name: (*(size or (height, width)), channels) for name, (height, width, channels) in own.cameras.items()
+        }
+        self.spec = replace(own, cameras=cameras)
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        for trajectory in self._dataset.stream(range(len(self)), size=self._size):
+            yield replace(trajectory, skills=tuple(sorted(set(trajectory.skills))))
+
+
+def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None) -> None:
+    """Writes a new dataset with the trajectories of a source; nothing is left of one that fails.
+
+    Args:
+        source: The trajectories.
+        root: The new dataset's folder.
+        on_count: Called with the number of trajectories written.
+
+    Raises:
+        AlreadyExists: `root` exists.
+        InvalidInput: A trajectory is missing or corrupt, does not match the spec, or there is none.
+        UnsupportedMedia, Unimplemented: As `freerein.video.open_video`.
+    """
+    if root.exists():
+        raise _taken()
+    if not len(source):
+        raise InvalidInput("What is imported must hold a trajectory; it holds none.", hint="Name another folder.")
+    root.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".import-", dir=root.parent) as folder:
+        unfinished = Path(folder) / root.name
+        with create(unfinished, source.spec) as writer:
+            for count, trajectory in enumerate(source, start=1):
+                writer.append(trajectory)
+                on_count(count)
+        try:
+            unfinished.rename(root)
+        except OSError:
+            raise _taken() from None
+    fsync_folder(root.parent)
+
+
+def _taken() -> AlreadyExists:
+    return AlreadyExists("A new dataset needs a name that is not taken; this one is.", hint="Choose another name.")

@@ -1,0 +1,98 @@
+"""Frames of trajectories that lie in video files, several trajectories to a file, as LeRobot stores them."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.video import Video, VideoBounds, VideoFrame, open_video
+
+_BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silence_s=60.0)
+"""Of a file that the user chose, which may hold hours: wider than for a request, and still bounded."""
+
+_TOLERANCE = 0.25
+"""Of the time between frames: time stamps are sums of rounded numbers, yet never nearer to another frame."""
+
+
+@dataclass(frozen=True)
+class VideoSpan:
+    """Where the frames of one trajectory and camera lie.
+
+    Attributes:
+        root: Folder of the dataset.
+        file: The video file, relative to it.
+        start_s: Time of the first frame in the file, in seconds; frame i follows after i / fps.
+        length: Number of frames.
+    """
+
+    root: Path
+    file: str
+    start_s: float
+    length: int
+
+
+def video_frames(
+    spans: Sequence[VideoSpan], *, fps: int, size: tuple[int, int, int]
+) -> Iterator[npt.NDArray[np.uint8]]:
+    """Yields the frames of each span, uint8 (T, H, W, C); each file is decoded once where spans are in its order.
+
+    Args:
+        spans: Where they lie.
+        fps: Frames per second.
+        size: (H, W, C) to scale them to.
+
+    Raises:
+        InvalidInput: A file is missing or corrupt, or lacks a frame at one of the times.
+        UnsupportedMedia: It is not mp4, or neither H.264 nor AV1.
+        Unimplemented: No decoder is installed.
+    """
+    with ExitStack() as opened:
+        current, position_s, frames = "", 0.0, iter(tuple[VideoFrame]())
+        for span in spans:
+            if span.file != current or span.start_s <= position_s:
+                opened.close()
+                frames, current = iter(opened.enter_context(_open(span, size))), span.file
+            found = np.empty((span.length, *size), np.uint8)
+            for index, frame in enumerate(_at_times(frames, span, fps)):
+                found[index], position_s = frame.pixels, frame.time_s
+            yield found
+
+
+def check_length(span: VideoSpan, end_s: float, *, index: int, fps: int) -> VideoSpan:
+    """Returns a span whose time to `end_s` is that of its frames; raises InvalidInput for another."""
+    if not abs((end_s - span.start_s) * fps - span.length) < 0.5:  # False for NaN
+        raise InvalidInput(
+            f"Trajectory {index} must last as long in its video as its {span.length} timesteps at {fps} per second; "
+            f"`{span.file}` has it for {end_s - span.start_s:.3f} s.",
+            hint="Open the dataset in LeRobot: its episodes table and its videos do not belong together.",
+        )
+    return span
+
+
+def _open(span: VideoSpan, size: tuple[int, int, int]) -> Video:
+    try:
+        return open_video(span.root / span.file, channels=size[2], size=size[:2], bounds=_BOUNDS, field=span.file)
+    except FileNotFoundError:
+        raise InvalidInput(
+            f"The video `{span.file}` must be in the dataset; it is missing.", hint="Restore it from a copy."
+        ) from None
+
+
+def _at_times(frames: Iterator[VideoFrame], span: VideoSpan, fps: int) -> Iterator[VideoFrame]:
+    """Yields the frames of a span; those before it are skipped."""
+    tolerance_s = _TOLERANCE / fps
+    for index in range(span.length):
+        time_s = span.start_s + index / fps
+        frame = next((each for each in frames if each.time_s >= time_s - tolerance_s), None)
+        if frame is None or frame.time_s > time_s + tolerance_s:
+            found = "the video ends before" if frame is None else f"the next one is at {frame.time_s:.3f} s"
+            raise InvalidInput(
+                f"`{span.file}` must have a frame at {time_s:.3f} s, number {index} of {span.length} of a trajectory; "
+                f"{found}.",
+                hint="Its frames must be evenly spaced, as many as the trajectory's rows; encode the dataset again.",
+            )
+        yield frame
