@@ -12,7 +12,7 @@ from freerein.learning.encoders import (
 )
 from freerein.types.common import Camera
 
-SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1)]
+SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1), (120, 320, 1)]
 KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, ConvolutionalEncoder])
 STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder])
 
@@ -50,6 +50,16 @@ def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int,
     assert not torch.equal(encoder(seen), encoder(changed))
 
 
+@pytest.mark.parametrize(
+    ("size", "side"),
+    [((33, 30, 3), 3), ((64, 64, 3), 6), ((112, 112, 1), 11), ((128, 128, 3), 12), ((120, 320, 1), 18)],
+)
+def test_a_wide_frame_has_about_as_many_patches_as_a_square_one(size: tuple[int, int, int], side: int) -> None:
+    encoder = make(PatchEncoder, *size)
+    assert isinstance(encoder, PatchEncoder)
+    assert encoder.stem.stride == (side, side)
+
+
 @STILL
 def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
@@ -63,6 +73,16 @@ def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) ->
 def test_a_frame_is_encoded_alike_alone_and_among_others(kind: Kind) -> None:
     encoder, seen = make(kind, 64, 64, 3), frames(64, 64, 3)
     torch.testing.assert_close(encoder(seen[1:2]), encoder(seen)[1:2])
+
+
+def test_he_keeps_the_scale_of_activations_through_many_layers() -> None:
+    layers = [torch.nn.Linear(256, 256) for _ in range(6)]
+    network = torch.nn.Sequential(*(part for layer in layers for part in (layer, torch.nn.ReLU())))
+    seen = torch.randn(64, 256, generator=torch.Generator().manual_seed(0))
+    weights.initialise_he(network, generator=torch.Generator().manual_seed(0))
+    assert network(seen).square().mean().item() == pytest.approx(1.0, rel=0.3)
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    assert network(seen).square().mean().item() < 0.01
 
 
 @KINDS

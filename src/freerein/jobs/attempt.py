@@ -38,12 +38,16 @@ StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
 
 KEEP_FREED_MEMORY = MappingProxyType(
-    {"MALLOC_MMAP_THRESHOLD_": "4000000000", "MALLOC_TRIM_THRESHOLD_": "8000000000"}  # bytes
+    {
+        "MALLOC_MMAP_THRESHOLD_": "4000000000",
+        "MALLOC_TRIM_THRESHOLD_": "8000000000",
+        "MALLOC_TOP_PAD_": "500000000",
+    }  # bytes
 )
 """Settings of glibc's allocator, which reads them when a process starts.
 
 By default it returns arrays above 32 MB to the kernel as soon as they are freed, and each optimiser update pays for new
-pages. A service may override them in its environment.
+pages; and it asks for little at a time. A service may override them in its environment.
 """
 
 CANCELLED_FILE = "cancelled"
