@@ -3,7 +3,6 @@
 PART is a `Part` as JSON; FOLDER receives its raw files, named as in `FILES`. The process ends with its parent.
 """
 
-import hashlib
 import json
 import sys
 from collections.abc import Iterator
@@ -18,14 +17,13 @@ import numpy.typing as npt
 
 from freerein.jobs.child import die_with_parent
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.generator_hash import generator_hash
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition, World, expert_of
 
 FILES = ("frames", "actions", "lengths", "tags", "labels")
 """frames uint8 (N, H, W, C); actions float32 (N, A) or int64 (N, 1); lengths int64 (n,), with sum N; tags bool (n, K);
 labels int64 (N,), which are ground truth."""
-
-_HASHED_DEMONSTRATIONS = 16
 
 
 @dataclass(frozen=True)
@@ -53,13 +51,8 @@ class Part:
 
 @cache
 def world_hash(task: str) -> str:
-    """Returns the sha256 of some demonstrations: starts, frames, actions and labels, whatever the code looks like."""
-    fewest, most = tasks()[task].recipes.lengths(tasks()[task].spec.skills)
-    digest = hashlib.sha256()
-    for arrays in demonstrations(Part(task, 0, 0, fewest, most, first=0, stop=_HASHED_DEMONSTRATIONS)):
-        for name in FILES:
-            digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode() + arrays[name].tobytes())
-    return digest.hexdigest()
+    """Returns the hash of what draws a task's demonstrations."""
+    return generator_hash(tasks()[task])
 
 
 def main(folder: Path, part: Part) -> None:

@@ -1,14 +1,18 @@
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from freerein_sim.worlds import blocks, conformance, grid, pendulum
+from freerein.errors import InvalidInput
+from freerein_sim.worlds import blocks, conformance, grid, pendulum, tabletop
+from freerein_sim.worlds.conformance import experts, first_frames, interface, recipes
+from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.replay import ReplayedWorld
-from freerein_sim.worlds.world import TaskDefinition
+from freerein_sim.worlds.world import LabelledAction, TaskDefinition, skill_indices
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
-TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, REPLAYED)}
+TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *tabletop.TASKS, REPLAYED)}
 CHECKED = (
     "grid",
     "replayed",
@@ -19,7 +23,11 @@ CHECKED = (
     "blocks.red-left-of-green",
     "blocks.yellow-right-of-blue",
     "blocks.blue-on-top-of-red",
+    "tabletop",
 )
+HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "tabletop")
+SHOWS_ITS_RECIPE = ("grid", "tabletop.only-own-objects")
+"""The indicator has the colour of the first object, and the other shows only what a recipe uses."""
 
 
 @pytest.mark.parametrize("task", [TASKS[name] for name in CHECKED], ids=CHECKED)
@@ -32,4 +40,44 @@ def test_a_check_names_what_a_world_does_wrong() -> None:
     mislabelled = TaskDefinition("wrong", "blocks", "", grid.SPEC, TASKS["blocks"].make)
 
     with pytest.raises(AssertionError, match=r"The world's spec is the task's\."):
-        conformance.describes_itself(mislabelled)
+        interface.describes_itself(mislabelled)
+
+
+@pytest.mark.parametrize("task", HIDES_ITS_RECIPE)
+@pytest.mark.parametrize("check", conformance.TAG_CHECKS, ids=[check.__name__ for check in conformance.TAG_CHECKS])
+def test_the_start_of_an_episode_does_not_tell_its_skills(check: Callable[[TaskDefinition], None], task: str) -> None:
+    check(TASKS[task])
+
+
+@pytest.mark.parametrize("task", SHOWS_ITS_RECIPE)
+def test_a_start_that_tells_the_skills_is_found(task: str) -> None:
+    with pytest.raises(AssertionError, match="first frame"):
+        first_frames.hides_its_recipe_at_the_start(TASKS[task])
+
+
+class Forgetful(grid.GridExpert):
+    """Says that it has picked up what it has not."""
+
+    def act(self) -> LabelledAction | None:
+        picks = super().act()
+        return None if picks is None or picks.action[0] == grid.PICK_UP else picks
+
+    def succeeded(self) -> bool:
+        return True
+
+
+class Boastful(grid.GridWorld):
+    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Forgetful:
+        return Forgetful(self, skill_indices(self.spec, skills), rng)
+
+
+def test_an_expert_that_only_says_it_has_completed_its_skills_is_found() -> None:
+    task = replace(TASKS["grid"], make=lambda: Boastful(indicator=True))
+
+    with pytest.raises(AssertionError, match="completed at the end of its attempt"):
+        experts.has_an_expert_that_completes_its_skills(task)
+
+
+def test_recipes_that_the_world_refuses_are_found() -> None:
+    with pytest.raises(InvalidInput, match="reach and then one other skill"):
+        recipes.draws_recipes_that_it_accepts(replace(TASKS["tabletop"], recipes=RandomOrder(most=2)))

@@ -101,7 +101,7 @@ class MakeExpert(Protocol):
 
         Args:
             skills: Empty means the recipe of the episode: the one that its reset was given or drew. In a world whose
-                episodes have none, all of the spec's.
+                episodes have none, one that it draws, or all of the spec's.
             rng: Draws what the expert chooses freely.
 
         Raises:
