@@ -13,6 +13,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.core import SkillModel
+from freerein_segmentation.core.inference import PredictionStream
 from freerein_segmentation.methods import METHODS
 from freerein_segmentation.model import Prediction
 
@@ -28,13 +29,17 @@ class LeakyModel:
 
     def __init__(self, model: SkillModel) -> None:
         self._model = model
-        self.skills, self.camera, self.action = model.skills, model.camera, model.action
+        self.skills, self.camera, self.action, self.lag = model.skills, model.camera, model.action, model.lag
         self._kept: list[bytearray] = []
 
     def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
         """Returns the model's answer."""
         self._kept.append(bytearray(b"x" * LEAKED_BYTES))
         return self._model.predict(frames, actions)
+
+    def stream(self) -> PredictionStream:
+        """Returns the model's stream, which leaks nothing."""
+        return self._model.stream()
 
 
 def build_leaky(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:

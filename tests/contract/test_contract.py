@@ -155,7 +155,7 @@ LEARNING_CASES = (
 class Halves:
     """A model of two skills: the first half of a trajectory is one, the second the other. It fails where told to."""
 
-    skills = ("close", "open")
+    skills, lag = ("close", "open"), None
     camera, action = Camera("front", 2, 3, 3), ActionSpec(2, 0, ("dy", "dz"))
 
     def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:

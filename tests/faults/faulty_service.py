@@ -34,6 +34,7 @@ class FaultyModel:
     """Answers even and odd, unless told otherwise; `FAULTY_SIDE` is the side of its frames."""
 
     skills: tuple[str, ...] = ("even", "odd")
+    lag = None
     camera, action = Camera("front", SIDE, SIDE, 3), None
 
     def predict(self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None) -> Prediction:

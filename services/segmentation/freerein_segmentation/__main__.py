@@ -13,7 +13,7 @@ from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein_segmentation.core import Segmenter, SkillModel, segment_batch
+from freerein_segmentation.core import Segmenter, SegmentStreamService, SkillModel, run_batch
 from freerein_segmentation.methods import METHODS
 
 NAME = "segmentation"
@@ -29,11 +29,14 @@ def build(
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
-    batcher = Batcher(segment_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s)
+    batcher = Batcher(run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s)
     return learned_service(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
-        lambda models: (Segmenter(models, batcher, timeout_s=limits.unary_s),),
+        lambda models: (
+            Segmenter(models, batcher, timeout_s=limits.unary_s),
+            SegmentStreamService(models, batcher, limits.unary_s, health=health, drain_s=limits.drain_s),
+        ),
         settings=settings,
         health=health,
         batcher=batcher,

@@ -74,9 +74,14 @@ class Rpc(Generic[Request, Response]):
     def __get__(self, client: Client | None, owner: type[Client]) -> Self:
         if client is None:
             return self
-        bound = copy(self)
-        bound._channel = client.channel
+        bound = self.bound_to(client.channel)
         client.__dict__[self._attribute] = bound  # as `cached_property`: found there from now on
+        return bound
+
+    def bound_to(self, channel: Channel) -> Self:
+        """Returns the RPC as a method over a channel."""
+        bound = copy(self)
+        bound._channel = channel
         return bound
 
     @cached_property

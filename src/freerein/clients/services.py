@@ -1,6 +1,7 @@
 """The client of each service. Its methods are the service's RPCs, which `proto/` documents."""
 
 from freerein.clients.rpc import Client, ServerStreamRpc, StreamRpc, UnaryRpc
+from freerein.clients.segment_rpc import SegmentRpc
 from freerein.types import imitation, learning, orchestrator, segmentation, sim
 from freerein.types import reward as rewards
 
@@ -28,7 +29,11 @@ class SimClient(Client):
 class SegmentationClient(Client):
     """Client of the segmentation service."""
 
-    segment = UnaryRpc(segmentation.SegmentRequest, segmentation.SegmentResponse)
+    segment = SegmentRpc(segmentation.SegmentRequest, segmentation.SegmentResponse)
+    """Sends a trajectory that is too large for one request as a stream, where the model has streams."""
+    segment_stream = StreamRpc(segmentation.SegmentStreamRequest, segmentation.SegmentStreamResponse)
+    """First the model; then labels or an error for each message with timesteps; then the labels that are left. Never
+    retried; a reply with `draining` is unsolicited."""
     list_skills = UnaryRpc(segmentation.ListSkillsRequest, segmentation.ListSkillsResponse)
 
 

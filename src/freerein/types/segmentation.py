@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.types.common import Image, ModelRef, Timing
+from freerein.types.common import Draining, Error, Image, ModelRef, Timing
 
 NO_SKILL = -1
 """Label of a timestep whose segment was rejected."""
@@ -88,6 +88,8 @@ class ListSkillsResponse:
         skills: The skills; labels are indices into this list.
         action_size: Numbers per action; 0 for a model without actions.
         action_choices: Number of discrete actions; 0 for continuous ones.
+        lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories, which
+            has no streams.
     """
 
     skills: tuple[str, ...]
@@ -97,3 +99,95 @@ class ListSkillsResponse:
     channels: int
     action_size: int
     action_choices: int
+    lag: int | None = None
+
+
+@dataclass(frozen=True)
+class SegmentHello:
+    """Model and options of a segment stream, as in `SegmentRequest`; the stream keeps the model's version.
+
+    Short segments cannot be merged in a stream: that looks at the whole trajectory.
+    """
+
+    model: ModelRef = ModelRef()
+    smoothing: float = 0.0
+    min_kept: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Timesteps:
+    """The next timesteps of a trajectory, one or several, as in `SegmentRequest`.
+
+    Attributes:
+        seq: Sequence number; must increase, gaps are fine.
+    """
+
+    seq: int
+    frames: npt.NDArray[np.uint8] | None = None
+    images: tuple[Image, ...] = ()
+    actions: npt.NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentStreamRequest:
+    """A message to a segment stream: either a Hello, which is the first and only one, or timesteps."""
+
+    hello: SegmentHello | None = None
+    timesteps: Timesteps | None = None
+
+
+@dataclass(frozen=True)
+class SegmentStreamOpened:
+    """The model of a segment stream.
+
+    Attributes:
+        model: Its skills and expected inputs.
+        lag: Timesteps after which a label is final at the latest: lookahead of the model, of smoothing and of
+            rejection together.
+    """
+
+    model: ListSkillsResponse
+    lag: int
+
+
+@dataclass(frozen=True, eq=False)
+class StreamLabels:
+    """Labels of consecutive timesteps of a segment stream.
+
+    Attributes:
+        start: First timestep of `labels`.
+        labels: int64 (n,), final, as in `SegmentResponse`.
+        confidence: float32 (n,), as there.
+        in_distribution: float32 (n,), as there.
+        segments: Segments that ended, or with the stream, in order.
+        provisional: int64 (m,), labels of the timesteps that follow, up to the newest, as if the trajectory ended
+            there; later ones may differ.
+    """
+
+    start: int
+    labels: npt.NDArray[np.int64]
+    confidence: npt.NDArray[np.float32]
+    in_distribution: npt.NDArray[np.float32]
+    segments: tuple[Segment, ...]
+    provisional: npt.NDArray[np.int64]
+    timing: Timing
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentStreamResponse:
+    """A message from a segment stream: exactly one of `opened`, `labels`, `error` and `draining`.
+
+    Attributes:
+        seq: The `seq` that labels or an error answer; 0 after the last message.
+        opened: Answer to the Hello.
+        labels: Labels that became final, and provisional ones; after the client has ended the stream, all that are
+            left.
+        error: Why timesteps were rejected.
+        draining: The service is stopping: send the trajectory again, to another replica.
+    """
+
+    seq: int = 0
+    opened: SegmentStreamOpened | None = None
+    labels: StreamLabels | None = None
+    error: Error | None = None
+    draining: Draining | None = None

@@ -50,8 +50,8 @@ def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
 
     `sigma` is in timesteps; below 1/8 nothing changes.
     """
-    reach = round(_TRUNCATION * sigma)
-    if reach == 0:
+    reach = smoothing_reach(sigma)
+    if reach == 0 or not len(probabilities):
         return probabilities
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     timesteps = len(probabilities)
@@ -61,6 +61,11 @@ def smooth(probabilities: Probabilities, *, sigma: float) -> Probabilities:
 
     weights = average(np.ones(timesteps, np.float32))
     return np.stack([average(series) / weights for series in probabilities.T], axis=1).astype(np.float32)
+
+
+def smoothing_reach(sigma: float) -> int:
+    """Returns how many timesteps before and after each the filter of `smooth` reads."""
+    return round(_TRUNCATION * sigma)
 
 
 def merge_short(labels: Labels, probabilities: Probabilities, *, min_segment: int) -> Labels:

@@ -172,6 +172,240 @@ class SegmentResponse(_message.Message):
 Global___SegmentResponse: _TypeAlias = SegmentResponse  # noqa: Y015
 
 @_typing.final
+class SegmentStreamRequest(_message.Message):
+    """A message to a segment stream: either a Hello, which is the first and only one, or timesteps."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HELLO_FIELD_NUMBER: _builtins.int
+    TIMESTEPS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def hello(self) -> Global___SegmentHello:
+        """Opens the stream."""
+
+    @_builtins.property
+    def timesteps(self) -> Global___Timesteps:
+        """The next timesteps."""
+
+    def __init__(
+        self,
+        *,
+        hello: Global___SegmentHello | None = ...,
+        timesteps: Global___Timesteps | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["hello", b"hello", "timesteps", b"timesteps"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["hello", b"hello", "timesteps", b"timesteps"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentStreamRequest: _TypeAlias = SegmentStreamRequest  # noqa: Y015
+
+@_typing.final
+class SegmentHello(_message.Message):
+    """Model and options of a segment stream. Short segments cannot be merged in it: that looks at the whole trajectory."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MODEL_FIELD_NUMBER: _builtins.int
+    SMOOTHING_FIELD_NUMBER: _builtins.int
+    MIN_KEPT_FIELD_NUMBER: _builtins.int
+    smoothing: _builtins.float
+    """As in SegmentRequest."""
+    min_kept: _builtins.int
+    """As in SegmentRequest."""
+    @_builtins.property
+    def model(self) -> _common_pb2.ModelRef:
+        """Which model; unset for the active version of the default one. The stream keeps its version."""
+
+    def __init__(
+        self,
+        *,
+        model: _common_pb2.ModelRef | None = ...,
+        smoothing: _builtins.float = ...,
+        min_kept: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["min_kept", b"min_kept", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentHello: _TypeAlias = SegmentHello  # noqa: Y015
+
+@_typing.final
+class Timesteps(_message.Message):
+    """The next timesteps of a trajectory, one or several."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SEQ_FIELD_NUMBER: _builtins.int
+    FRAMES_FIELD_NUMBER: _builtins.int
+    IMAGES_FIELD_NUMBER: _builtins.int
+    ACTIONS_FIELD_NUMBER: _builtins.int
+    seq: _builtins.int
+    """Sequence number; must increase, gaps are fine."""
+    @_builtins.property
+    def frames(self) -> _common_pb2.Tensor:
+        """UINT8 (n, H, W, C), C = 1 or 3. Exactly one of `frames` and `images` is given."""
+
+    @_builtins.property
+    def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
+        """Encoded images, one per timestep, all of one size."""
+
+    @_builtins.property
+    def actions(self) -> _common_pb2.Tensor:
+        """Executed actions, FP32 (n, A) or INT64 (n, 1), as in training. Required by a model that was trained with actions."""
+
+    def __init__(
+        self,
+        *,
+        seq: _builtins.int = ...,
+        frames: _common_pb2.Tensor | None = ...,
+        images: _abc.Iterable[_common_pb2.Image] | None = ...,
+        actions: _common_pb2.Tensor | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "seq", b"seq"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Timesteps: _TypeAlias = Timesteps  # noqa: Y015
+
+@_typing.final
+class SegmentStreamResponse(_message.Message):
+    """A message from a segment stream: exactly one of `opened`, `labels`, `error` and `draining`."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SEQ_FIELD_NUMBER: _builtins.int
+    OPENED_FIELD_NUMBER: _builtins.int
+    LABELS_FIELD_NUMBER: _builtins.int
+    ERROR_FIELD_NUMBER: _builtins.int
+    DRAINING_FIELD_NUMBER: _builtins.int
+    seq: _builtins.int
+    """The `seq` that labels or an error answer; 0 after the last message."""
+    @_builtins.property
+    def opened(self) -> Global___SegmentStreamOpened:
+        """Answer to the Hello."""
+
+    @_builtins.property
+    def labels(self) -> Global___StreamLabels:
+        """Labels that became final, and provisional ones. After the client has ended the stream, all that are left."""
+
+    @_builtins.property
+    def error(self) -> _common_pb2.Error:
+        """Why timesteps were rejected."""
+
+    @_builtins.property
+    def draining(self) -> _common_pb2.Draining:
+        """The service is stopping: send the trajectory again, to another replica."""
+
+    def __init__(
+        self,
+        *,
+        seq: _builtins.int = ...,
+        opened: Global___SegmentStreamOpened | None = ...,
+        labels: Global___StreamLabels | None = ...,
+        error: _common_pb2.Error | None = ...,
+        draining: _common_pb2.Draining | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["draining", b"draining", "error", b"error", "labels", b"labels", "opened", b"opened"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["draining", b"draining", "error", b"error", "labels", b"labels", "opened", b"opened", "seq", b"seq"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentStreamResponse: _TypeAlias = SegmentStreamResponse  # noqa: Y015
+
+@_typing.final
+class SegmentStreamOpened(_message.Message):
+    """The model of a segment stream."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MODEL_FIELD_NUMBER: _builtins.int
+    LAG_FIELD_NUMBER: _builtins.int
+    lag: _builtins.int
+    """Timesteps after which a label is final at the latest: lookahead of the model, of smoothing and of rejection together."""
+    @_builtins.property
+    def model(self) -> Global___ListSkillsResponse:
+        """Its skills and expected inputs."""
+
+    def __init__(
+        self,
+        *,
+        model: Global___ListSkillsResponse | None = ...,
+        lag: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["lag", b"lag", "model", b"model"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentStreamOpened: _TypeAlias = SegmentStreamOpened  # noqa: Y015
+
+@_typing.final
+class StreamLabels(_message.Message):
+    """Labels of consecutive timesteps of a segment stream."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    START_FIELD_NUMBER: _builtins.int
+    LABELS_FIELD_NUMBER: _builtins.int
+    CONFIDENCE_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    SEGMENTS_FIELD_NUMBER: _builtins.int
+    PROVISIONAL_FIELD_NUMBER: _builtins.int
+    TIMING_FIELD_NUMBER: _builtins.int
+    start: _builtins.int
+    """First timestep of `labels`."""
+    @_builtins.property
+    def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
+        """Final labels of n timesteps from `start` on, as in SegmentResponse."""
+
+    @_builtins.property
+    def confidence(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """As in SegmentResponse, of n timesteps."""
+
+    @_builtins.property
+    def in_distribution(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """As in SegmentResponse, of n timesteps."""
+
+    @_builtins.property
+    def segments(self) -> _containers.RepeatedCompositeFieldContainer[Global___Segment]:
+        """Segments that ended, or with the stream, in order."""
+
+    @_builtins.property
+    def provisional(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
+        """Labels of the timesteps that follow, up to the newest, as if the trajectory ended there; later ones may differ."""
+
+    @_builtins.property
+    def timing(self) -> _common_pb2.Timing:
+        """Time spent in each stage."""
+
+    def __init__(
+        self,
+        *,
+        start: _builtins.int = ...,
+        labels: _abc.Iterable[_builtins.int] | None = ...,
+        confidence: _abc.Iterable[_builtins.float] | None = ...,
+        in_distribution: _abc.Iterable[_builtins.float] | None = ...,
+        segments: _abc.Iterable[Global___Segment] | None = ...,
+        provisional: _abc.Iterable[_builtins.int] | None = ...,
+        timing: _common_pb2.Timing | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["timing", b"timing"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "in_distribution", b"in_distribution", "labels", b"labels", "provisional", b"provisional", "segments", b"segments", "start", b"start", "timing", b"timing"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___StreamLabels: _TypeAlias = StreamLabels  # noqa: Y015
+
+@_typing.final
 class ListSkillsRequest(_message.Message):
     """Names a model."""
 
@@ -208,6 +442,7 @@ class ListSkillsResponse(_message.Message):
     CHANNELS_FIELD_NUMBER: _builtins.int
     ACTION_SIZE_FIELD_NUMBER: _builtins.int
     ACTION_CHOICES_FIELD_NUMBER: _builtins.int
+    LAG_FIELD_NUMBER: _builtins.int
     height: _builtins.int
     """Frame height in pixels; requests must match."""
     width: _builtins.int
@@ -218,6 +453,10 @@ class ListSkillsResponse(_message.Message):
     """Numbers per action; 0 for a model without actions."""
     action_choices: _builtins.int
     """Number of discrete actions; 0 for continuous ones."""
+    lag: _builtins.int
+    """Timesteps after a timestep that its prediction depends on; unset for a model of whole trajectories, which has no
+    streams.
+    """
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """The skills; labels are indices into this list."""
@@ -236,11 +475,14 @@ class ListSkillsResponse(_message.Message):
         channels: _builtins.int = ...,
         action_size: _builtins.int = ...,
         action_choices: _builtins.int = ...,
+        lag: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "lag", b"lag", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action_choices", b"action_choices", "action_size", b"action_size", "channels", b"channels", "height", b"height", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "action_choices", b"action_choices", "action_size", b"action_size", "channels", b"channels", "height", b"height", "lag", b"lag", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__lag: _TypeAlias = _typing.Literal["lag"]  # noqa: Y015
+    _WhichOneofArgType__lag: _TypeAlias = _typing.Literal["_lag", b"_lag"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lag) -> _WhichOneofReturnType__lag | None: ...
 
 Global___ListSkillsResponse: _TypeAlias = ListSkillsResponse  # noqa: Y015

@@ -40,6 +40,11 @@ class SegmentationServiceStub:
                 request_serializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentResponse.FromString,
                 _registered_method=True)
+        self.SegmentStream = channel.stream_stream(
+                '/freerein.api.segmentation.v1.SegmentationService/SegmentStream',
+                request_serializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamResponse.FromString,
+                _registered_method=True)
         self.ListSkills = channel.unary_unary(
                 '/freerein.api.segmentation.v1.SegmentationService/ListSkills',
                 request_serializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.ListSkillsRequest.SerializeToString,
@@ -53,6 +58,15 @@ class SegmentationServiceServicer:
 
     def Segment(self, request, context):
         """Labels every timestep of one trajectory.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def SegmentStream(self, request_iterator, context):
+        """Labels one trajectory of any length as it arrives: a Hello, then its timesteps in order, each answered by the labels
+        that it makes final. Labels are those of `Segment`, for a model of finite lookahead (`lag` of ListSkills). An invalid
+        message is answered by an error, its timesteps are not part of the trajectory, and the stream continues.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -72,6 +86,11 @@ def add_SegmentationServiceServicer_to_server(servicer, server):
                     servicer.Segment,
                     request_deserializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentRequest.FromString,
                     response_serializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentResponse.SerializeToString,
+            ),
+            'SegmentStream': grpc.stream_stream_rpc_method_handler(
+                    servicer.SegmentStream,
+                    request_deserializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamResponse.SerializeToString,
             ),
             'ListSkills': grpc.unary_unary_rpc_method_handler(
                     servicer.ListSkills,
@@ -107,6 +126,33 @@ class SegmentationService:
             '/freerein.api.segmentation.v1.SegmentationService/Segment',
             freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentRequest.SerializeToString,
             freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def SegmentStream(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/freerein.api.segmentation.v1.SegmentationService/SegmentStream',
+            freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamRequest.SerializeToString,
+            freerein_dot_api_dot_segmentation_dot_v1_dot_segmentation__pb2.SegmentStreamResponse.FromString,
             options,
             channel_credentials,
             insecure,

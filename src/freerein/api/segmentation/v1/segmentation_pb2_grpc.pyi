@@ -35,6 +35,11 @@ class SegmentationServiceStub:
     def __new__(cls, channel: _aio.Channel) -> SegmentationServiceAsyncStub: ...
     Segment: _grpc.UnaryUnaryMultiCallable[_segmentation_pb2.SegmentRequest, _segmentation_pb2.SegmentResponse]
     """Labels every timestep of one trajectory."""
+    SegmentStream: _grpc.StreamStreamMultiCallable[_segmentation_pb2.SegmentStreamRequest, _segmentation_pb2.SegmentStreamResponse]
+    """Labels one trajectory of any length as it arrives: a Hello, then its timesteps in order, each answered by the labels
+    that it makes final. Labels are those of `Segment`, for a model of finite lookahead (`lag` of ListSkills). An invalid
+    message is answered by an error, its timesteps are not part of the trajectory, and the stream continues.
+    """
     ListSkills: _grpc.UnaryUnaryMultiCallable[_segmentation_pb2.ListSkillsRequest, _segmentation_pb2.ListSkillsResponse]
     """Returns the skills and the expected inputs of a model."""
 
@@ -45,6 +50,11 @@ class SegmentationServiceAsyncStub(SegmentationServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     Segment: _aio.UnaryUnaryMultiCallable[_segmentation_pb2.SegmentRequest, _segmentation_pb2.SegmentResponse]  # type: ignore[assignment]
     """Labels every timestep of one trajectory."""
+    SegmentStream: _aio.StreamStreamMultiCallable[_segmentation_pb2.SegmentStreamRequest, _segmentation_pb2.SegmentStreamResponse]  # type: ignore[assignment]
+    """Labels one trajectory of any length as it arrives: a Hello, then its timesteps in order, each answered by the labels
+    that it makes final. Labels are those of `Segment`, for a model of finite lookahead (`lag` of ListSkills). An invalid
+    message is answered by an error, its timesteps are not part of the trajectory, and the stream continues.
+    """
     ListSkills: _aio.UnaryUnaryMultiCallable[_segmentation_pb2.ListSkillsRequest, _segmentation_pb2.ListSkillsResponse]  # type: ignore[assignment]
     """Returns the skills and the expected inputs of a model."""
 
@@ -58,6 +68,17 @@ class SegmentationServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_segmentation_pb2.SegmentResponse, _abc.Awaitable[_segmentation_pb2.SegmentResponse]]:
         """Labels every timestep of one trajectory."""
+
+    @_abc_1.abstractmethod
+    def SegmentStream(
+        self,
+        request_iterator: _MaybeAsyncIterator[_segmentation_pb2.SegmentStreamRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_segmentation_pb2.SegmentStreamResponse], _abc.AsyncIterator[_segmentation_pb2.SegmentStreamResponse]]:
+        """Labels one trajectory of any length as it arrives: a Hello, then its timesteps in order, each answered by the labels
+        that it makes final. Labels are those of `Segment`, for a model of finite lookahead (`lag` of ListSkills). An invalid
+        message is answered by an error, its timesteps are not part of the trajectory, and the stream continues.
+        """
 
     @_abc_1.abstractmethod
     def ListSkills(

@@ -1,0 +1,117 @@
+"""What the batcher runs on the model's thread: whole trajectories, and steps of streams."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import OutputNotFinite, ServiceError
+from freerein.serving.batcher import Batcher
+from freerein.types.common import ActionSpec, Camera
+from freerein_segmentation.model import Prediction
+
+Frames: TypeAlias = npt.NDArray[np.uint8]
+Actions: TypeAlias = npt.NDArray[Any] | None
+
+
+class PredictionStream(Protocol):
+    """Predictions for one trajectory that arrives bit by bit; see `SegmentationStream`."""
+
+    def push(self, frames: Frames, actions: Actions) -> Prediction:
+        """Returns the prediction of the timesteps that the next ones finish."""
+
+    def finish(self) -> Prediction:
+        """Returns the prediction of the others so far, as if the trajectory ended here; changes nothing."""
+
+
+class SkillModel(Protocol):
+    """A trained segmentation model, as the core uses it.
+
+    Attributes:
+        skills: The skills; labels are indices into them.
+        camera: The camera whose frames it takes.
+        action: The action space; None for a model without actions.
+        lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories.
+    """
+
+    skills: tuple[str, ...]
+    camera: Camera
+    action: ActionSpec | None
+    lag: int | None
+
+    def predict(self, frames: Frames, actions: Actions) -> Prediction:
+        """Returns the prediction for frames (T, H, W, C) and actions (T, A), in bounded memory."""
+
+    def stream(self) -> PredictionStream:
+        """Returns a stream of predictions; FailedPrecondition when `lag` is None."""
+
+
+class Work(Protocol):
+    """One item of the batcher, run on the model's thread."""
+
+    def run(self) -> tuple[Prediction, ...]:
+        """Returns its predictions."""
+
+
+@dataclass(frozen=True, eq=False)
+class WholeTrajectory:
+    """The prediction for a trajectory."""
+
+    model: SkillModel
+    frames: Frames
+    actions: Actions
+
+    def run(self) -> tuple[Prediction, ...]:
+        """Returns one prediction, of all timesteps."""
+        prediction = self.model.predict(self.frames, self.actions)
+        _check_shapes(prediction, len(self.frames), len(self.model.skills))
+        return (prediction,)
+
+
+@dataclass(frozen=True, eq=False)
+class StreamStep:
+    """The next timesteps of a stream. It changes the stream, so its batch holds nothing that could run it again."""
+
+    stream: PredictionStream
+    frames: Frames
+    actions: Actions
+
+    def run(self) -> tuple[Prediction, ...]:
+        """Returns the final prediction of some timesteps, and the provisional one of those after them."""
+        return self.stream.push(self.frames, self.actions), self.stream.finish()
+
+
+@dataclass(frozen=True, eq=False)
+class StreamEnd:
+    """The end of a stream."""
+
+    stream: PredictionStream
+
+    def run(self) -> tuple[Prediction, ...]:
+        """Returns one prediction, of the timesteps that are left."""
+        return (self.stream.finish(),)
+
+
+SegmentationBatcher: TypeAlias = Batcher[Work, tuple[Prediction, ...]]
+
+
+def run_batch(items: Sequence[Work]) -> list[tuple[Prediction, ...] | ServiceError]:
+    """Returns the predictions of each item, or its error."""
+    return [_check_finite(item.run()) for item in items]
+
+
+def _check_shapes(prediction: Prediction, timesteps: int, skills: int) -> None:
+    if prediction.probabilities.shape != (timesteps, skills) or prediction.in_distribution.shape != (timesteps,):
+        raise ValueError(f"the model returned {prediction.probabilities.shape}, expected {(timesteps, skills)}")
+
+
+def _check_finite(predictions: tuple[Prediction, ...]) -> tuple[Prediction, ...] | ServiceError:
+    if all(np.isfinite(each.probabilities).all() and np.isfinite(each.in_distribution).all() for each in predictions):
+        return predictions
+    return OutputNotFinite(
+        "The model's output must be finite; it overflowed.",
+        field="actions",
+        hint="Scale actions as in the training data.",
+    )

@@ -1,0 +1,115 @@
+"""Checks and decodes what requests hold: options, frames, actions."""
+
+import asyncio
+from collections.abc import Sequence
+
+import numpy as np
+
+from freerein import images
+from freerein.errors import InvalidInput, TooLarge
+from freerein.types.common import ActionSpec, Camera, Image
+from freerein.types.segmentation import SegmentRequest, Timesteps
+from freerein_segmentation.core.inference import Actions, Frames, SkillModel
+
+MAX_TIMESTEPS = 20_000
+MAX_MIN_SEGMENT = 1_000
+MAX_SMOOTHING = 100.0
+
+
+def check_options(smoothing: float, **lengths: int) -> None:
+    """Raises InvalidInput when `smoothing`, or a length of segments of the name given, is out of bounds."""
+    for name, length in lengths.items():
+        if length > MAX_MIN_SEGMENT:
+            raise InvalidInput(
+                f"`{name}` must be at most {MAX_MIN_SEGMENT} timesteps; got {length}.",
+                field=name,
+                hint="5 is usual, as in the dissertation.",
+            )
+    if not 0.0 <= smoothing <= MAX_SMOOTHING:
+        raise InvalidInput(
+            f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {smoothing:g}.",
+            field="smoothing",
+            hint="One or two timesteps are usual.",
+        )
+
+
+async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps) -> tuple[Frames, Actions]:
+    """Returns the frames, uint8 (T, H, W, C), and the actions (T, A) of a request, None for a model without actions.
+
+    Encoded images are decoded off the event loop.
+
+    Raises:
+        InvalidInput: They are not what the model expects.
+        UnsupportedMedia: An image is in another encoding than it declares.
+        TooLarge: There are too many timesteps.
+    """
+    images.check_one_form(has_frames=request.frames is not None, has_images=bool(request.images))
+    if request.frames is not None:
+        frames = images.check_frames(request.frames, axis="T")
+    else:
+        frames = await asyncio.to_thread(_decode, request.images, model.camera)
+    _check_frames(model.camera, frames)
+    if model.action is None:
+        return frames, None
+    check_actions(model.action, request.actions, len(frames))
+    return frames, request.actions
+
+
+def check_actions(action: ActionSpec, actions: Actions, timesteps: int) -> None:
+    """Raises InvalidInput when actions are not (T, A) of the model's type, or not within bounds."""
+    expected = (timesteps, action.size)
+    if actions is None or actions.dtype != action.dtype or actions.shape != expected:
+        got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
+        raise InvalidInput(
+            f"`actions` must be {action.dtype} {expected}, one row per frame; got {got}.",
+            field="actions",
+            hint="Send the executed action of each timestep, in the format that ListSkills returns.",
+        )
+    low, high = action.bounds
+    if not ((actions >= low) & (actions <= high)).all():  # False for NaN
+        raise InvalidInput(
+            f"`actions` must be finite and in [{low:g}, {high:g}]; some are not.",
+            field="actions",
+            hint="Scale actions as in the training data.",
+        )
+
+
+def _decode(encoded: Sequence[Image], camera: Camera) -> Frames:
+    if len(encoded) > MAX_TIMESTEPS:
+        raise InvalidInput(
+            f"`images` must hold at most {MAX_TIMESTEPS} images; got {len(encoded)}.",
+            field="images",
+            hint="Send the trajectory in parts.",
+        )
+    total = images.pixel_count(encoded[0], field="images.0") * len(encoded)  # all have one size
+    images.check_total_pixels(total, hint="Send a stream (SegmentStream), or images of the model's size.")
+    size = (camera.height, camera.width)
+    first = images.decode(encoded[0], field="images.0", size=size)
+    frames = np.empty((len(encoded), *first.shape), np.uint8)
+    frames[0] = first
+    for t, image in enumerate(encoded[1:], start=1):
+        pixels = images.decode(image, field=f"images.{t}", size=size)
+        if pixels.shape != first.shape:
+            raise InvalidInput(
+                f"`images` must all be gray or all colour; image 0 has {first.shape}, image {t} has {pixels.shape}.",
+                field=f"images.{t}",
+                hint="Convert them first.",
+            )
+        frames[t] = pixels
+    return frames
+
+
+def _check_frames(camera: Camera, frames: Frames) -> None:
+    if len(frames) > MAX_TIMESTEPS:
+        raise TooLarge(
+            f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
+            field="frames",
+            hint="Send a stream (SegmentStream), or the trajectory in parts.",
+        )
+    expected = (camera.height, camera.width, camera.channels)
+    if frames.shape[1:] != expected:
+        raise InvalidInput(
+            f"Frames must have height, width and channels {expected}, as in training; got {frames.shape[1:]}.",
+            field="frames",
+            hint="Scale the frames, or name another model.",
+        )

@@ -1,0 +1,221 @@
+"""Segment streams over real sockets, with models of the real kind: what is labelled, refused, told and bounded."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+import pytest
+import torch
+
+from freerein.clients import Channel, SegmentationClient
+from freerein.errors import FailedPrecondition, InvalidInput, TooLarge
+from freerein.learning import weights
+from freerein.learning.model_files import save_model
+from freerein.serving.model_store import ModelStore
+from freerein.types.common import ActionSpec, Camera, ModelRef
+from freerein.types.segmentation import (
+    ListSkillsRequest,
+    SegmentHello,
+    SegmentRequest,
+    SegmentStreamRequest,
+    SegmentStreamResponse,
+    Timesteps,
+)
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+
+pytestmark = pytest.mark.e2e
+MIB = 2**20
+LAG = 6
+SPEC = ModelSpec(
+    skills=("a", "b", "c"),
+    cameras=(Camera("front", 112, 112, 1),),
+    action=ActionSpec(2, 0, ("x", "y")),
+    use_actions=False,
+    context=LAG,
+)
+WHOLE = ModelRef("whole")
+
+
+def publish(data_dir: Path, name: str, spec: ModelSpec) -> None:
+    network = SegmentationNetwork(spec)
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
+    frames = {"front": torch.from_numpy(trajectory(120))}
+    network.image.fit_normalisation(frames, generator=torch.Generator())
+    with torch.no_grad():  # each skill is as likely as another, so that labels change
+        network.head.weight.mul_(30)
+        scores, _ = network(frames, torch.zeros(120, 2), torch.tensor([120]))
+        network.head.bias -= scores[0].mean(dim=0)
+    save_model(network, data_dir / "unpublished", card={"method": "set_supervised"})
+    store = ModelStore(data_dir / "models" / "segmentation")
+    store.activate(store.publish(name, data_dir / "unpublished"))
+
+
+def trajectory(timesteps: int) -> npt.NDArray[np.uint8]:
+    """Returns frames, uint8 (T, 112, 112, 1), whose brightness changes every ten timesteps."""
+    rng = np.random.default_rng(0)
+    bright = np.repeat(rng.integers(0, 200, timesteps // 10 + 1, np.uint8), 10)[:timesteps]
+    frames = np.broadcast_to(bright[:, None, None, None], (timesteps, 112, 112, 1)).copy()
+    frames[:, :56] += rng.integers(0, 50, (timesteps, 1, 112, 1), np.uint8)
+    return frames
+
+
+@pytest.fixture(scope="module")
+def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
+    data_dir = tmp_path_factory.mktemp("data")
+    publish(data_dir, "", SPEC)
+    publish(data_dir, "whole", replace(SPEC, context="all"))
+    service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="2")
+    while not service.is_ready():
+        pass
+    return service
+
+
+@pytest.fixture
+async def client(service: Any) -> AsyncIterator[SegmentationClient]:
+    async with SegmentationClient(Channel(service.address)) as client:
+        yield client
+
+
+def hello(**options: Any) -> SegmentStreamRequest:
+    return SegmentStreamRequest(SegmentHello(**options))
+
+
+def seen(seq: int, frames: npt.NDArray[np.uint8]) -> SegmentStreamRequest:
+    return SegmentStreamRequest(timesteps=Timesteps(seq, frames))
+
+
+async def said(*requests: SegmentStreamRequest) -> AsyncIterator[SegmentStreamRequest]:
+    for request in requests:
+        yield request
+
+
+async def heard(client: SegmentationClient, *requests: SegmentStreamRequest) -> list[SegmentStreamResponse]:
+    return [reply async for reply in client.segment_stream(said(*requests))]
+
+
+@pytest.mark.parametrize(("smoothing", "min_kept"), [(0.0, 0), (1.0, 4)])
+async def test_a_stream_has_the_labels_of_the_whole_after_its_lag(client: Any, smoothing: float, min_kept: int) -> None:
+    frames = trajectory(120)
+    whole = await client.segment(SegmentRequest(frames=frames, smoothing=smoothing, min_kept=min_kept))
+    parts = [frames[:1], *np.split(frames[1:20], 19), frames[20:90], frames[90:]]
+    requests = [seen(seq, part) for seq, part in enumerate(parts)]
+    opened, *replies = await heard(client, hello(smoothing=smoothing, min_kept=min_kept), *requests)
+
+    lag = opened.opened.lag
+    assert (opened.opened.model.lag, lag) == (LAG, LAG + (4 + 3 if min_kept else 0))
+    pushed = [*np.cumsum([len(part) for part in parts]).tolist(), 120]
+    for reply, stop in zip(replies, pushed, strict=True):
+        final = reply.labels.start + len(reply.labels.labels)
+        assert final + len(reply.labels.provisional) == stop
+        assert final >= stop - lag
+    assert np.concatenate([reply.labels.labels for reply in replies]).tolist() == whole.labels.tolist()
+    segments = [segment for reply in replies for segment in reply.labels.segments]
+    assert [(each.start, each.end, each.skill) for each in segments] == [
+        (each.start, each.end, each.skill) for each in whole.segments
+    ]
+    assert len(whole.segments) > 1
+
+
+@pytest.mark.fault("S11")
+async def test_an_invalid_message_is_answered_by_an_error_and_the_stream_goes_on(client: Any) -> None:
+    frames = trajectory(20)
+    bad = [seen(1, frames[:, :50]), seen(1, frames), seen(2, frames[:0])]
+    _, first, *errors, last, end = await heard(client, hello(), seen(0, frames[:10]), *bad, seen(7, frames[10:]))
+    assert [error.error.code for error in errors] == ["invalid_input"] * 3
+    assert [error.error.field for error in errors] == ["frames", "timesteps.seq", "frames"]
+    assert all(error.error.hint for error in errors)
+    labels = np.concatenate([reply.labels.labels for reply in (first, last, end)])
+    assert labels.tolist() == (await client.segment(SegmentRequest(frames=frames))).labels.tolist()
+
+
+@pytest.mark.fault("S11")
+@pytest.mark.parametrize(
+    ("requests", "error"),
+    [
+        ([seen(0, trajectory(1))], FailedPrecondition),
+        ([hello(), hello()], FailedPrecondition),
+        ([SegmentStreamRequest()], FailedPrecondition),
+        ([hello(smoothing=-1.0)], InvalidInput),
+        ([hello(min_kept=1001)], InvalidInput),
+    ],
+    ids=["no hello", "two hellos", "empty", "smoothing", "min_kept"],
+)
+async def test_what_breaks_the_protocol_ends_the_stream(client: Any, requests: Any, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        await heard(client, *requests)
+
+
+async def test_a_model_of_whole_trajectories_has_no_stream_and_says_how_to_get_one(client: Any) -> None:
+    assert (await client.list_skills(ListSkillsRequest(WHOLE))).lag is None
+    with pytest.raises(FailedPrecondition) as refused:
+        await heard(client, hello(model=WHOLE))
+    assert "context" in refused.value.hint
+
+
+@pytest.mark.fault("S9")
+async def test_ten_thousand_large_frames_are_labelled_by_a_stream_in_bounded_memory(service: Any, client: Any) -> None:
+    frames = trajectory(10_000)  # 125 MB
+    process = psutil.Process(service.process.pid)
+    await client.segment(SegmentRequest(frames=frames[:1000]))  # what is allocated once
+    before = peak = process.memory_info().rss
+    labelling = asyncio.ensure_future(client.segment(SegmentRequest(frames=frames), timeout_s=60))
+    while not labelling.done():
+        await asyncio.wait({labelling}, timeout=0.02)
+        peak = max(peak, process.memory_info().rss)
+    answer = await labelling
+    assert (len(answer.labels), answer.segments[0].start, answer.segments[-1].end) == (10_000, 0, 10_000)
+    parts = [await client.segment(SegmentRequest(frames=frames[at : at + 1000])) for at in (0, 9000)]
+    assert answer.labels[: 1000 - LAG].tolist() == parts[0].labels[: 1000 - LAG].tolist()
+    assert peak - before < 64 * MIB
+
+
+async def test_what_a_stream_cannot_do_is_said_before_it_is_sent(client: Any) -> None:
+    frames = np.zeros((6000, 112, 112, 1), np.uint8)
+    with pytest.raises(TooLarge, match="merged"):
+        await client.segment(SegmentRequest(frames=frames, min_segment=5))
+    with pytest.raises(FailedPrecondition):
+        await client.segment(SegmentRequest(WHOLE, frames))
+
+
+@pytest.mark.fault("S11")
+async def test_who_does_not_read_is_cut_off_and_nobody_else_waits(service: Any, client: Any) -> None:
+    frames = trajectory(400)
+
+    async def flood() -> AsyncIterator[SegmentStreamRequest]:
+        yield hello(smoothing=100.0)  # no label is final, and all are repeated as provisional ones
+        for seq in range(200):
+            yield seen(seq, frames)
+
+    async with SegmentationClient(Channel(service.address)) as slow:
+        replies = slow.segment_stream(flood())
+        assert (await anext(replies)).opened is not None
+        for _ in range(3):
+            assert len((await client.segment(SegmentRequest(frames=frames[:20]))).labels) == 20
+        await replies.aclose()
+    assert len(await heard(client, hello(), seen(0, frames[:20]))) == 3
+
+
+@pytest.mark.fault("S11")
+async def test_a_stream_is_told_when_the_service_stops(
+    start_service: Callable[..., Any], service: Any, robots: Any
+) -> None:
+    own = start_service("freerein_segmentation", service.data_dir)
+    await asyncio.to_thread(until_ready, own)
+    async with SegmentationClient(Channel(own.address)) as client:
+        stream = robots.Stream(client.segment_stream)
+        assert (await stream.ask(hello())).opened is not None
+        assert (await stream.ask(seen(0, trajectory(10)))).labels is not None
+        own.process.terminate()
+        assert (await stream.hear()).draining.deadline_s > 0
+        assert await stream.rest() == []
+    assert await asyncio.to_thread(own.process.wait, 15) == 0
+
+
+def until_ready(service: Any) -> None:
+    while not service.is_ready():
+        pass
