@@ -1,0 +1,118 @@
+import subprocess
+import sys
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from freerein.errors import FailedPrecondition
+from freerein_sim.worlds import mujoco_world
+from freerein_sim.worlds.dial import RECIPES, SPEC, TASKS, ik, keypad, scene
+from freerein_sim.worlds.dial.predicates import completed
+from freerein_sim.worlds.episodes import record_episode
+from freerein_sim.worlds.world import World, expert_of
+
+TASK = TASKS[0]
+STILL = np.zeros(SPEC.action.size, np.float32)
+JUDGES = {predicate.name: predicate for predicate in completed(SPEC)}
+
+
+def begin(seed: int = 0) -> World:
+    world = TASK.make()
+    world.reset(np.random.default_rng(seed))
+    return world
+
+
+def state(fingertip: tuple[float, float], digit: int, depth: float) -> np.ndarray:
+    row = np.zeros(len(SPEC.state_names))
+    row[[SPEC.state_names.index(f"fingertip.{axis}") for axis in "xy"]] = fingertip
+    row[SPEC.state_names.index(f"key-{digit}.depth")] = depth
+    return row
+
+
+def test_listing_the_task_needs_no_simulator() -> None:
+    listing = "import sys, freerein_sim.worlds.dial as d; d.TASKS[0].describe(); sys.exit('mujoco' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", listing], check=False).returncode == 0
+
+
+def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco_world.importlib.util, "find_spec", lambda _: None)
+    scene.build.cache_clear()
+
+    with pytest.raises(FailedPrecondition, match="dm-control") as error:
+        TASK.make()
+    assert error.value.hint == "pip install --no-deps -r assets-robots.txt"
+
+
+def test_the_targets_of_every_key_are_over_it_and_below_its_top() -> None:
+    arm, targets = ik.ArmKinematics(scene.build().model), ik.key_targets()
+
+    for digit, at in enumerate(keypad.CENTRES_M):
+        hover, press = arm.fingertip(targets.hover[digit]), arm.fingertip(targets.press[digit])
+        np.testing.assert_allclose(hover, [*at, keypad.TOP_M + ik.HOVER_M], atol=1e-3)
+        np.testing.assert_allclose(press, [*at, keypad.TOP_M + ik.PRESS_M], atol=1e-3)
+
+
+def test_the_keypad_is_laid_out_as_on_a_telephone() -> None:
+    x, y = keypad.CENTRES_M.T
+
+    assert x[[1, 2, 3]].tolist() == [x[1]] * 3
+    assert y[[2, 5, 8, 0]].tolist() == [0.0] * 4
+    assert x[1] < x[4] < x[7] < x[0]
+    assert y[1] < y[2] < y[3]
+
+
+def test_every_key_has_a_face_of_its_own() -> None:
+    assert len({keypad.face(digit).tobytes() for digit in keypad.DIGITS}) == len(keypad.DIGITS)
+
+
+def test_without_torque_the_arm_rests_and_no_key_is_pressed() -> None:
+    with closing(begin()) as world:
+        before = world.truth().state
+        for _ in range(20):
+            world.step(STILL)
+
+        np.testing.assert_allclose(world.truth().state, before, atol=1e-3)
+
+
+def test_a_key_is_completed_when_the_fingertip_begins_to_hold_it_down() -> None:
+    over, beside = tuple(keypad.CENTRES_M[4]), tuple(keypad.CENTRES_M[5])
+    pressed, up = keypad.PRESSED_M + 1e-4, keypad.PRESSED_M - 1e-4
+    judge = JUDGES["completed/press-4"]
+
+    def judged(*states: np.ndarray) -> list[bool]:
+        return judge.holds(np.stack(states)[None])[0].tolist()
+
+    assert judged(state(over, 4, 0), state(over, 4, pressed), state(beside, 4, 0)) == [False, True, True]
+    assert judged(state(over, 4, up), state(over, 4, up)) == [False, False]
+    assert judged(state(over, 4, pressed), state(over, 4, pressed)) == [False, False]
+    assert judged(state(over, 4, 0), state(beside, 4, pressed)) == [False, False]
+    assert judged(state(over, 4, 0), state(over, 5, pressed)) == [False, False]
+
+
+def test_demonstrations_press_exactly_their_keys_in_time() -> None:
+    with closing(begin()) as world:
+        for seed, count in enumerate((2, 3, 4, 5)):
+            rng = np.random.default_rng(seed)
+            recipe = RECIPES.draw(rng, SPEC.skills, fewest=count, most=count)
+            world.reset(rng, recipe=recipe)
+            states = [world.truth().state]
+            expert = expert_of(world)(recipe, rng)
+            while (chosen := expert.act()) is not None:
+                world.step(chosen.action)
+                states.append(world.truth().state)
+
+            holds = {name for name, each in JUDGES.items() if each.holds(np.stack(states[:-1])[None])[0, -1]}
+            assert expert.succeeded()
+            assert len(states) - 1 <= SPEC.max_episode_steps
+            assert holds == {f"completed/{skill}" for skill in recipe}
+
+
+def test_labels_change_once_for_each_key_and_durations_differ() -> None:
+    with closing(begin(1)) as world:
+        rng = np.random.default_rng(1)
+        shown = record_episode(world, expert_of(world)(("press-7", "press-3"), rng), cameras=(), max_steps=100)
+
+    assert shown.success
+    assert shown.labels[np.flatnonzero(np.diff(shown.labels, prepend=-1))].tolist() == [7, 3]
