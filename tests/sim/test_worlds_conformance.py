@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds import blocks, conformance, grid, pendulum, tabletop
+from freerein_sim.worlds import blocks, conformance, dial, grid, pendulum, tabletop
 from freerein_sim.worlds.conformance import experts, first_frames, interface, recipes
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.world import LabelledAction, TaskDefinition, skill_indices
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
-TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *tabletop.TASKS, REPLAYED)}
+TASKS = {
+    task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *dial.TASKS, *tabletop.TASKS, REPLAYED)
+}
 CHECKED = (
     "grid",
     "replayed",
@@ -23,9 +25,10 @@ CHECKED = (
     "blocks.red-left-of-green",
     "blocks.yellow-right-of-blue",
     "blocks.blue-on-top-of-red",
+    "dial",
     "tabletop",
 )
-HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "tabletop")
+HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "dial", "tabletop")
 SHOWS_ITS_RECIPE = ("grid", "tabletop.only-own-objects")
 """The indicator has the colour of the first object, and the other shows only what a recipe uses."""
 
