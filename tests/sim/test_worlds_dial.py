@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition
-from freerein_sim.worlds import mujoco_world
 from freerein_sim.worlds.dial import RECIPES, SPEC, TASKS, ik, keypad, scene
 from freerein_sim.worlds.dial.predicates import completed
 from freerein_sim.worlds.episodes import record_episode
@@ -37,7 +36,7 @@ def test_listing_the_task_needs_no_simulator() -> None:
 
 
 def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mujoco_world.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     scene.build.cache_clear()
 
     with pytest.raises(FailedPrecondition, match="dm-control") as error:
@@ -82,7 +81,7 @@ def test_a_key_is_completed_when_the_fingertip_begins_to_hold_it_down() -> None:
     judge = JUDGES["completed/press-4"]
 
     def judged(*states: np.ndarray) -> list[bool]:
-        return judge.holds(np.stack(states)[None])[0].tolist()
+        return [bool(holds) for holds in judge.holds(np.stack(states)[None])[0]]
 
     assert judged(state(over, 4, 0), state(over, 4, pressed), state(beside, 4, 0)) == [False, True, True]
     assert judged(state(over, 4, up), state(over, 4, up)) == [False, False]
