@@ -41,7 +41,7 @@ TASK = Task(
 def test_demonstrations_have_fewer_skills_than_the_recipes_that_are_executed() -> None:
     demos, *_, recipes, _ = pipeline_steps(SkillsRunConfig("dial"), TASK)
     assert (demos["config"]["min_skills"], demos["config"]["max_skills"]) == (2, 4)
-    assert recipes["config"]["skills_per_recipe"] == 0
+    assert (recipes["config"]["skills_per_recipe"], recipes["config"]["episode_steps"]) == (0, 200)
     fixed, *_ = pipeline_steps(SkillsRunConfig("dial"), replace(TASK, min_skills=2, max_skills=2))
     assert (fixed["config"]["min_skills"], fixed["config"]["max_skills"]) == (2, 2)
     KINDS["pipeline"].parse({"steps": pipeline_steps(SkillsRunConfig("dial", policies={"ends": "budget"}), TASK)})

@@ -148,6 +148,15 @@ async def test_a_lease_may_be_short_or_an_hour(sessions: SimCore, lease_s: float
     assert (await sessions.create_session(replace(ONE, lease_s=lease_s))).lease_s == lease_s
 
 
+@pytest.mark.parametrize("most", [3, GRID.spec.max_episode_steps + 2])
+async def test_an_episode_may_be_shorter_or_longer_than_the_tasks_own(sessions: SimCore, most: int) -> None:
+    created = await sessions.create_session(replace(ONE, max_episode_steps=most))
+    assert created.task.max_episode_steps == most
+    await sessions.reset(ResetRequest(created.session))
+    truncated = [(await sessions.step(StepRequest(created.session, i, UP))).truncated[0] for i in range(1, most + 2)]
+    assert np.flatnonzero(truncated).tolist() == [most - 1]
+
+
 @pytest.mark.fault("M2")
 @pytest.mark.parametrize(
     ("change", "error"),
@@ -158,6 +167,7 @@ async def test_a_lease_may_be_short_or_an_hour(sessions: SimCore, lease_s: float
         ({"lease_s": float("nan")}, InvalidInput),
         ({"height": 257}, InvalidInput),
         ({"conditions": ("fog",)}, InvalidInput),
+        ({"max_episode_steps": 10_001}, InvalidInput),
         ({"task": "nothing"}, NotFound),
     ],
 )

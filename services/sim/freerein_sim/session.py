@@ -12,6 +12,7 @@ from freerein_sim.workers.worker import Worker
 
 DEFAULT_LEASE_S = 60.0
 MAX_LEASE_S = 3600.0
+MAX_EPISODE_STEPS = 10_000
 _SEED_BITS = 53  # exact in JSON of any language
 
 
@@ -80,8 +81,14 @@ def with_defaults(request: sim.CreateSessionRequest, task: sim.Task) -> sim.Crea
         raise InvalidInput(
             f"`lease_s` must be above 0 and at most {MAX_LEASE_S:.0f} seconds; got another.", field="lease_s"
         )
+    max_episode_steps = request.max_episode_steps or task.max_episode_steps
+    if max_episode_steps > MAX_EPISODE_STEPS:
+        raise InvalidInput(
+            f"`max_episode_steps` must be at most {MAX_EPISODE_STEPS}; got {max_episode_steps}.",
+            field="max_episode_steps",
+        )
     seed = secrets.randbits(_SEED_BITS) if request.seed is None else request.seed
-    return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed)
+    return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed, max_episode_steps=max_episode_steps)
 
 
 def session_not_found() -> SessionNotFound:

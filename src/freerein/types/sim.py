@@ -18,10 +18,9 @@ class Predicate:
     """A statement about true states, for evaluation.
 
     Attributes:
-        name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not
-            where the reference has it), `lifted/SKILL` (the skill's object has risen since the first state),
-            `completed/SKILL` (the skill was executed since the first state), `start/WHAT` (how the sequence began), or
-            a name of the world's own.
+        name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not),
+            `lifted/SKILL` (the skill's object has risen since the first state), `completed/SKILL` (the skill was
+            executed since then), `start/WHAT` (how the sequence began), or a name of the world's own.
         text: What it states, as a caption; empty where no image could show it.
         group: Predicates of one group exclude each other: at most one holds in a state. Empty for no group.
         needs_reference: Whether it compares each state with a reference, such as a landmark's state.
@@ -89,6 +88,7 @@ class CreateSessionRequest:
         privileged: Whether replies include `Truth`. For evaluation only.
         idempotency_key: The same key and request returns the session already created; empty for none.
         conditions: Conditions of the task, at most one of each group, in any order; empty for the nominal task.
+        max_episode_steps: Steps after which an episode is truncated; 0 means the task's own.
     """
 
     task: str
@@ -100,6 +100,7 @@ class CreateSessionRequest:
     privileged: bool = False
     idempotency_key: str = ""
     conditions: tuple[str, ...] = ()
+    max_episode_steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -166,8 +167,7 @@ class StepRequest:
     """One action for each environment.
 
     Attributes:
-        step_id: 1 for the session's first step, then one more each time; the last one repeated returns the recorded
-            reply.
+        step_id: 1 for the session's first step, then one more each time; the last one repeated returns its reply.
         actions: float32 or int64 (N, size), matching the task's `ActionSpec`.
         cameras: Cameras to render; empty for no frames.
     """

@@ -30,6 +30,10 @@ from freerein_orchestrator.kinds.pipeline import Pipeline
 _HELD_OUT_SEED = 1_000_000
 """Added to the seed for evaluations."""
 
+_SLOWNESS = 2
+"""Steps for a recipe relative to those of an episode: recipes are longer than demonstrations, policies slower than the
+expert."""
+
 _SEGMENTATION: Mapping[str, Any] = {"steps": 1200, "stride": 3}
 _POLICIES: Mapping[str, Any] = {"method": "skill_cloning", "steps": 5000}
 _FIGURES = {"subtask_success": f"skills_{COMPLETED}", "recipe_success": WHOLE}
@@ -50,6 +54,7 @@ class SkillsRunConfig:
         segmentation: Configuration of the segmentation model's fit.
         policies: Configuration of the policies' fit.
         skills_per_recipe: Skills of each recipe of the evaluation; 0 means those of the task's longest.
+        episode_steps: Steps in which a recipe is to be executed; 0 means twice those of the task.
         episodes: Recipes of the evaluation.
         num_envs: Recipes executed at a time.
         seed: Seed of every random draw.
@@ -68,6 +73,7 @@ class SkillsRunConfig:
     segmentation: dict[str, Any] = field(default_factory=dict)
     policies: dict[str, Any] = field(default_factory=dict)
     skills_per_recipe: int = bounded(0, least=0, most=256)
+    episode_steps: int = bounded(0, least=0, most=10_000)
     episodes: int = bounded(50, least=1, most=100_000)
     num_envs: int = bounded(25, least=1, most=64)
     seed: int = bounded(0, least=0, most=2**31 - 1 - _HELD_OUT_SEED)
@@ -114,6 +120,7 @@ def pipeline_steps(config: SkillsRunConfig, task: Task) -> list[dict[str, Any]]:
         "task": task.name,
         "skills_per_recipe": config.skills_per_recipe,
         "step_limits": "own",
+        "episode_steps": config.episode_steps or _SLOWNESS * task.max_episode_steps,
         "episodes": config.episodes,
         "num_envs": config.num_envs,
         "seed": config.seed + _HELD_OUT_SEED,

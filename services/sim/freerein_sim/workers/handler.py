@@ -5,6 +5,7 @@ import secrets
 import socket
 from collections.abc import Mapping
 from contextlib import closing
+from dataclasses import replace
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
@@ -82,8 +83,10 @@ class RequestHandler:
             width=request.width,
             privileged=request.privileged,
             conditions=request.conditions,
+            max_episode_steps=request.max_episode_steps,
         )
-        return sim.CreateSessionResponse(session, seed, request.num_envs, task.describe(), request.lease_s)
+        described = replace(task.describe(), max_episode_steps=request.max_episode_steps)
+        return sim.CreateSessionResponse(session, seed, request.num_envs, described, request.lease_s)
 
     def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
         """Returns one trajectory. The service has checked its size for episodes of the nominal length only."""

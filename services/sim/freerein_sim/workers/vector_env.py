@@ -41,6 +41,7 @@ class VectorEnv:
         width: Frame width in pixels; 0 means the cameras' own.
         privileged: Whether replies hold `Truth`.
         conditions: Conditions of the task.
+        max_episode_steps: Steps after which an episode is truncated; 0 means the task's own.
 
     Attributes:
         step_id: Steps made in total; not changed by `reset`, set by `restore`.
@@ -56,12 +57,14 @@ class VectorEnv:
         width: int = 0,
         privileged: bool = False,
         conditions: Sequence[str] = (),
+        max_episode_steps: int = 0,
     ) -> None:
         self.task = task
         self.num_envs = num_envs
         self.step_id = 0
         self._height, self._width = height, width
         self._conditions = conditions
+        self._max_steps = max_episode_steps or task.spec.max_episode_steps
         self._privileged = privileged
         self._cameras(camera.name for camera in task.spec.cameras)
         self._worlds = [build(task, conditions) for _ in range(num_envs)]
@@ -113,7 +116,7 @@ class VectorEnv:
         self._steps += 1
         self.step_id += 1
         terminated = np.array([result.terminated for result in results])
-        truncated = ~terminated & (self._steps >= self.task.spec.max_episode_steps)
+        truncated = ~terminated & (self._steps >= self._max_steps)
         truth = self._truth() if self._privileged else None
         ended = np.flatnonzero(terminated | truncated).tolist()
         final_frames = self._frames(views, ended)
@@ -173,7 +176,7 @@ class VectorEnv:
         check_saves(self._worlds[0])
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
-        if any(env.steps >= self.task.spec.max_episode_steps for env in state.envs):
+        if any(env.steps >= self._max_steps for env in state.envs):
             raise InvalidInput("`snapshot` must be of episodes that go on; got one that is over.", field="snapshot")
         self._restore_worlds(state.envs)
         self._rngs = [env.rng for env in state.envs]

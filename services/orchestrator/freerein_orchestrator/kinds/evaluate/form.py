@@ -116,8 +116,18 @@ class Setup(Generic[C]):
         """Returns the seed of the round that begins with a trial."""
         return derive_seed(self.config.seed, first)
 
-    def session(self, count: int, first: int, *, height: int = 0, width: int = 0) -> CreateSessionRequest:
-        """Returns the privileged session of a round's trials; equal sessions begin in equal states."""
+    def session(
+        self, count: int, first: int, *, height: int = 0, width: int = 0, max_steps: int = 0
+    ) -> CreateSessionRequest:
+        """Returns the privileged session of a round's trials; equal sessions begin in equal states.
+
+        Args:
+            count: Trials of the round.
+            first: The first one.
+            height: Frame height in pixels; 0 for the cameras' own.
+            width: Frame width in pixels; as `height`.
+            max_steps: Steps of an episode; 0 for the task's own.
+        """
         return CreateSessionRequest(
             self.task.name,
             num_envs=count,
@@ -126,6 +136,7 @@ class Setup(Generic[C]):
             width=width,
             privileged=True,
             conditions=self.config.conditions,
+            max_episode_steps=max_steps,
         )
 
 

@@ -35,6 +35,7 @@ class RecipesConfig(PolicyConfig):
         form: The form.
         skills_per_recipe: Skills of each recipe; 0 means the most that a recipe of the task has.
         steps_per_skill: Steps after which a skill is abandoned; 0 leaves it to `step_limits`.
+        episode_steps: Steps of an episode, in which all skills are to be executed; 0 means the task's own.
         step_limits: `equal` shares the steps of an episode equally among the skills, `own` are the model's, which may
             differ between skills.
     """
@@ -42,6 +43,7 @@ class RecipesConfig(PolicyConfig):
     form: Literal["recipes"] = "recipes"
     skills_per_recipe: int = bounded(0, least=0, most=256)
     steps_per_skill: int = bounded(0, least=0, most=10_000)
+    episode_steps: int = bounded(0, least=0, most=10_000)
     step_limits: Literal["equal", "own"] = "equal"
 
     def __post_init__(self) -> None:
@@ -72,8 +74,9 @@ class RecipesEvaluation:
         self._setup = setup
         self._length = setup.config.skills_per_recipe or task.max_skills
         asked, own = setup.config.steps_per_skill, setup.config.step_limits == "own"
-        self._max_steps = asked or max(1, task.max_episode_steps // self._length)
-        self._steps = task.max_episode_steps if own and not asked else self._max_steps * self._length
+        episode_steps = setup.config.episode_steps or task.max_episode_steps
+        self._max_steps = asked or max(1, episode_steps // self._length)
+        self._steps = episode_steps if own and not asked else self._max_steps * self._length
         self._policy = find_policy(setup, max_steps_per_goal=asked if own else self._max_steps)
         self.subject: dict[str, Any] = self._policy.description
 
@@ -82,7 +85,9 @@ class RecipesEvaluation:
         setup, policy = self._setup, self._policy
         drawn = self._draw_recipes(first, count)
         recipes = [recipe.skills for recipe in drawn]
-        request = setup.session(count, first, height=policy.height, width=policy.width)
+        request = setup.session(
+            count, first, height=policy.height, width=policy.width, max_steps=setup.config.episode_steps
+        )
         goals, steps = [Goal(recipe=known_skills(recipe, policy.skills)) for recipe in recipes], self._steps
         episodes = run_episodes(
             setup.sim, request, policy, setup.interrupt, goals=goals, recipes=drawn, max_steps=steps

@@ -194,6 +194,7 @@ class CreateSessionRequest(_message.Message):
     PRIVILEGED_FIELD_NUMBER: _builtins.int
     IDEMPOTENCY_KEY_FIELD_NUMBER: _builtins.int
     CONDITIONS_FIELD_NUMBER: _builtins.int
+    MAX_EPISODE_STEPS_FIELD_NUMBER: _builtins.int
     task: _builtins.str
     """Task name."""
     num_envs: _builtins.int
@@ -210,6 +211,10 @@ class CreateSessionRequest(_message.Message):
     """Whether replies include true state, oracle reward and success. For evaluation only, never for learning."""
     idempotency_key: _builtins.str
     """The same key and request returns the session already created; empty for none."""
+    max_episode_steps: _builtins.int
+    """Steps after which an episode is truncated; 0 means the task's own. At most 10000. Worlds whose state is restored by
+    repeating actions restore no state beyond the task's own.
+    """
     @_builtins.property
     def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Conditions of the task, at most one of each group; empty for the nominal task. Their order does not matter."""
@@ -226,10 +231,11 @@ class CreateSessionRequest(_message.Message):
         privileged: _builtins.bool = ...,
         idempotency_key: _builtins.str = ...,
         conditions: _abc.Iterable[_builtins.str] | None = ...,
+        max_episode_steps: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "seed", b"seed"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "conditions", b"conditions", "height", b"height", "idempotency_key", b"idempotency_key", "lease_s", b"lease_s", "num_envs", b"num_envs", "privileged", b"privileged", "seed", b"seed", "task", b"task", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_seed", b"_seed", "conditions", b"conditions", "height", b"height", "idempotency_key", b"idempotency_key", "lease_s", b"lease_s", "max_episode_steps", b"max_episode_steps", "num_envs", b"num_envs", "privileged", b"privileged", "seed", b"seed", "task", b"task", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__seed: _TypeAlias = _typing.Literal["seed"]  # noqa: Y015
     _WhichOneofArgType__seed: _TypeAlias = _typing.Literal["_seed", b"_seed"]  # noqa: Y015
