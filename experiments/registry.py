@@ -8,6 +8,7 @@ from freerein.errors import NotFound
 EXPERIMENTS = (
     "table_2_1",
     "table_2_2",
+    "table_2_3",
     "table_2_4",
     "fig_2_3",
     "robustness",

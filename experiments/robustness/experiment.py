@@ -14,7 +14,6 @@ from experiments.robustness import (
     reward,
     scenes,
     segmentation,
-    services,
     speed,
     visited_states,
     wordings,
@@ -24,6 +23,7 @@ from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
 from experiments.segmentation import guesses
 from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.learning.checkpoints import JSON
@@ -157,7 +157,7 @@ class RobustnessExperiment:
 
 def _train_policy(arm: Arm, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
     made = policies.METHODS[arm.method]
-    trials = services.run_pipeline(made.steps(arm), folder, on_progress)
+    trials = run_pipeline(made.steps(arm), folder, on_progress)
     return None if trials is None else made.outcome(trials)
 
 

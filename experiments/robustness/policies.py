@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.robustness import confidence
-from experiments.robustness.services import Step, Trials
 from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED
 from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Outcome, Sample
 
 FLAG_AUROC, FLAG_ECE, FLAG_RECALL = "flag.auroc", "flag.ece", "flag.recall"
@@ -77,7 +77,7 @@ class PolicyArm:
 
 def _follow(arm: Arm) -> list[Step]:
     return [
-        _step(
+        step(
             "exploration",
             "collect",
             dataset="exploration",
@@ -86,14 +86,14 @@ def _follow(arm: Arm) -> list[Step]:
             count=600,
             seed=arm.seed,
         ),
-        _fit("fit", "imitation", "exploration", method=arm.method, seed=arm.seed),
+        fit_step("fit", "imitation", "exploration", method=arm.method, seed=arm.seed),
         _evaluate("landmarks", task=arm.world, policy={"model": "default"}, episodes=_LANDMARK_EPISODES),
     ]
 
 
 def _execute_recipes(arm: Arm) -> list[Step]:
     return [
-        _step(
+        step(
             "demonstrations",
             "collect",
             dataset="demonstrations",
@@ -104,7 +104,7 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             max_skills=3,
             seed=arm.seed,
         ),
-        _fit(
+        fit_step(
             "fit-labels",
             "segmentation",
             "demonstrations",
@@ -113,8 +113,8 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             augmentation=0.0,
             seed=arm.seed,
         ),
-        _step("labels", "label", dataset="demonstrations", smoothing=1),
-        _fit("fit", "imitation", "demonstrations", method=arm.method, seed=arm.seed),
+        step("labels", "label", dataset="demonstrations", smoothing=1),
+        fit_step("fit", "imitation", "demonstrations", method=arm.method, seed=arm.seed),
         _evaluate("recipes", task=arm.world, policy={"model": "default"}, episodes=_RECIPES),
     ]
 
@@ -125,7 +125,7 @@ def _expert_recipes(arm: Arm) -> list[Step]:
 
 def _reinforce(arm: Arm) -> list[Step]:
     return [
-        _step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM], seed=arm.seed),
+        step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM], seed=arm.seed),
         _evaluate("returns", task=arm.world, policy={"run": "ppo"}, baseline="random", episodes=_RETURN_EPISODES),
     ]
 
@@ -135,7 +135,7 @@ def _obey(arm: Arm) -> list[Step]:
     told = {"task": left, "other_tasks": [right], "other_texts": list(WORDINGS_OF_SIDES)}
     return [
         *(
-            _step(
+            step(
                 name,
                 "distill",
                 teachers=list(TEACHERS),
@@ -232,16 +232,8 @@ def _share(flags: Sequence[npt.NDArray[np.bool_]]) -> Sample:
     return Sample([int(each.sum()) for each in present], [len(each) for each in present])
 
 
-def _step(name: str, kind: str, **config: Any) -> Step:
-    return {"name": name, "kind": kind, "config": config}
-
-
-def _fit(name: str, service: str, dataset: str, **config: Any) -> Step:
-    return _step(name, "fit", service=service, dataset=dataset, config=config)
-
-
 def _evaluate(form: str, name: str = "", **config: Any) -> Step:
-    return _step(name or form, "evaluate", form=form, num_envs=_NUM_ENVS, seed=_HELD_OUT_SEED, **config)
+    return step(name or form, "evaluate", form=form, num_envs=_NUM_ENVS, seed=_HELD_OUT_SEED, **config)
 
 
 def _told(student: str) -> str:

@@ -16,6 +16,7 @@ from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
+from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein_segmentation.training import SegmentationConfig
 
@@ -42,7 +43,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
         "learning_rates": list(study.learning_rates),
         "world_hash": world_hash,
     }
-    name = "-".join([arm.world, arm.method, *arm.options.values()])
+    name = _trials_name(arm)
     path = results / "trials" / f"{name}.json"
     digest = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()
     folder = work / "trials" / f"{name}-{digest[:12]}"
@@ -60,3 +61,22 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(made, indent=2, allow_nan=False).encode() + b"\n")
         return best
+
+
+def chosen_lr(arm: Arm, results: Path) -> float:
+    """Returns the learning rate that the trials of an arm's method chose, from an experiment's folder of results.
+
+    Raises:
+        FailedPrecondition: They were not run.
+    """
+    path = results / "trials" / f"{_trials_name(arm)}.json"
+    if not path.is_file():
+        raise FailedPrecondition(
+            f"The trials of {_trials_name(arm)} must have been run; they were not.",
+            hint=f"Run: python -m experiments run {results.name} --only '{_trials_name(arm)}-seed0'.",
+        )
+    return float(json.loads(path.read_bytes())["lr"])
+
+
+def _trials_name(arm: Arm) -> str:
+    return "-".join([arm.world, arm.method, *arm.options.values()])

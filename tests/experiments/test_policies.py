@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments.robustness import policies, services
+from experiments.robustness import policies
 from experiments.robustness.targets import Target
 from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import run_pipeline
 
 from freerein import metrics
 from freerein_orchestrator.kinds import KINDS
@@ -110,8 +111,8 @@ def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
         },
     ]
     ticks: list[int] = []
-    first = services.run_pipeline(steps, tmp_path, lambda: ticks.append(os.getpid()))
+    first = run_pipeline(steps, tmp_path, lambda: ticks.append(os.getpid()))
     assert first is not None
     assert len(first["recipes"]) == 2
     assert ticks
-    assert services.run_pipeline(steps, tmp_path, lambda: None) == first
+    assert run_pipeline(steps, tmp_path, lambda: None) == first

@@ -31,35 +31,59 @@ Trials = Mapping[str, Sequence[Mapping[str, Any]]]
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 60.0
 _POLL_S = 0.2
-_KEY = "arm"
 
 
-def run_pipeline(steps: Sequence[Step], folder: Path, on_progress: Callable[[], None]) -> Trials | None:
+def step(name: str, kind: str, **config: Any) -> Step:
+    """Returns a step of a pipeline."""
+    return {"name": name, "kind": kind, "config": config}
+
+
+def fit_step(name: str, service: str, dataset: str, **config: Any) -> Step:
+    """Returns a step that fits a service's model to a dataset."""
+    return step(name, "fit", service=service, dataset=dataset, config=config)
+
+
+def run_pipeline(
+    steps: Sequence[Step],
+    folder: Path,
+    on_progress: Callable[[], None],
+    *,
+    name: str = "arm",
+    keeps_datasets: bool = False,
+) -> Trials | None:
     """Runs a pipeline, or resumes it; returns what its evaluations measured, None when SIGTERM stopped it.
+
+    Args:
+        steps: Its steps.
+        folder: The arm's.
+        on_progress: Called now and then.
+        name: Tells the pipelines of an arm apart.
+        keeps_datasets: Whether another pipeline of the arm needs its datasets.
 
     Raises:
         FailedPrecondition: A step failed.
     """
     data = folder / "data"
     with stop_on_sigterm() as is_stopped:
-        run_id = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped))
+        run_id = asyncio.run(_run_to_its_end({"steps": list(steps)}, name, data, on_progress, is_stopped))
     if run_id is None:
         return None
-    shutil.rmtree(data / "datasets", ignore_errors=True)
+    if not keeps_datasets:
+        shutil.rmtree(data / "datasets", ignore_errors=True)
     parts = data / "runs" / run_id / "parts"
     names = [step["name"] for step in steps if step["kind"] == "evaluate"]
     return {name: _trials(parts / name / "checkpoints" / "trials.jsonl") for name in names}
 
 
 async def _run_to_its_end(
-    config: dict[str, Any], data: Path, on_progress: Callable[[], None], is_stopped: Callable[[], bool]
+    config: dict[str, Any], name: str, data: Path, on_progress: Callable[[], None], is_stopped: Callable[[], bool]
 ) -> str | None:
     """Returns the id of the run; None when it was stopped before its end."""
     environ, ports = isolated_environ(os.environ), free_ports(_SERVICES)
     async with Stack(choose(_SERVICES), data_dir=data, environ=environ, ports=ports) as stack:
         await stack.ready(timeout_s=_READY_TIMEOUT_S)
         async with OrchestratorClient(channel_to(stack.addresses["orchestrator"], CliSettings())) as client:
-            following = asyncio.create_task(_follow(client, config, on_progress))
+            following = asyncio.create_task(_follow(client, config, name, on_progress))
             while not (following.done() or is_stopped()):
                 await asyncio.wait([following], timeout=_POLL_S)
             if following.done():
@@ -69,9 +93,11 @@ async def _run_to_its_end(
             return None
 
 
-async def _follow(client: OrchestratorClient, config: dict[str, Any], on_progress: Callable[[], None]) -> str:
-    """Starts the data directory's one run, or finds it, and follows it to its end; returns its id."""
-    run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=_KEY))).run
+async def _follow(
+    client: OrchestratorClient, config: dict[str, Any], name: str, on_progress: Callable[[], None]
+) -> str:
+    """Starts the run of a name, or finds it, and follows it to its end; returns its id."""
+    run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=name))).run
     async with aclosing(follow_run(client, run.id)) as changes:
         async for changed in changes:
             run = changed

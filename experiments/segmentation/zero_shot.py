@@ -1,0 +1,169 @@
+"""Zero-shot execution, section 2.4: policies cloned from labelled segments execute longer recipes than were shown.
+
+Everything but the true labels of the ceiling is a pipeline of the orchestrator, so that what is measured is what a user
+would get.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.segmentation import trials
+from experiments.segmentation.evaluation import LEAST_SEGMENT, SMOOTHING
+from experiments.segmentation.study import Study
+from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import Step, Trials, fit_step, run_pipeline, step
+from experiments.workbench.results import Outcome, Sample
+from freerein.data import Dataset, dataset_path, labels
+from freerein.learning.checkpoints import JSON
+from freerein.types.common import ModelRef
+from freerein.types.sim import DemonstrateRequest
+from freerein_sim.workers.demonstrations import make_demonstration
+from freerein_sim.worlds.tasks import tasks
+
+CLONED, EXPERT, TRUE_LABELS = "cloned", "expert", "true"
+SUBTASKS, WHOLE = "zero_shot.subtasks", "zero_shot.whole"
+
+_DATASET, _RECIPES = "demonstrations", "recipes"
+_HELD_OUT_SEED = 1_000_003
+_ENVIRONMENTS = 25
+
+
+@dataclass(frozen=True)
+class ZeroShot:
+    """Arms that clone skill policies from labels, and have them execute recipes.
+
+    Attributes:
+        source: Name of the segmentation experiment that has the methods and their learning rates.
+        study: Its study of the world.
+        labelled_by: Methods and contexts of the networks whose labels are cloned; the ceiling clones true ones.
+        seeds: Number of times that networks and policies are trained.
+        policies: Keys of the imitation service's configuration.
+        recipes: Number of recipes that are executed; they are as long as those of the study's test split.
+    """
+
+    source: str
+    study: Study
+    labelled_by: tuple[tuple[str, str], ...]
+    seeds: int
+    policies: Mapping[str, JSON]
+    recipes: int
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """The scripted expert, then all policies of a seed before those of the next."""
+        labels_of = [{"labels": TRUE_LABELS}, *({"labels": method, "context": of} for method, of in self.labelled_by)]
+        cloned = [Arm(self.study.world, CLONED, each, seed) for seed in range(self.seeds) for each in labels_of]
+        return (Arm(self.study.world, EXPERT), *cloned)
+
+    def config(self, arm: Arm) -> dict[str, JSON]:
+        """Returns everything that an arm's result depends on, beside the world, the code and the trials."""
+        config: dict[str, JSON] = {"recipes": self.recipes, "data": asdict(self.study.data)}
+        if arm.method == CLONED:
+            config["policies"] = dict(self.policies)
+        if arm.method == CLONED and arm.options["labels"] != TRUE_LABELS:
+            config |= {"fit": asdict(self.study.fit_config(_network(arm))), "smoothing": SMOOTHING}
+        return config
+
+    def run(self, arm: Arm, *, results: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+        """Labels, clones and executes; None when it was stopped.
+
+        `results` is the folder of the results of all experiments.
+        """
+        if arm.method == EXPERT:
+            return _outcome(run_pipeline([self._executed("expert")], folder, on_progress))
+        cloned = [
+            fit_step("fit", "imitation", _DATASET, **{**self.policies, "seed": arm.seed}),
+            self._executed({"model": "default"}),
+        ]
+        if arm.options["labels"] != TRUE_LABELS:
+            steps = [self._collected(arm), *self._labelled(arm, results / self.source), *cloned]
+            return _outcome(run_pipeline(steps, folder, on_progress))
+        collected = run_pipeline(
+            [self._collected(arm)], folder, on_progress, name="demonstrations", keeps_datasets=True
+        )
+        if collected is None:
+            return None
+        _label_truly(self._demonstrate(arm), folder / "data")
+        return _outcome(run_pipeline(cloned, folder, on_progress))
+
+    def _demonstrate(self, arm: Arm) -> DemonstrateRequest:
+        """Returns the request of the demonstrations, with their true labels."""
+        train = self.study.data.train
+        return DemonstrateRequest(
+            self.study.world,
+            "expert",
+            min_skills=train.least_skills,
+            max_skills=train.most_skills,
+            count=train.count,
+            seed=arm.seed,
+            height=1,
+            width=1,
+            privileged=True,
+        )
+
+    def _collected(self, arm: Arm) -> Step:
+        asked = self._demonstrate(arm)
+        return step(
+            _DATASET,
+            "collect",
+            dataset=_DATASET,
+            task=asked.task,
+            behaviour=asked.behaviour,
+            count=asked.count,
+            min_skills=asked.min_skills,
+            max_skills=asked.max_skills,
+            seed=asked.seed,
+        )
+
+    def _labelled(self, arm: Arm, results: Path) -> list[Step]:
+        network = _network(arm)
+        config = asdict(self.study.fit_config(network)) | {"lr": trials.chosen_lr(network, results)}
+        return [
+            fit_step("fit-labels", "segmentation", _DATASET, **config),
+            step("labels", "label", dataset=_DATASET, smoothing=SMOOTHING, min_kept=LEAST_SEGMENT),
+        ]
+
+    def _executed(self, policy: JSON) -> Step:
+        return step(
+            _RECIPES,
+            "evaluate",
+            form="recipes",
+            task=self.study.world,
+            policy=policy,
+            skills_per_recipe=self.study.data.test.most_skills,
+            step_limits="own",
+            episodes=self.recipes,
+            num_envs=_ENVIRONMENTS,
+            seed=_HELD_OUT_SEED,
+        )
+
+
+def _network(arm: Arm) -> Arm:
+    """Returns the arm of the network that labels."""
+    return Arm(arm.world, arm.options["labels"], {"context": arm.options["context"]}, arm.seed)
+
+
+def _label_truly(request: DemonstrateRequest, data_dir: Path) -> None:
+    """Labels demonstrations truly, by making them again, where predicted labels lie."""
+    root, task = dataset_path(data_dir, _DATASET), tasks()[request.task]
+    lengths = Dataset(root).lengths
+    with closing(task.make()) as world:
+        for index, length in enumerate(lengths):
+            made = make_demonstration(task, world, replace(request, first=index))
+            if len(made.labels) != length:
+                raise AssertionError(f"Demonstration {index} must have {length} timesteps when it is made again.")
+            labels.save(root, index, made.labels)
+    labels.finish(root, labels.LabelsInfo(task.spec.skills, ModelRef("truth", "")))
+
+
+def _outcome(found: Trials | None) -> Outcome | None:
+    if found is None:
+        return None
+    completed = [np.array(each["completed"], np.bool_) for each in found[_RECIPES]]
+    subtasks = Sample([int(each.sum()) for each in completed], [len(each) for each in completed])
+    whole = Sample([int(each.all()) for each in completed], [1] * len(completed))
+    return Outcome({SUBTASKS: subtasks.mean, WHOLE: whole.mean}, {SUBTASKS: subtasks, WHOLE: whole})

@@ -1,0 +1,165 @@
+"""Table 2.3: labels without short segments, and policies that are cloned from them, in the world `dial`."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from experiments import table_2_2
+from experiments.segmentation import draw
+from experiments.segmentation.evaluation import FRAME_ACCURACY, KEPT_ACCURACY
+from experiments.segmentation.methods import CAUSAL, OURS
+from experiments.segmentation.rows import PER_CENT, Row, Rows
+from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LABELS, WHOLE, ZeroShot
+from experiments.workbench import claims
+from experiments.workbench.arms import Arm
+from experiments.workbench.claims import Claim
+from experiments.workbench.plots import interval_plot
+from experiments.workbench.results import ArmResult, Outcome, Sample
+from experiments.workbench.table import Picture, Section, Table
+from freerein.learning.checkpoints import JSON
+
+_SOURCE, _WORLD = "table_2_2", table_2_2.DIAL
+_SEEDS = 3
+_LEAST_SUCCESS, _LEAST_RATIO, _LEAST_CEILING = 85.0, 0.95, 60.0
+_METHODS = (OURS, Row("lse", CAUSAL), Row("fcn_mil", CAUSAL), Row("mil", CAUSAL))
+_DISSERTATION = {
+    Row("fcn_mil", CAUSAL): (59.64, 68.58, 38.8),
+    Row("mil", CAUSAL): (15.89, 50.0, 39.6),
+    Row("lse", CAUSAL): (59.52, 79.01, 50.4),
+}
+_HEADER = (
+    "labels",
+    "context",
+    "validation accuracy, %",
+    "of what is kept, %",
+    "kept, %",
+    "least kept of a skill, %",
+    "kept without smoothing, %",
+    "accuracy of it, %",
+    "subtasks done, % [95 % interval]",
+    "whole recipes, %",
+    "dissertation: accuracy / kept / subtasks, %",
+    "seeds",
+)
+_TEXT = """\
+Labels of validation trajectories of `dial`, smoothed by a Gaussian over time, without segments under 5 timesteps; and
+zero-shot execution: policies are cloned from the labelled segments of 2 000 demonstrations of 2 to 4 digits, and
+execute 100 recipes of 5. A learned end, never the simulator's state, switches from one skill to the next; the simulator
+judges whether a key was pressed in its turn. `true` clones the true labels, the ceiling; `expert` is the scripted one.
+The networks are those of table 2.2.
+"""
+
+ZERO_SHOT = ZeroShot(
+    source=_SOURCE,
+    study=table_2_2.EXPERIMENT.studies[0],
+    labelled_by=tuple((row.method, row.context) for row in _METHODS),
+    seeds=_SEEDS,
+    policies={"method": "skill_cloning"},
+    recipes=100,
+)
+
+
+class _Experiment:
+    """The arms of zero-shot execution; its table shows those of table 2.2, too."""
+
+    sources = (_SOURCE,)
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """The arms."""
+        return ZERO_SHOT.arms
+
+    def config(self, arm: Arm) -> dict[str, JSON]:
+        """Returns what an arm's result depends on."""
+        return ZERO_SHOT.config(arm)
+
+    def world_hash(self, world: str) -> str:
+        """Returns the hash of what the world's generator draws."""
+        return draw.world_hash(world)
+
+    def prepare(self, arm: Arm, work: Path) -> None:
+        """Does nothing: an arm collects its own demonstrations."""
+
+    def run(
+        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
+    ) -> Outcome | None:
+        """Runs an arm; see `Experiment`."""
+        return ZERO_SHOT.run(arm, results=results.parent, folder=folder, on_progress=on_progress)
+
+    def table(self, results: Sequence[ArmResult]) -> Table:
+        """Returns a row for each method that has results, and the claim."""
+        rows = Rows.of([each for each in results if each.method not in (CLONED, EXPERT)], _WORLD)
+        executed = {row: _executed(results, row) for row in (*_METHODS, Row(TRUE_LABELS), Row(EXPERT))}
+        shown = [row for row in executed if row in rows.arms or executed[row]]
+        made = [_claim(row, executed) for row in shown if executed[row]]
+        return Table(
+            title="Rejection and zero-shot execution (Table 2.3)",
+            text=_TEXT.strip(),
+            sections=(Section(_HEADER, tuple(_cells(row, rows, executed[row]) for row in shown)),),
+            claims=tuple(made),
+            picture=Picture(
+                "Subtasks done",
+                partial(interval_plot, made, title="Zero-shot execution", unit="subtasks done, per cent"),
+            ),
+        )
+
+
+def _executed(results: Sequence[ArmResult], row: Row) -> list[ArmResult]:
+    """Returns the results of zero-shot execution with the labels of a row."""
+    if row.method == EXPERT:
+        return [each for each in results if each.method == EXPERT]
+    options = {"labels": row.method} | ({"context": row.context} if row.context else {})
+    return [each for each in results if each.method == CLONED and each.options == options]
+
+
+def _samples(arms: Sequence[ArmResult], figure: str) -> list[Sample]:
+    return [arm.samples[figure] for arm in arms]
+
+
+def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
+    arms, ceilings = executed[row], executed[Row(TRUE_LABELS)]
+    samples = _samples(arms, SUBTASKS)
+    low, high = claims.interval(samples, rng=np.random.default_rng(0))
+    value = PER_CENT * claims.mean(samples)
+    ceiling = PER_CENT * claims.mean(_samples(ceilings, SUBTASKS)) if ceilings else None
+    is_ours = row == OURS
+    close = ceiling is not None and ceiling >= _LEAST_CEILING and PER_CENT * low >= _LEAST_RATIO * ceiling
+    return Claim(
+        claim="dial_zero_shot" if is_ours else ".".join(["table_2_3", *filter(None, row)]),
+        value=round(value, 3),
+        low=round(PER_CENT * low, 3),
+        high=round(PER_CENT * high, 3),
+        seeds=None if row.method == EXPERT else len(arms),
+        trials=len(samples[0].totals),
+        scale=None if row.method == EXPERT else "full",
+        baseline=None,
+        ceiling=None if ceiling is None or row.method in (TRUE_LABELS, EXPERT) else round(ceiling, 3),
+        gap_closed=None,
+        dissertation=_DISSERTATION[row][2] if row in _DISSERTATION else None,
+        target=_LEAST_SUCCESS if is_ours else None,
+        met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or close) if is_ours else None,
+        world_hash=arms[0].world_hash,
+        command=f"python -m experiments run table_2_3 --only '{arms[0].name.removesuffix(str(arms[0].seed))}*'",
+        minutes=round(sum(arm.minutes for arm in arms), 2),
+    )
+
+
+def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult]) -> tuple[str, ...]:
+    labelled = ["" for _ in range(6)]
+    if row in rows.arms:
+        named = (FRAME_ACCURACY, KEPT_ACCURACY, "kept_share", "least_kept_share", "unsmoothed_kept_share")
+        labelled = [
+            f"{PER_CENT * rows.mean(row, f'validation.{name}'):.2f}" for name in (*named, "unsmoothed_kept_accuracy")
+        ]
+    done = ["", ""]
+    if executed:
+        claim = _claim(row, {row: list(executed), Row(TRUE_LABELS): []})
+        whole = PER_CENT * claims.mean(_samples(executed, WHOLE))
+        done = [f"{claim.value:.1f} [{claim.low:.1f}, {claim.high:.1f}]", f"{whole:.1f}"]
+    theirs = " / ".join(f"{value:g}" for value in _DISSERTATION.get(row, ()))
+    return (*row, *labelled, *done, theirs, str(len(executed) or len(rows.arms.get(row, ()))))
+
+
+EXPERIMENT = _Experiment()
