@@ -82,6 +82,24 @@ def auroc(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -
     return float(above / (positives * (len(truth) - positives)))
 
 
+def average_precision(scores: npt.NDArray[np.floating[Any]], truth: npt.NDArray[np.bool_]) -> float:
+    """Returns the area under the precision-recall steps of scores, float (N,), for bool (N,), at least one true.
+
+    Examples of equal scores are found together. A constant score has the share of true examples.
+    """
+    if scores.ndim != 1 or scores.shape != truth.shape or not truth.any():
+        raise InvalidInput(
+            f"Scores and truth must both be (N,), with a true one; got {scores.shape} and {truth.shape}, "
+            f"{int(truth.sum())} of them true.",
+            field="truth",
+            hint="Score at least one example that is true.",
+        )
+    _, places = np.unique(-scores, return_inverse=True)
+    found = np.bincount(places, minlength=places.max() + 1).cumsum()  # examples at or above each distinct score
+    hits = np.bincount(places, weights=truth)
+    return float((hits * hits.cumsum() / found).sum() / truth.sum())
+
+
 def majority_accuracy(truth: Labels) -> float:
     """Returns the accuracy of always answering the most frequent of the true labels (T,), in [0, 1]."""
     _check_pair(truth, truth)

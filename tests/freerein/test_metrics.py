@@ -115,3 +115,23 @@ def test_the_interval_of_ratios_surrounds_the_mean_over_classes_and_needs_trials
 def test_a_class_absent_from_a_resample_does_not_count_in_it() -> None:
     part, whole = np.array([[1, 0], [1, 0], [0, 1]]), np.array([[1, 0], [1, 0], [0, 1]])
     assert metrics.ratio_interval(part, whole, rng=np.random.default_rng(1)) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ([0.9, 0.8, 0.2, 0.1], (1 / 1 + 2 / 3) / 2),  # the true ones are found first and third
+        ([0.1, 0.9, 0.2, 0.8], (1 / 3 + 2 / 4) / 2),  # third and last
+        ([0.5, 0.5, 0.5, 0.5], 0.5),
+    ],
+)
+def test_average_precision_is_the_mean_precision_where_true_examples_are_found(
+    scores: list[float], expected: float
+) -> None:
+    truth = np.array([True, False, True, False])
+    assert metrics.average_precision(np.array(scores), truth) == pytest.approx(expected)
+
+
+def test_average_precision_needs_something_to_find() -> None:
+    with pytest.raises(InvalidInput):
+        metrics.average_precision(np.zeros(3), np.zeros(3, bool))

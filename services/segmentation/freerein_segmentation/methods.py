@@ -7,10 +7,12 @@ configuration; see `freerein_segmentation.objectives`.
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import torch
 
 from freerein.data import Dataset, tag_problems
 from freerein.errors import InvalidInput
+from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method, Methods
@@ -36,18 +38,29 @@ def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.devic
     training, validation = source.trajectories(config.cameras).split(
         fraction=config.validation_fraction, seed=config.seed
     )
-    return SegmentationLearner(config, _spec(source, config), training, validation, source.dataset.fingerprint, device)
+    scaling = None
+    if config.use_actions and not source.dataset.spec.has_scaled_actions and not source.dataset.spec.action.choices:
+        scaling = ActionScaling.of(np.concatenate([training.actions[item] for item in range(len(training))]))
+    spec = _spec(source, config, action_scaling=scaling)
+    return SegmentationLearner(config, spec, training, validation, source.dataset.fingerprint, device)
 
 
-def _spec(source: FitDataset, config: SegmentationConfig) -> ModelSpec:
-    spec = source.dataset.spec
-    return network_spec(config, cameras=source.cameras(config.cameras), action=spec.action, skills=spec.skills)
+def _spec(source: FitDataset, config: SegmentationConfig, *, action_scaling: ActionScaling | None = None) -> ModelSpec:
+    spec, cameras = source.dataset.spec, source.cameras(config.cameras)
+    return network_spec(config, cameras=cameras, action=spec.action, skills=spec.skills, action_scaling=action_scaling)
 
 
-def _card(
-    _source: FitDataset, _learner: SegmentationLearner, _fitted: FitResult[SegmentationNetwork]
-) -> dict[str, Any]:
-    return {"supervision": "the set of skills of each trajectory"}
+def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[SegmentationNetwork]) -> dict[str, Any]:
+    precision = learner.tag_average_precision(fitted.network)
+    each = [figures["average_precision"] for figures in precision.values()]
+    mean = {"tag_average_precision": float(np.mean(each))} if each else {}
+    return {
+        "supervision": "the set of skills of each trajectory",
+        "figures": fitted.figures | mean,
+        "tag_average_precision": precision,
+        "held_out": len(learner.validation),
+        "warnings": [problem.sentence for problem in tag_problems(source.dataset.spec.skills, source.dataset.skills)],
+    }
 
 
 METHODS: Methods[SegmentationModel] = Methods(

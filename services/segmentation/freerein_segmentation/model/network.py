@@ -9,6 +9,7 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
+from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
 from freerein.learning.image_statistics import statistics_size
@@ -30,6 +31,7 @@ class ModelSpec(InputSpec):
     Attributes:
         skills: Names of the skills.
         use_actions: Whether executed actions are an input.
+        action_scaling: How actions in the robot's own unit are scaled; None for actions in [-1, 1] and discrete ones.
         encoder: Image encoder.
         stride: Temporal stride of the LSTM; the timesteps of each phase are a sequence of their own.
         context: Future timesteps of such a sequence that its scores depend on, or `all`; 0 is the dissertation's.
@@ -42,6 +44,7 @@ class ModelSpec(InputSpec):
 
     skills: tuple[str, ...]
     use_actions: bool = True
+    action_scaling: ActionScaling | None = None
     encoder: str = one_of(ENCODERS, "patch")
     stride: int = bounded(1, least=1, most=100)
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
@@ -105,6 +108,8 @@ class SegmentationNetwork(nn.Module):
             return seen
         if self.spec.action.choices:
             actions = functional.one_hot(actions[:, 0], self.spec.action.choices).to(seen.dtype)  # (N, choices)
+        elif self.spec.action_scaling:
+            actions = self.spec.action_scaling.scaled(actions)
         return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
 
     def score(self, features: Tensor) -> Tensor:

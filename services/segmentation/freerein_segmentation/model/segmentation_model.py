@@ -9,6 +9,7 @@ import torch
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import model_files
+from freerein.learning.action_scaling import UnscaledActionSpec
 from freerein.learning.image_statistics import image_statistics
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.stream import FRAMES_AT_ONCE, Prediction, SegmentationStream
@@ -25,7 +26,8 @@ class SegmentationModel:
         spec = network.spec
         self.skills = spec.skills
         (self.camera,) = spec.cameras
-        self.action = spec.action if spec.use_actions else None
+        taken = UnscaledActionSpec(**vars(spec.action)) if spec.action_scaling else spec.action
+        self.action = taken if spec.use_actions else None
         self.lag = spec.context * spec.stride if isinstance(spec.context, int) else None
         self._stride = spec.stride
         self._network = network.eval()

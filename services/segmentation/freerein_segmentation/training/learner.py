@@ -7,7 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freerein import metrics
 from freerein.learning import weights
+from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
@@ -27,14 +29,19 @@ _NORMALISATION_FRAMES = 2000
 
 
 def network_spec(
-    config: SegmentationConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
+    config: SegmentationConfig,
+    *,
+    cameras: tuple[Camera, ...],
+    action: ActionSpec,
+    skills: tuple[str, ...],
+    action_scaling: ActionScaling | None = None,
 ) -> ModelSpec:
     """Returns the architecture for some cameras, and skills in the order of their labels.
 
     Raises:
         InvalidInput: Frames, actions or skills are out of bounds.
     """
-    return spec_of(config, ModelSpec, cameras=cameras, action=action, skills=skills)
+    return spec_of(config, ModelSpec, cameras=cameras, action=action, skills=skills, action_scaling=action_scaling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +113,28 @@ class SegmentationLearner:
             held_out.append(image_statistics(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
         network.in_distribution.fit(image_statistics(frames), torch.cat(held_out), torch.cat(confidence))
+
+    @torch.no_grad()
+    def tag_average_precision(self, network: SegmentationNetwork) -> dict[str, dict[str, float]]:
+        """Returns the `average_precision` of each skill's tag among held-out trajectories, and that by `chance`.
+
+        A trajectory's score is the skill's highest probability over time. Skills that all or none of them have are
+        left out.
+        """
+        scores, tags = [], []
+        for batch in self._validation_batches():
+            each, mask = network(batch.frames, batch.actions, batch.lengths)
+            scores.append(each.softmax(dim=2).masked_fill(~mask[:, :, None], 0).amax(dim=1).cpu())
+            tags.append(batch.tags.cpu())
+        found, truth = torch.cat(scores).numpy(), torch.cat(tags).numpy()  # (n, K) each
+        return {
+            skill: {
+                "average_precision": metrics.average_precision(found[:, index], truth[:, index]),
+                "chance": float(truth[:, index].mean()),
+            }
+            for index, skill in enumerate(self.spec.skills)
+            if 0 < truth[:, index].sum() < len(truth)
+        }
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):

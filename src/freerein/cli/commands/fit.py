@@ -1,18 +1,21 @@
-"""`freerein fit`: start, list, watch, cancel and resume fits; their metrics."""
+"""`freerein fit`: start, list, watch, report, cancel and resume fits; their metrics."""
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import typer
 
 from freerein import wire
+from freerein.cli.commands.dataset import dataset_root
 from freerein.cli.connection import call, call_each, check_only_unavailable
-from freerein.cli.jobs import display
+from freerein.cli.jobs import display, fit_report
+from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
-from freerein.cli.output import AsJson, command, show_all
-from freerein.clients import FitClient
+from freerein.cli.output import AsJson, command, print_json, show_all, show_table
+from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
     CancelFitRequest,
@@ -20,6 +23,7 @@ from freerein.types.learning import (
     GetFitMetricsRequest,
     GetFitRequest,
     ListFitsRequest,
+    ListModelsRequest,
     ResumeFitRequest,
     StartFitRequest,
 )
@@ -90,6 +94,54 @@ def metrics(
 
 @app.command()
 @command
+def report(fit: _Id, as_json: AsJson = False) -> None:
+    """Show what a segmentation fit is worth: tags of held-out trajectories, and frame accuracy where there are labels.
+
+    Average precision of tags is that of the model card. Frame accuracy is measured here, on trajectories with true
+    labels (`freerein dataset label`), which no fit sees.
+    """
+    _report(fit, as_json=as_json)
+
+
+def _report(fit_id: str, *, as_json: bool) -> None:
+    fit = call(FitClient, "segmentation", lambda client: client.get_fit(GetFitRequest(fit_id))).fit
+    check_succeeded(f"fit {fit_id[:8]}", fit)
+    models = call(ModelClient, "segmentation", lambda client: client.list_models(ListModelsRequest())).models
+    card = next((dict(model.card) for model in models if model.ref == fit.model), {})
+    root = dataset_root(fit.dataset)
+    items = fit_report.labelled_trajectories(root)
+    accuracy = None
+    if items:
+        accuracy = call(
+            SegmentationClient,
+            "segmentation",
+            lambda client: fit_report.labelled_accuracy(client, fit, root, items),
+        )
+    if as_json:
+        figures = {"fit": fit_id, **fit_report.card_figures(card)}
+        print_json(figures | {"labelled": asdict(accuracy) if accuracy else None})
+    else:
+        _show_report(card, accuracy)
+
+
+def _show_report(card: Mapping[str, Any], accuracy: fit_report.LabelledAccuracy | None) -> None:
+    rows = [
+        (f"tag average precision, {skill}", f"{each['average_precision']:.3f}", f"{each['chance']:.3f}")
+        for skill, each in card.get("tag_average_precision", {}).items()
+    ]
+    mean = card.get("figures", {}).get("tag_average_precision")
+    if mean is not None:
+        rows.append((f"tag average precision, mean on {card.get('held_out')} held-out trajectories", f"{mean:.3f}", ""))
+    if accuracy:
+        name = f"frame accuracy, {accuracy.trajectories} labelled trajectories"
+        rows.append((name, f"{accuracy.frame_accuracy:.3f}", f"{accuracy.random_cls_accuracy:.3f}"))
+    show_table(("", "model", "chance"), rows)
+    for warning in card.get("warnings", ()):
+        typer.echo(f"warning: {warning}")
+
+
+@app.command()
+@command
 def cancel(fit: _Id, service: _Service = "", as_json: AsJson = False) -> None:
     """Cancel a fit; its last checkpoint is kept."""
     found = service or _service_of(fit)
@@ -151,6 +203,8 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
     )
     if not as_json:
         _show([(service, fit)], as_json=False)
+        if service == "segmentation":
+            _report(fit.id, as_json=False)
 
 
 def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:

@@ -1,0 +1,62 @@
+"""Continuous actions in a robot's own unit, scaled to about [-1, 1] by what a model was trained on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec
+
+_QUANTILES = (0.01, 0.99)
+_FARTHEST = 10.0
+"""Scaled values beyond which a network sees no difference: a broken sensor must not drown the rest."""
+
+
+@dataclass(frozen=True)
+class ActionScaling:
+    """A linear map of each number of an action; a model's card keeps it: scaled = 2 (a - low) / (high - low) - 1.
+
+    Attributes:
+        low: What becomes -1: the 1 % quantile.
+        high: What becomes 1: the 99 % quantile; greater than `low`.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @classmethod
+    def of(cls, actions: npt.NDArray[np.float32]) -> "ActionScaling":
+        """Returns the scaling of actions (N, A).
+
+        A number whose quantiles are equal is scaled by its extremes, and a constant becomes 0.
+
+        Raises:
+            InvalidInput: An action is not finite.
+        """
+        if not np.isfinite(actions).all():
+            raise InvalidInput(
+                f"Actions must be finite; {int((~np.isfinite(actions)).sum())} of {actions.size} numbers are not.",
+                field="dataset",
+                hint="Run `freerein dataset check NAME` to see which trajectories, and leave those out.",
+            )
+        low, high = np.quantile(actions.astype(np.float64), _QUANTILES, axis=0)  # (A,) each
+        least, greatest = np.where(low < high, (low, high), (actions.min(axis=0), actions.max(axis=0)))
+        constant = least >= greatest
+        return cls(tuple((least - constant).tolist()), tuple((greatest + constant).tolist()))
+
+    def scaled(self, actions: Tensor) -> Tensor:
+        """Returns actions, float (..., A), scaled for a network."""
+        low, high = actions.new_tensor(self.low), actions.new_tensor(self.high)
+        return (2 * (actions - low) / (high - low) - 1).clamp(-_FARTHEST, _FARTHEST)
+
+
+class UnscaledActionSpec(ActionSpec):
+    """An action space in the robot's own unit, whose numbers may be any."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest finite value."""
+        most = float(np.finfo(np.float32).max)
+        return -most, most

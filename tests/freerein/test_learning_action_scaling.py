@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+import torch
+
+from freerein.errors import InvalidInput
+from freerein.learning.action_scaling import ActionScaling, UnscaledActionSpec
+from freerein.types.common import ActionSpec
+
+RNG = np.random.default_rng(0)
+
+
+def test_quantiles_become_the_ends_and_the_card_s_numbers_undo_it() -> None:
+    actions = RNG.uniform([-300, 0.001], [900, 0.002], (5000, 2)).astype(np.float32)
+    scaling = ActionScaling.of(actions)
+    scaled = scaling.scaled(torch.from_numpy(actions)).numpy()
+    np.testing.assert_allclose(np.quantile(scaled, (0.01, 0.99), axis=0), [[-1, -1], [1, 1]], atol=1e-3)
+    low, high = np.array(scaling.low), np.array(scaling.high)
+    np.testing.assert_allclose((scaled + 1) / 2 * (high - low) + low, actions, rtol=1e-4)
+
+
+def test_a_gripper_that_seldom_closes_and_a_joint_that_never_moves_have_a_scale() -> None:
+    actions = np.zeros((1000, 2), np.float32)
+    actions[5, 0], actions[:, 1] = 80, 7
+    scaled = ActionScaling.of(actions).scaled(torch.from_numpy(actions))
+    assert (scaled[0].tolist(), scaled[5].tolist()) == ([-1, 0], [1, 0])
+
+
+def test_a_broken_sensor_is_cut_off_and_what_is_not_finite_is_refused() -> None:
+    actions = RNG.normal(0, 1, (1000, 1)).astype(np.float32)
+    actions[3] = 1e38
+    assert ActionScaling.of(actions).scaled(torch.from_numpy(actions)).max() == 10
+    actions[3] = np.nan
+    with pytest.raises(InvalidInput, match="1 of 1000 numbers are not"):
+        ActionScaling.of(actions)
+
+
+def test_actions_in_their_own_unit_are_bounded_by_what_is_finite_alone() -> None:
+    low, high = UnscaledActionSpec(2, 0, ("x", "y")).bounds
+    assert low < -1e38 < 1e38 < high < np.inf
+    assert ActionSpec(2, 0, ("x", "y")).bounds == (-1, 1)

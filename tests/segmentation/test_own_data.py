@@ -1,0 +1,85 @@
+"""A dataset of a user's own robot: actions in any unit, a report of its fit, and true labels that no fit sees."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+
+from freerein.data import DatasetSpec, create, dataset_path, label
+from freerein.types.common import ActionSpec, Trajectory
+from freerein_segmentation.methods import METHODS
+from freerein_segmentation.model import SegmentationModel
+
+SKILLS = ("push", "turn")
+ACTION = ActionSpec(1, 0, ("v",))
+Fitted: TypeAlias = tuple[SegmentationModel, dict[str, Any]]
+STEPS = {"steps": 60, "hidden_size": 8, "features": 8, "augmentation": 0.0, "lr": 1e-2, "validation_fraction": 0.3}
+
+
+def record(data_dir: Path, *, scaled: bool) -> Path:
+    """Records demonstrations that only actions tell apart: of 900 or 500 ticks, or of 0.9 and 0.5."""
+    root, rng = dataset_path(data_dir, "demos"), np.random.default_rng(0)
+    spec = DatasetSpec(10, {"top": (8, 8, 3)}, ACTION, "toy", SKILLS, has_scaled_actions=scaled)
+    with create(root, spec) as writer:
+        for index in range(40):
+            skills = [(0,), (1,), (0, 1), (1, 0)][index % 4]
+            speeds = np.repeat(np.array([0.9, 0.5])[list(skills)], 4)[:, None] + rng.normal(
+                0, 0.02, (4 * len(skills), 1)
+            )
+            frames = {"top": np.zeros((len(speeds), 8, 8, 3), np.uint8)}
+            actions = (speeds * (1 if scaled else 1000)).astype(np.float32)
+            writer.append(Trajectory(frames, actions, tuple(sorted({SKILLS[each] for each in skills}))))
+    return root
+
+
+def fit(data_dir: Path, folder: Path) -> Fitted:
+    folder.mkdir()
+    config = METHODS.resolve(data_dir, "demos", STEPS, threads=1)
+    (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config, "steps": STEPS["steps"]}))
+    command = [sys.executable, "-m", "freerein_segmentation.fit", folder, data_dir, "cpu"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:  # it lives as long as its standard input
+        assert child.wait(50) == 0
+    return METHODS.load(folder / "model", "cpu"), json.loads((folder / "model" / "card.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
+    """A fit to actions in a unit of their own."""
+    folder = tmp_path_factory.mktemp("data")
+    record(folder, scaled=False)
+    return fit(folder, folder / "fit")
+
+
+def test_actions_in_a_unit_of_their_own_are_learned_from_and_asked_about_in_it(fitted: Fitted) -> None:
+    model, card = fitted
+    scaling = card["spec"]["action_scaling"]
+    assert 400 < scaling["low"][0] < 550 < 850 < scaling["high"][0] < 1000
+    assert model.action is not None
+    assert model.action.bounds[1] > 1e38
+    speeds = np.repeat(np.array([900, 500, 900], np.float32), 4)[:, None]
+    labels = model.predict(np.zeros((12, 8, 8, 3), np.uint8), speeds).probabilities.argmax(axis=1)
+    assert [SKILLS[each] for each in labels[1::4]] == ["push", "turn", "push"]
+
+
+def test_the_card_says_how_well_tags_of_held_out_trajectories_are_told(fitted: Fitted) -> None:
+    _, card = fitted
+    each = card["tag_average_precision"]
+    assert (card["held_out"], set(each)) == (12, set(SKILLS))
+    assert all(0 < figures["chance"] < 1 and figures["average_precision"] > 0.9 for figures in each.values())
+    mean = np.mean([figures["average_precision"] for figures in each.values()])
+    assert card["figures"]["tag_average_precision"] == pytest.approx(mean)
+
+
+def test_a_fit_is_the_same_to_the_bit_whatever_its_true_labels_say(tmp_path: Path) -> None:
+    root = record(tmp_path, scaled=True)
+    _, without = fit(tmp_path, tmp_path / "without")
+    assert label(root, b"trajectory,start,end,skill\n0,0,4,turn\n1,0,4,push\n2,0,8,push\n") == 3  # all wrong
+    _, labelled = fit(tmp_path, tmp_path / "labelled")
+    weights = [(tmp_path / name / "model/model.safetensors").read_bytes() for name in ("without", "labelled")]
+    assert weights[0] == weights[1]
+    assert without == labelled
+    assert without["spec"]["action_scaling"] is None  # actions of ours are in [-1, 1] already
