@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 
 from freerein.data import DatasetSpec, create, dataset_path, label
-from freerein.types.common import ActionSpec, Trajectory
+from freerein.learning.action_scaling import ActionScaling
+from freerein.types.common import ActionSpec, Camera, Trajectory
 from freerein_segmentation.methods import METHODS
-from freerein_segmentation.model import SegmentationModel
+from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
 
 SKILLS = ("push", "turn")
 ACTION = ActionSpec(1, 0, ("v",))
@@ -60,9 +62,23 @@ def test_actions_in_a_unit_of_their_own_are_learned_from_and_asked_about_in_it(f
     assert 400 < scaling["low"][0] < 550 < 850 < scaling["high"][0] < 1000
     assert model.action is not None
     assert model.action.bounds[1] > 1e38
-    speeds = np.repeat(np.array([900, 500, 900], np.float32), 4)[:, None]
-    labels = model.predict(np.zeros((12, 8, 8, 3), np.uint8), speeds).probabilities.argmax(axis=1)
-    assert [SKILLS[each] for each in labels[1::4]] == ["push", "turn", "push"]
+    for skill, ticks in zip(SKILLS, (900, 500), strict=True):
+        likely = model.predict(np.zeros((4, 8, 8, 3), np.uint8), np.full((4, 1), ticks, np.float32)).probabilities
+        assert [SKILLS[each] for each in likely.argmax(axis=1)] == [skill] * 4
+
+
+def test_a_model_asked_in_a_unit_of_its_own_equals_one_asked_in_scaled_actions() -> None:
+    spec = ModelSpec(cameras=(Camera("top", 8, 8, 3),), action=ACTION, skills=SKILLS, hidden_size=8, features=8)
+    scaling = ActionScaling((-300.0,), (900.0,))
+    own, plain = (SegmentationNetwork(replace(spec, action_scaling=each)) for each in (scaling, None))
+    plain.load_state_dict(own.state_dict())
+    frames, ticks = np.zeros((6, 8, 8, 3), np.uint8), np.linspace(-300, 900, 6, dtype=np.float32)[:, None]
+    answers = [
+        SegmentationModel(own).predict(frames, ticks).probabilities,
+        SegmentationModel(plain).predict(frames, (ticks - 300) / 600).probabilities,
+    ]
+    np.testing.assert_allclose(*answers, atol=1e-6)
+    assert np.ptp(answers[0], axis=0).max() > 1e-3  # the actions count
 
 
 def test_the_card_says_how_well_tags_of_held_out_trajectories_are_told(fitted: Fitted) -> None:
