@@ -106,21 +106,12 @@ def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:
     return value[..., None] - chroma[..., None] * torch.minimum(phase, 4 - phase).clamp(0, 1)
 
 
-def shift_frames(frames: Tensor, offsets: Tensor) -> Tensor:
-    """Returns frames (N, H, W, C) shifted by whole pixels, edges replicated.
-
-    Args:
-        frames: uint8 (N, H, W, C).
-        offsets: Rows and columns by which each frame moves up and left, int64 (N, 2).
-    """
+def _shift(frames: Tensor, directions: Tensor) -> Tensor:
+    """Returns frames (N, H, W, C) shifted by whole pixels, edges replicated; `directions` are float (N, 2)."""
     count, height, width, _ = frames.shape
+    scale = torch.tensor([_SHIFT * height, _SHIFT * width], device=frames.device)
+    offsets = (directions * scale).round().long()  # (N, 2)
     rows = (torch.arange(height, device=frames.device) + offsets[:, :1]).clamp(0, height - 1)  # (N, H)
     columns = (torch.arange(width, device=frames.device) + offsets[:, 1:]).clamp(0, width - 1)  # (N, W)
     each = torch.arange(count, device=frames.device)[:, None, None]
     return frames[each, rows[:, :, None], columns[:, None, :]]
-
-
-def _shift(frames: Tensor, directions: Tensor) -> Tensor:
-    """Returns frames (N, H, W, C) shifted in directions, float (N, 2), by at most their length of the frame."""
-    scale = torch.tensor([_SHIFT * side for side in frames.shape[1:3]], device=frames.device)
-    return shift_frames(frames, (directions * scale).round().long())

@@ -16,7 +16,6 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.augmentation import shift_frames
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
@@ -38,7 +37,7 @@ from freerein_imitation.training.skill_segments import (
     relabelled,
     split_segments,
 )
-from freerein_imitation.training.skill_spans import NONE, SkillTimes, SpanBatch, Spans
+from freerein_imitation.training.skill_spans import NONE, SkillTimes, SpanBatch, Spans, shift_frames
 
 State = TrainState[SkillCloningNetwork]
 
@@ -292,45 +291,50 @@ class SkillCloningLearner:
             length = len(self.spans.demonstrations.actions[segment.trajectory])
             steps = min(segment.stop + after, length) - segment.start
             batch = self.spans.read(np.array([segment.trajectory]), np.array([segment.start]), steps)
-            _, logits = self._predict(network, batch, np.full((1, steps), segment.skill))
-            found.append(logits[0].sigmoid())
+            _, logits = self._predict(network, batch, np.arange(steps), np.full(steps, segment.skill))
+            found.append(logits.sigmoid())
         return found
 
     def _losses(self, network: SkillCloningNetwork, batch: SpanBatch) -> SkillCloningLosses:
-        has_skill, has_ended = self._tensor(batch.skill != NONE), self._tensor(batch.ended != NONE)
-        features = self._encode(network, batch)
-        chunk, logits = self._predict(network, batch, np.maximum(batch.skill, 0), features)
-        _, after = self._predict(network, batch, np.maximum(batch.ended, 0), features)
-        target = network.encode_actions(self._tensor(batch.actions))  # (B, L, K, O)
+        skill, ended = batch.skill.ravel(), batch.ended.ravel()  # (B * L,)
+        inside, after = np.flatnonzero(skill != NONE), np.flatnonzero(ended != NONE)
+        steps = np.concatenate([inside, after])
+        chunk, logits = self._predict(network, batch, steps, np.concatenate([skill[inside], ended[after]]))
+        target = network.encode_actions(self._tensor(_flat(batch.actions)[inside]))  # (N, K, O)
+        predicted, is_own = chunk[: len(inside)], self._tensor(_flat(batch.is_own)[inside])
         if self.spec.action.choices:
-            error = objectives.action_cross_entropy(chunk[..., None, :], target[..., None, :])
+            error = objectives.action_cross_entropy(predicted[..., None, :], target[..., None, :])
         else:
-            error = functional.smooth_l1_loss(chunk, target, reduction="none").mean(dim=-1)  # (B, L, K)
-        terminates = torch.cat([self._tensor(batch.terminates), has_ended], dim=1)
-        continues = torch.cat([has_skill & ~self._tensor(batch.terminates), torch.zeros_like(has_ended)], dim=1)
+            error = functional.smooth_l1_loss(predicted, target, reduction="none").mean(dim=-1)  # (N, K)
+        has_ended = np.concatenate([batch.terminates.ravel()[inside], np.ones(len(after), bool)])
+        terminates = self._tensor(has_ended)
         return SkillCloningLosses(
-            objectives.masked_mean(error, self._tensor(batch.is_own)),
-            objectives.termination_loss(torch.cat([logits, after], dim=1), terminates, continues),
+            objectives.masked_mean(error, is_own), objectives.termination_loss(logits, terminates, ~terminates)
         )
 
     def _predict(
-        self, network: SkillCloningNetwork, batch: SpanBatch, skill: Ints, features: Tensor | None = None
+        self, network: SkillCloningNetwork, batch: SpanBatch, steps: Ints, skill: Ints
     ) -> tuple[Tensor, Tensor]:
-        """Returns chunks, float32 (B, L, K, O), and termination logits, (B, L), of spans, given skills (B, L)."""
-        features = self._encode(network, batch) if features is None else features
-        spans, length = skill.shape
-        earlier = self.config.memory
-        at = torch.arange(length)[:, None] + torch.arange(earlier, -1, -1)  # (L, 1 + n), the newest first
-        window = features[:, at].flatten(0, 1)  # (B * L, 1 + n, D)
-        code = functional.one_hot(self._tensor(skill), len(self.spec.skills)).float()
-        chunk, logits = network(
+        """Returns chunks, float32 (N, K, O), and termination logits, (N,), at some timesteps of spans.
+
+        Args:
+            network: The network.
+            batch: The spans.
+            steps: Timesteps, span after span, int64 (N,).
+            skill: Skill at each, int64 (N,).
+        """
+        length, earlier = batch.skill.shape[1], self.config.memory
+        features = self._encode(network, batch)  # (B, n + L, D)
+        span, step = self._tensor(steps // length), self._tensor(steps % length)
+        back = torch.arange(earlier, -1, -1, device=self.device)
+        window = features[span[:, None], step[:, None] + back]  # (N, 1 + n, D), the newest first
+        return network(  # type: ignore[no-any-return]
             window[:, 0],
-            code.flatten(0, 1),
+            functional.one_hot(self._tensor(skill), len(self.spec.skills)).float(),
             window[:, 1:],
-            self._tensor(batch.is_known).flatten(0, 1),
-            network.encode_actions(self._tensor(batch.executed)).flatten(0, 1),
+            self._tensor(_flat(batch.is_known)[steps]),
+            network.encode_actions(self._tensor(_flat(batch.executed)[steps])),
         )
-        return chunk.view(spans, length, *chunk.shape[1:]), logits.view(spans, length)
 
     def _encode(self, network: SkillCloningNetwork, batch: SpanBatch) -> Tensor:
         """Returns the features of spans and of the frames before them, float32 (B, n + L, D)."""
@@ -340,9 +344,17 @@ class SkillCloningLearner:
     def _augmented(self, batch: SpanBatch, rng: np.random.Generator) -> SpanBatch:
         """Returns a batch with shifted frames, where some spans have no earlier frames, and some no past actions."""
         spans, length = batch.skill.shape
-        shift, steps = self.config.shift, self.config.memory + length
-        offsets = torch.from_numpy(rng.integers(-shift, shift, (spans, 2), endpoint=True).repeat(steps, axis=0))
-        frames = {name: shift_frames(each, offsets) if shift else each for name, each in batch.frames.items()}
+        most = min(self.config.shift, *(min(each.height, each.width) - 1 for each in self.spec.cameras))
+        shift = rng.integers(-most, most, (spans, 2), endpoint=True).tolist()
+        frames = {
+            name: torch.cat(
+                [
+                    shift_frames(span, rows=rows, columns=columns)
+                    for span, (rows, columns) in zip(each.chunk(spans), shift, strict=True)
+                ]
+            )
+            for name, each in batch.frames.items()
+        }
         untold = rng.random((spans, length, 1, 1)) < self.config.past_action_dropout
         executed = np.where(untold, self.spans.no_action, batch.executed)
         is_known = batch.is_known & (rng.random((spans, 1, 1)) >= _NO_MEMORY)
@@ -357,6 +369,11 @@ class SkillCloningLearner:
 
     def _tensor(self, array: npt.NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+
+def _flat(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Returns values of spans (B, L, ...) span after span, (B * L, ...)."""
+    return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
 
 
 def _times(segments: Sequence[SkillSegment], lengths: Ints, *, steps_after: int) -> list[SkillTimes]:
