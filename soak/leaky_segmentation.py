@@ -1,5 +1,6 @@
 """The segmentation service with a planted leak, which the soak must find: it keeps 16 KiB of every call."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,14 @@ class LeakyModel:
         """Returns the model's answer."""
         self._kept.append(bytearray(b"x" * LEAKED_BYTES))
         return self._model.predict(frames, actions)
+
+    def encode(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Any:
+        """Returns the model's encoding."""
+        return self._model.encode(frames, actions)
+
+    def predict_encoded(self, parts: Sequence[Any]) -> Prediction:
+        """Returns the model's answer."""
+        return self._model.predict_encoded(parts)
 
     def stream(self) -> PredictionStream:
         """Returns the model's stream, which leaks nothing."""

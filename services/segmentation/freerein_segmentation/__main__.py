@@ -13,7 +13,7 @@ from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein_segmentation.core import Segmenter, SegmentStreamService, SkillModel, run_batch
+from freerein_segmentation.core import Segmenter, SegmentStreamService, SkillModel, VideoDecoding, run_batch
 from freerein_segmentation.methods import METHODS
 
 NAME = "segmentation"
@@ -34,7 +34,7 @@ def build(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
         lambda models: (
-            Segmenter(models, batcher, timeout_s=limits.unary_s),
+            Segmenter(models, batcher, limits.unary_s, VideoDecoding(limits.videos)),
             SegmentStreamService(models, batcher, limits.unary_s, health=health, drain_s=limits.drain_s),
         ),
         settings=settings,

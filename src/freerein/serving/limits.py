@@ -29,6 +29,7 @@ class Limits:
         queue: Items waiting for the model.
         batch: Items in one model call.
         streams: Streams open at once, over REST and over gRPC each.
+        videos: Videos being decoded at once.
         concurrent_calls: gRPC calls in progress at once, without health checks.
         connection_calls: gRPC calls in progress at once on one connection.
         health_calls: gRPC health checks in progress at once.
@@ -44,6 +45,7 @@ class Limits:
     queue: int = 256
     batch: int = 32
     streams: int = 64
+    videos: int = 2
     concurrent_calls: int = 512
     connection_calls: int = 256
     health_calls: int = 64

@@ -1,6 +1,6 @@
 """Requests and responses of the segmentation service."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,18 @@ NO_SKILL = -1
 
 @dataclass(frozen=True, eq=False)
 class SegmentRequest:
-    """One trajectory: its frames, as `frames` or as `images`, and the executed actions.
+    """One trajectory: its frames, as `frames`, `images` or `video`, and the executed actions.
 
     Attributes:
-        frames: uint8 (T, H, W, C), C = 1 or 3. Exactly one of `frames` and `images` is given.
+        frames: uint8 (T, H, W, C), C = 1 or 3. Exactly one of `frames`, `images` and `video` is given.
         images: Encoded images, one per timestep, all of one size.
         actions: float32 (T, A) or int64 (T, 1), as in training; None for a model without actions.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
             rejected: they have no skill. 0 and 1 keep all.
+        video: An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set.
+        resize: Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio.
     """
 
     model: ModelRef = ModelRef()
@@ -33,6 +35,8 @@ class SegmentRequest:
     min_segment: int = 0
     smoothing: float = 0.0
     min_kept: int = 0
+    video: bytes = b""
+    resize: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,7 @@ class SegmentResponse:
             data; see `freerein.learning.in_distribution`.
         segments: In order, without overlap; between them lie the rejected timesteps. Without rejection they cover
             [0, T).
+        time_s: float32 (T,), when each frame of a `video` is shown, in seconds; (0,) for the other forms.
     """
 
     labels: npt.NDArray[np.int64]
@@ -71,6 +76,7 @@ class SegmentResponse:
     skills: tuple[str, ...]
     model: ModelRef
     timing: Timing
+    time_s: npt.NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
 
 
 @dataclass(frozen=True)

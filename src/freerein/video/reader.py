@@ -114,11 +114,11 @@ class Video:
     def kill(self) -> None:
         """Ends the decoder; may be called from another thread, where an iteration then fails."""
         self._process.kill()
-        self._process.wait()
 
     def close(self) -> None:
-        """Ends the decoder and closes the pipe."""
+        """Ends the decoder, waits for its end and closes the pipe."""
         self.kill()
+        self._process.wait()
         self._pipe.close()
 
     def __enter__(self) -> Self:
@@ -168,7 +168,7 @@ class Video:
             part = self._pipe.read(size - len(received))
             if not part:
                 self.kill()
-                raise self._error("time" if self._process.returncode == -signal.SIGXCPU else "corrupt")
+                raise self._error("time" if self._process.wait() == -signal.SIGXCPU else "corrupt")
             received += part
         return bytes(received)
 

@@ -1,4 +1,4 @@
-"""What the batcher runs on the model's thread: whole trajectories, and steps of streams."""
+"""What the batcher runs on the model's thread: whole trajectories, parts of them, and steps of streams."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,6 +44,12 @@ class SkillModel(Protocol):
     def predict(self, frames: Frames, actions: Actions) -> Prediction:
         """Returns the prediction for frames (T, H, W, C) and actions (T, A), in bounded memory."""
 
+    def encode(self, frames: Frames, actions: Actions) -> Any:
+        """Returns a few timesteps of a trajectory in a form that `predict_encoded` takes."""
+
+    def predict_encoded(self, parts: Sequence[Any]) -> Prediction:
+        """Returns the prediction for a trajectory in encoded parts."""
+
     def stream(self) -> PredictionStream:
         """Returns a stream of predictions; FailedPrecondition when `lag` is None."""
 
@@ -51,8 +57,8 @@ class SkillModel(Protocol):
 class Work(Protocol):
     """One item of the batcher, run on the model's thread."""
 
-    def run(self) -> tuple[Prediction, ...]:
-        """Returns its predictions."""
+    def run(self) -> Any:
+        """Returns its output; a `ServiceError` when it alone fails."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +69,37 @@ class WholeTrajectory:
     frames: Frames
     actions: Actions
 
-    def run(self) -> tuple[Prediction, ...]:
-        """Returns one prediction, of all timesteps."""
+    def run(self) -> Prediction | ServiceError:
+        """Returns the prediction of all timesteps."""
         prediction = self.model.predict(self.frames, self.actions)
         _check_shapes(prediction, len(self.frames), len(self.model.skills))
-        return (prediction,)
+        return _overflow(prediction) or prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Encoding:
+    """Some timesteps of a trajectory that is not in memory as a whole."""
+
+    model: SkillModel
+    frames: Frames
+    actions: Actions
+
+    def run(self) -> Any:
+        """Returns them encoded."""
+        return self.model.encode(self.frames, self.actions)
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedTrajectory:
+    """The prediction for a trajectory in encoded parts."""
+
+    model: SkillModel
+    parts: Sequence[Any]
+
+    def run(self) -> Prediction | ServiceError:
+        """Returns the prediction of all timesteps."""
+        prediction = self.model.predict_encoded(self.parts)
+        return _overflow(prediction) or prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +110,10 @@ class StreamStep:
     frames: Frames
     actions: Actions
 
-    def run(self) -> tuple[Prediction, ...]:
+    def run(self) -> tuple[Prediction, Prediction] | ServiceError:
         """Returns the final prediction of some timesteps, and the provisional one of those after them."""
-        return self.stream.push(self.frames, self.actions), self.stream.finish()
+        final, provisional = self.stream.push(self.frames, self.actions), self.stream.finish()
+        return _overflow(final, provisional) or (final, provisional)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +122,18 @@ class StreamEnd:
 
     stream: PredictionStream
 
-    def run(self) -> tuple[Prediction, ...]:
-        """Returns one prediction, of the timesteps that are left."""
-        return (self.stream.finish(),)
+    def run(self) -> Prediction | ServiceError:
+        """Returns the prediction of the timesteps that are left."""
+        rest = self.stream.finish()
+        return _overflow(rest) or rest
 
 
-SegmentationBatcher: TypeAlias = Batcher[Work, tuple[Prediction, ...]]
+SegmentationBatcher: TypeAlias = Batcher[Work, Any]
 
 
-def run_batch(items: Sequence[Work]) -> list[tuple[Prediction, ...] | ServiceError]:
-    """Returns the predictions of each item, or its error."""
-    return [_check_finite(item.run()) for item in items]
+def run_batch(items: Sequence[Work]) -> list[Any]:
+    """Returns the output of each item, or its error."""
+    return [item.run() for item in items]
 
 
 def _check_shapes(prediction: Prediction, timesteps: int, skills: int) -> None:
@@ -107,9 +141,10 @@ def _check_shapes(prediction: Prediction, timesteps: int, skills: int) -> None:
         raise ValueError(f"the model returned {prediction.probabilities.shape}, expected {(timesteps, skills)}")
 
 
-def _check_finite(predictions: tuple[Prediction, ...]) -> tuple[Prediction, ...] | ServiceError:
+def _overflow(*predictions: Prediction) -> ServiceError | None:
+    """Returns the error of predictions that are not finite."""
     if all(np.isfinite(each.probabilities).all() and np.isfinite(each.in_distribution).all() for each in predictions):
-        return predictions
+        return None
     return OutputNotFinite(
         "The model's output must be finite; it overflowed.",
         field="actions",

@@ -43,7 +43,7 @@ async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps)
         UnsupportedMedia: An image is in another encoding than it declares.
         TooLarge: There are too many timesteps.
     """
-    images.check_one_form(has_frames=request.frames is not None, has_images=bool(request.images))
+    check_one_form(request)
     if request.frames is not None:
         frames = images.check_frames(request.frames, axis="T")
     else:
@@ -55,13 +55,29 @@ async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps)
     return frames, request.actions
 
 
-def check_actions(action: ActionSpec, actions: Actions, timesteps: int) -> None:
-    """Raises InvalidInput when actions are not (T, A) of the model's type, or not within bounds."""
-    expected = (timesteps, action.size)
+def check_one_form(request: SegmentRequest | Timesteps) -> None:
+    """Raises InvalidInput unless exactly one of `frames`, `images` and `video` is given."""
+    forms = {"frames": request.frames is not None, "images": bool(request.images)}
+    if isinstance(request, SegmentRequest):
+        forms["video"] = bool(request.video)
+    if sum(forms.values()) != 1:
+        raise InvalidInput(
+            f"Exactly one of `{'`, `'.join(forms)}` must be given; got {sum(forms.values())} of them.",
+            field="frames",
+            hint="Send `images` over REST, `frames` over gRPC.",
+        )
+
+
+def check_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -> None:
+    """Raises InvalidInput when actions are not (T, A) of the model's type, or not within bounds.
+
+    `timesteps` is T; None while it is not known.
+    """
+    expected = (len(actions) if timesteps is None and actions is not None else timesteps, action.size)
     if actions is None or actions.dtype != action.dtype or actions.shape != expected:
         got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
         raise InvalidInput(
-            f"`actions` must be {action.dtype} {expected}, one row per frame; got {got}.",
+            f"`actions` must be {action.dtype} ({timesteps or 'T'}, {action.size}), one row per frame; got {got}.",
             field="actions",
             hint="Send the executed action of each timestep, in the format that ListSkills returns.",
         )

@@ -137,8 +137,7 @@ class _Session:
         """Returns all labels that are left."""
         timer = CallTimer()
         work = self._batcher.submit(StreamEnd(self._predictions), key=self, timeout_s=self._timeout_s)
-        (rest,) = await timer.infer(work)
-        finished = self._decoder.finish(rest)
+        finished = self._decoder.finish(await timer.infer(work))
         return SegmentStreamResponse(labels=_labels(finished, finished.timeline.labels[:0], timer))
 
     def _check_seq(self, seq: int) -> ServiceError | None:

@@ -1,15 +1,32 @@
 """`Segmenter`: labels trajectories with skills."""
 
 import asyncio
+from collections.abc import Awaitable
+from contextlib import aclosing
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.serving.batcher import BatchResult
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation.core import decoding
-from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, WholeTrajectory
-from freerein_segmentation.core.inputs import check_options, read_timesteps
+from freerein_segmentation.core.inference import (
+    EncodedTrajectory,
+    Encoding,
+    SegmentationBatcher,
+    SkillModel,
+    WholeTrajectory,
+    Work,
+)
+from freerein_segmentation.core.inputs import check_actions, check_one_form, check_options, read_timesteps
+from freerein_segmentation.core.video_decoding import VideoDecoding
+from freerein_segmentation.model import Prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,11 +37,13 @@ class Segmenter:
         models: The models.
         batcher: Runs `run_batch` on the model's thread.
         timeout_s: Longest time in its queue, in seconds.
+        videos: Decodes videos.
     """
 
     models: ModelCache[SkillModel]
     batcher: SegmentationBatcher
     timeout_s: float
+    videos: VideoDecoding
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
         """Returns the skills and the expected inputs of a model; raises as `ModelCache.resolve`."""
@@ -34,16 +53,22 @@ class Segmenter:
         """Returns a label for every timestep of a trajectory.
 
         Raises:
-            InvalidInput: An option, the frames or the actions are not what the model expects.
+            InvalidInput: An option, the frames or the actions are not what the model expects, or the video is corrupt.
+            UnsupportedMedia: An image or the video is in an encoding that is not read.
             TooLarge: The trajectory is too long.
+            Unimplemented: No decoder of video is installed.
+            Overloaded: Too many videos are being decoded.
             NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
         check_options(request.smoothing, min_segment=request.min_segment, min_kept=request.min_kept)
         ref, model = await self.models.resolve(request.model)
-        frames, actions = await timer.decode(read_timesteps(model, request))
-        work = self.batcher.submit(WholeTrajectory(model, frames, actions), key=ref, timeout_s=self.timeout_s)
-        (prediction,) = await timer.infer(work)
+        time_s = np.empty(0, np.float32)
+        if request.video:
+            prediction, time_s = await self._predict_video(ref, model, request, timer)
+        else:
+            frames, actions = await timer.decode(read_timesteps(model, request))
+            prediction = await timer.infer(self._submit(WholeTrajectory(model, frames, actions), ref))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             prediction.probabilities,
@@ -53,8 +78,42 @@ class Segmenter:
             min_kept=request.min_kept,
         )
         return SegmentResponse(
-            labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing()
+            labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing(), time_s
         )
+
+    async def _predict_video(
+        self, ref: ModelRef, model: SkillModel, request: SegmentRequest, timer: CallTimer
+    ) -> tuple[Prediction, npt.NDArray[np.float32]]:
+        """Returns the prediction for the frames of a video, and their times, float32 (T,)."""
+        check_one_form(request)
+        if model.action is not None:
+            check_actions(model.action, request.actions, None)
+        actions = request.actions if model.action is not None else None
+        parts, times, count = [], [np.empty(0, np.float32)], 0
+        async with aclosing(self.videos.frames(request.video, model.camera, resize=request.resize)) as chunks:
+            while chunk := await timer.decode(anext(chunks, None)):
+                at = slice(count, count + len(chunk.frames))
+                count = at.stop
+                did = None if actions is None else actions[at]
+                if did is not None and len(did) < len(chunk.frames):
+                    break
+                parts.append(await timer.infer(self._submit(Encoding(model, chunk.frames, did), ref)))
+                times.append(chunk.time_s)
+        if actions is not None and len(actions) != count:
+            raise _unequal(len(actions), count)
+        return await timer.infer(self._submit(EncodedTrajectory(model, parts), ref)), np.concatenate(times)
+
+    def _submit(self, work: Work, ref: ModelRef) -> Awaitable[BatchResult[Any]]:
+        return self.batcher.submit(work, key=ref, timeout_s=self.timeout_s)
+
+
+def _unequal(actions: int, frames: int) -> InvalidInput:
+    least = "at least " if frames > actions else ""
+    return InvalidInput(
+        f"`actions` must have a row for each frame of the video; got {actions} rows for {least}{frames} frames.",
+        field="actions",
+        hint="Send the executed action of each frame.",
+    )
 
 
 def describe(ref: ModelRef, model: SkillModel) -> ListSkillsResponse:

@@ -1,5 +1,7 @@
 """Inference with a trained segmentation network: numpy in, numpy out."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,19 @@ from freerein.learning.action_scaling import UnscaledActionSpec
 from freerein.learning.image_statistics import image_statistics
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.stream import FRAMES_AT_ONCE, Prediction, SegmentationStream
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Timesteps as the recurrent layers see them.
+
+    Attributes:
+        features: float32 (n, D).
+        distances: float32 (n,), how far frames are from those of the fit.
+    """
+
+    features: torch.Tensor
+    distances: torch.Tensor
 
 
 class SegmentationModel:
@@ -42,7 +57,30 @@ class SegmentationModel:
         in_distribution = np.empty(len(frames), np.float32)
         for phase in range(min(self._stride, len(frames))):
             at = slice(phase, None, self._stride)
-            probabilities[at], in_distribution[at] = self._strided(frames[at], actions[at])
+            seen, did = frames[at], actions[at]
+            windows = [slice(start, start + FRAMES_AT_ONCE) for start in range(0, len(seen), FRAMES_AT_ONCE)]
+            parts = [self._features(seen[window], did[window]) for window in windows]
+            features, distances = (torch.cat(each) for each in zip(*parts, strict=True))  # (T, D), (T,)
+            probabilities[at], in_distribution[at] = self._scored(features, distances)
+        return Prediction(probabilities, in_distribution)
+
+    @torch.inference_mode()
+    def encode(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Encoded:
+        """Returns some of a trajectory's timesteps as the recurrent layers see them."""
+        if actions is None:
+            actions = np.zeros((len(frames), 0), np.float32)
+        return Encoded(*self._features(frames, actions))
+
+    @torch.inference_mode()
+    def predict_encoded(self, parts: Sequence[Encoded]) -> Prediction:
+        """Returns the prediction for a trajectory whose frames need not be in memory, in parts."""
+        features = torch.cat([part.features for part in parts])
+        distances = torch.cat([part.distances for part in parts])
+        probabilities = np.empty((len(features), len(self.skills)), np.float32)
+        in_distribution = np.empty(len(features), np.float32)
+        for phase in range(min(self._stride, len(features))):
+            at = slice(phase, None, self._stride)
+            probabilities[at], in_distribution[at] = self._scored(features[at], distances[at])
         return Prediction(probabilities, in_distribution)
 
     def stream(self) -> SegmentationStream:
@@ -59,13 +97,10 @@ class SegmentationModel:
             )
         return SegmentationStream(self._network, self._features, context=context)
 
-    def _strided(
-        self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any]
+    def _scored(
+        self, features: torch.Tensor, distances: torch.Tensor
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Returns probabilities and scores of timesteps that are one stride apart, as in training."""
-        windows = [slice(start, start + FRAMES_AT_ONCE) for start in range(0, len(frames), FRAMES_AT_ONCE)]
-        parts = [self._features(frames[at], actions[at]) for at in windows]
-        features, distances = (torch.cat(each) for each in zip(*parts, strict=True))  # (T, D), (T,)
+        """Returns probabilities and scores of features (T, D) and distances (T,), one stride apart, as in training."""
         probabilities = self._network.score(features).softmax(dim=1)  # (T, K)
         scores = self._network.in_distribution(distances, probabilities.amax(dim=1))
         return probabilities.cpu().numpy(), scores.cpu().numpy()

@@ -1,7 +1,8 @@
 """Decodes the body or query of a REST request into its dataclass.
 
 A body is JSON or multipart/form-data. In multipart and in a query, a name is the dotted path of a field
-(`model.name`), a repeated name appends, a part for a message is JSON, a file is an image, and anything else is text.
+(`model.name`), a repeated name appends, a part for a message is JSON, a file is an image or the bytes of a field of
+bytes, and anything else is text.
 
     curl -F images=@0.png -F images=@1.png -F smoothing=1.5 localhost:8101/v1/segment
 """
@@ -191,6 +192,8 @@ def _appends(field: FieldDescriptor, content: bytes | str) -> bool:
 
 
 def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
+    if isinstance(content, bytes) and field.type == FieldDescriptor.TYPE_BYTES:
+        return content
     if isinstance(content, bytes):
         return {"encoding": images.sniff(content, field=field.name), "data": content}
     if field.message_type is None:

@@ -21,7 +21,7 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class SegmentRequest(_message.Message):
-    """One trajectory: its frames, as `frames` or as `images`, and the actions executed."""
+    """One trajectory: its frames, as `frames`, `images` or `video`, and the actions executed."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -32,6 +32,8 @@ class SegmentRequest(_message.Message):
     MIN_SEGMENT_FIELD_NUMBER: _builtins.int
     SMOOTHING_FIELD_NUMBER: _builtins.int
     MIN_KEPT_FIELD_NUMBER: _builtins.int
+    VIDEO_FIELD_NUMBER: _builtins.int
+    RESIZE_FIELD_NUMBER: _builtins.int
     min_segment: _builtins.int
     """Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all; at most 1000."""
     smoothing: _builtins.float
@@ -40,13 +42,17 @@ class SegmentRequest(_message.Message):
     """Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are rejected: they have no
     skill. 0 and 1 keep all; at most 1000.
     """
+    video: _builtins.bytes
+    """An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set."""
+    resize: _builtins.bool
+    """Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Which model; unset for the active version of the default one."""
 
     @_builtins.property
     def frames(self) -> _common_pb2.Tensor:
-        """UINT8 (T, H, W, C), C = 1 or 3. Exactly one of `frames` and `images` is given."""
+        """UINT8 (T, H, W, C), C = 1 or 3. Exactly one of `frames`, `images` and `video` is given."""
 
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
@@ -66,10 +72,12 @@ class SegmentRequest(_message.Message):
         min_segment: _builtins.int = ...,
         smoothing: _builtins.float = ...,
         min_kept: _builtins.int = ...,
+        video: _builtins.bytes = ...,
+        resize: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "resize", b"resize", "smoothing", b"smoothing", "video", b"video"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -122,6 +130,7 @@ class SegmentResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    TIME_S_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
         """Index into `skills` of each of T timesteps; -1 for none, where the segment was rejected."""
@@ -152,6 +161,10 @@ class SegmentResponse(_message.Message):
         were no more familiar. Below 0.03, frames or trajectory are probably unlike what the model was fitted on.
         """
 
+    @_builtins.property
+    def time_s(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """When each of T frames of a `video` is shown, in seconds; empty for the other forms."""
+
     def __init__(
         self,
         *,
@@ -162,10 +175,11 @@ class SegmentResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _abc.Iterable[_builtins.float] | None = ...,
+        time_s: _abc.Iterable[_builtins.float] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "in_distribution", b"in_distribution", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "in_distribution", b"in_distribution", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "time_s", b"time_s", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -1,11 +1,13 @@
-"""Segment streams over real sockets, with models of the real kind: what is labelled, refused, told and bounded."""
+"""Segment streams and videos over real sockets, with models of the real kind: what is labelled, refused, bounded."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+import signal
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import httpx
 import numpy as np
 import numpy.typing as npt
 import psutil
@@ -26,9 +28,11 @@ from freerein.types.segmentation import (
     SegmentStreamResponse,
     Timesteps,
 )
+from freerein.video import open_video
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 
 pytestmark = pytest.mark.e2e
+T = TypeVar("T")
 MIB = 2**20
 LAG = 6
 SPEC = ModelSpec(
@@ -69,7 +73,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     data_dir = tmp_path_factory.mktemp("data")
     publish(data_dir, "", SPEC)
     publish(data_dir, "whole", replace(SPEC, context="all"))
-    service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="2")
+    service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="2", FREEREIN_UNARY_S="60")
     while not service.is_ready():
         pass
     return service
@@ -162,16 +166,21 @@ async def test_ten_thousand_large_frames_are_labelled_by_a_stream_in_bounded_mem
     frames = trajectory(10_000)  # 125 MB
     process = psutil.Process(service.process.pid)
     await client.segment(SegmentRequest(frames=frames[:1000]))  # what is allocated once
-    before = peak = process.memory_info().rss
-    labelling = asyncio.ensure_future(client.segment(SegmentRequest(frames=frames), timeout_s=60))
-    while not labelling.done():
-        await asyncio.wait({labelling}, timeout=0.02)
-        peak = max(peak, process.memory_info().rss)
-    answer = await labelling
+    answer, grown = await watched(process, client.segment(SegmentRequest(frames=frames), timeout_s=60))
     assert (len(answer.labels), answer.segments[0].start, answer.segments[-1].end) == (10_000, 0, 10_000)
     parts = [await client.segment(SegmentRequest(frames=frames[at : at + 1000])) for at in (0, 9000)]
     assert answer.labels[: 1000 - LAG].tolist() == parts[0].labels[: 1000 - LAG].tolist()
-    assert peak - before < 64 * MIB
+    assert grown < 64 * MIB
+
+
+async def watched(process: psutil.Process, call: Coroutine[Any, Any, T]) -> tuple[T, int]:
+    """Returns the answer of a call, and by how many bytes a process grew meanwhile, at most."""
+    before = peak = process.memory_info().rss
+    answering = asyncio.ensure_future(call)
+    while not answering.done():
+        await asyncio.wait({answering}, timeout=0.02)
+        peak = max(peak, process.memory_info().rss)
+    return answering.result(), peak - before
 
 
 async def test_what_a_stream_cannot_do_is_said_before_it_is_sent(client: Any) -> None:
@@ -219,3 +228,90 @@ async def test_a_stream_is_told_when_the_service_stops(
 def until_ready(service: Any) -> None:
     while not service.is_ready():
         pass
+
+
+@pytest.fixture(scope="module")
+def video(encode_video: Callable[..., bytes]) -> bytes:
+    return encode_video(trajectory(300).repeat(3, axis=3))
+
+
+@pytest.fixture(scope="module")
+def frames(video: bytes) -> npt.NDArray[np.uint8]:
+    with open_video(video, channels=1) as opened:
+        return np.stack([frame.pixels for frame in opened])
+
+
+@pytest.mark.parametrize("model", [ModelRef(), WHOLE], ids=["finite", "whole"])
+async def test_a_video_has_the_labels_of_its_frames_over_grpc_and_rest(
+    service: Any, client: Any, video: bytes, frames: npt.NDArray[np.uint8], model: ModelRef
+) -> None:
+    expected = await client.segment(SegmentRequest(model, frames))
+    answer = await client.segment(SegmentRequest(model, video=video))
+    assert answer.labels.tolist() == expected.labels.tolist()
+    assert answer.time_s == pytest.approx(np.arange(300) / 10)
+    assert expected.time_s.shape == (0,)
+    files, fields = {"video": ("demo.mp4", video)}, {"model.name": model.name}
+    async with httpx.AsyncClient(base_url=service.url, timeout=30, trust_env=False) as rest:
+        over_rest = (await rest.post("/v1/segment", files=files, data=fields)).json()
+    assert over_rest["labels"] == expected.labels.tolist()
+
+
+@pytest.mark.fault("S10")
+async def test_a_video_of_another_size_is_resized_only_when_asked(client: Any, encode_video: Any) -> None:
+    wide = encode_video(np.zeros((5, 64, 96, 3), np.uint8))
+    with pytest.raises(InvalidInput, match=r"112 x 112; got 64 x 96") as refused:
+        await client.segment(SegmentRequest(video=wide))
+    assert "resize" in refused.value.hint
+    assert len((await client.segment(SegmentRequest(video=wide, resize=True))).labels) == 5
+
+
+@pytest.mark.fault("S10")
+async def test_a_broken_video_is_refused_and_the_service_goes_on(service: Any, client: Any, video: bytes) -> None:
+    damaged = bytearray(video)
+    damaged[len(video) // 2 :: 97] = b"\xff" * len(damaged[len(video) // 2 :: 97])
+    for broken in (video[:-100], bytes(damaged)):
+        with pytest.raises(InvalidInput, match="corrupt or truncated"):
+            await client.segment(SegmentRequest(video=broken))
+    assert len((await client.segment(SegmentRequest(video=video))).labels) == 300
+
+
+@pytest.mark.fault("S10")
+async def test_a_decoder_that_crashes_fails_its_call_alone(
+    service: Any, client: Any, encode_video: Any, wait_until: Any
+) -> None:
+    long = encode_video(np.zeros((4000, 112, 112, 3), np.uint8))
+    call = asyncio.ensure_future(client.segment(SegmentRequest(video=long), timeout_s=60))
+    await asyncio.to_thread(wait_until, lambda: decoders(service), 30)
+    decoders(service)[0].send_signal(signal.SIGSEGV)
+    with pytest.raises(InvalidInput, match="corrupt or truncated"):
+        await call
+    assert len((await client.segment(SegmentRequest(frames=trajectory(5)))).labels) == 5
+
+
+@pytest.mark.fault("S10")
+async def test_a_call_that_is_given_up_ends_its_decoder(
+    service: Any, client: Any, encode_video: Any, wait_until: Any
+) -> None:
+    long = encode_video(np.zeros((4000, 112, 112, 3), np.uint8))
+    call = asyncio.ensure_future(client.segment(SegmentRequest(video=long)))
+    await asyncio.to_thread(wait_until, lambda: decoders(service), 30)
+    call.cancel()
+    await asyncio.to_thread(wait_until, lambda: not decoders(service), 30)
+
+
+def decoders(service: Any) -> list[psutil.Process]:
+    return psutil.Process(service.process.pid).children()
+
+
+@pytest.mark.fault("S9")
+@pytest.mark.timeout(180)
+async def test_a_video_of_ten_thousand_frames_is_labelled_in_bounded_memory(
+    service: Any, client: Any, encode_video: Any
+) -> None:
+    long = encode_video(np.arange(10_000)[:, None, None, None].astype(np.uint8) * np.ones((112, 112, 3), np.uint8))
+    await client.segment(SegmentRequest(frames=trajectory(1000)))  # what is allocated once
+    answer, grown = await watched(
+        psutil.Process(service.process.pid), client.segment(SegmentRequest(video=long), timeout_s=60)
+    )
+    assert len(answer.labels) == 10_000
+    assert grown < 64 * MIB

@@ -1,0 +1,100 @@
+"""Frames of a request's video, a few at a time: a video is never in memory as a whole."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.serving.limits import Slots
+from freerein.types.common import Camera
+from freerein.video import Video, VideoFrame, open_video
+
+T = TypeVar("T")
+
+_PIXELS_AT_ONCE = 2**21
+_MAX_FRAMES_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class VideoChunk:
+    """Consecutive frames.
+
+    Attributes:
+        frames: uint8 (n, H, W, C).
+        time_s: float32 (n,), when each is shown, in seconds.
+    """
+
+    frames: npt.NDArray[np.uint8]
+    time_s: npt.NDArray[np.float32]
+
+
+class VideoDecoding:
+    """Decodes videos, on threads of its own: at most `videos` at once, each in a child process."""
+
+    def __init__(self, videos: int) -> None:
+        self._slots = Slots(videos, "videos may be decoded")
+        self._threads = ThreadPoolExecutor(videos, "video")
+
+    async def frames(self, data: bytes, camera: Camera, *, resize: bool) -> AsyncGenerator[VideoChunk, None]:
+        """Yields the frames of an mp4 file as a camera's, resized to its size only when asked.
+
+        Raises:
+            InvalidInput: The video has another size than the camera, or as `open_video`.
+            Overloaded: Too many videos are being decoded.
+            UnsupportedMedia, Unimplemented: As `open_video`.
+        """
+        size = (camera.height, camera.width)
+        with self._slots.hold():
+            video = await self._open(data, channels=camera.channels, size=size if resize else None)
+            try:
+                if not resize and (video.info.height, video.info.width) != size:
+                    raise _other_size((video.info.height, video.info.width), size)
+                at_once = max(1, min(_MAX_FRAMES_AT_ONCE, _PIXELS_AT_ONCE // (camera.height * camera.width)))
+                frames = iter(video)
+                while chunk := await self._run(lambda: _take(frames, at_once)):
+                    yield chunk
+            finally:
+                video.kill()  # its thread, which may read, goes on to close it
+                self._threads.submit(video.close)
+
+    async def _open(self, data: bytes, *, channels: int, size: tuple[int, int] | None) -> Video:
+        opening = self._run(lambda: open_video(data, channels=channels, size=size))
+        try:
+            return await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            opening.add_done_callback(_close)
+            raise
+
+    def _run(self, work: Callable[[], T]) -> "asyncio.Future[T]":
+        return asyncio.get_running_loop().run_in_executor(self._threads, work)
+
+
+def _take(frames: Iterator[VideoFrame], most: int) -> VideoChunk | None:
+    """Returns the next frames, None at the end of the video."""
+    taken = list(islice(frames, most))
+    if not taken:
+        return None
+    return VideoChunk(
+        np.stack([frame.pixels for frame in taken]), np.array([frame.time_s for frame in taken], np.float32)
+    )
+
+
+def _close(opening: "asyncio.Future[Video]") -> None:
+    """Closes a video that nobody waits for any more."""
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
+
+
+def _other_size(found: tuple[int, int], expected: tuple[int, int]) -> InvalidInput:
+    return InvalidInput(
+        f"Frames of `video` must have the model's height and width, {expected[0]} x {expected[1]}; "
+        f"got {found[0]} x {found[1]}.",
+        field="video",
+        hint="Scale the video, or set `resize`, which ignores its aspect ratio.",
+    )
