@@ -5,16 +5,15 @@ import numpy as np
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds import blocks, conformance, dial, grid, pendulum, tabletop
+from freerein_sim.worlds import bins, blocks, conformance, dial, grid, pendulum, tabletop
 from freerein_sim.worlds.conformance import experts, first_frames, interface, recipes
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.world import LabelledAction, TaskDefinition, skill_indices
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
-TASKS = {
-    task.name: task for task in (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *dial.TASKS, *tabletop.TASKS, REPLAYED)
-}
+OURS = (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *dial.TASKS, *bins.TASKS, *tabletop.TASKS)
+TASKS = {task.name: task for task in (*OURS, REPLAYED)}
 CHECKED = (
     "grid",
     "replayed",
@@ -27,8 +26,9 @@ CHECKED = (
     "blocks.blue-on-top-of-red",
     "dial",
     "tabletop",
+    "bins",
 )
-HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "dial", "tabletop")
+HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "dial", "tabletop", "bins")
 SHOWS_ITS_RECIPE = ("grid", "tabletop.only-own-objects")
 """The indicator has the colour of the first object, and the other shows only what a recipe uses."""
 

@@ -1,0 +1,49 @@
+"""The bins world: a Sawyer puts groceries from the left bin into their compartments of the right one.
+
+The dissertation's RoboSuite task (section 2.4). All four groceries lie in the left bin in every episode. MuJoCo is
+imported when a world is made.
+"""
+
+from collections.abc import Collection
+
+from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.bins.layout import GROCERIES
+from freerein_sim.worlds.bins.predicates import BinPredicates
+from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, light_scale
+from freerein_sim.worlds.opengl import check_mujoco_gl
+from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
+
+CONTROL_DT_S = 0.25
+GRIPPER_STEP_M = 0.25
+FINGER_STEP_M = 0.0325
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+
+SPEC = WorldSpec(
+    cameras=(Camera("agentview", 128, 128, 3),),
+    action=ActionSpec(
+        size=4,
+        choices=0,
+        names=("dx", "dy", "dz", "gripper"),
+        unit="m",
+        scale=(GRIPPER_STEP_M, GRIPPER_STEP_M, GRIPPER_STEP_M, FINGER_STEP_M),
+    ),
+    control_dt_s=CONTROL_DT_S,
+    skills=tuple(f"move-{each.name}" for each in GROCERIES),
+    max_episode_steps=100,
+    state_names=(
+        *(f"gripper.{part}" for part in ("x", "y", "z", "opening")),
+        *(f"{each.name}.{part}" for each in GROCERIES for part in _POSE),
+    ),
+    has_expert=True,
+)
+
+
+def _make(conditions: Collection[str] = ()) -> World:
+    check_mujoco_gl()
+    from freerein_sim.worlds.bins import simulation
+
+    return simulation.BinsWorld(SPEC, light=light_scale(conditions))
+
+
+TASKS = (TaskDefinition("bins", "bins", "", SPEC, _make, BinPredicates(SPEC).all(), LIGHT_CONDITIONS),)
