@@ -165,10 +165,15 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize(
     ("asked", "skills"),
-    [({"task": "grid"}, 5), ({"task": "blocks", "conditions": ["blocks-2"], "skills_per_recipe": 2}, 2)],
-    ids=["grid", "blocks-2"],
+    [
+        ({"task": "grid"}, 5),
+        ({"task": "dial"}, 5),
+        ({"task": "tabletop"}, 2),
+        ({"task": "blocks", "conditions": ["blocks-2"], "skills_per_recipe": 2}, 2),
+    ],
+    ids=["grid", "dial", "tabletop", "blocks-2"],
 )
-def test_the_expert_completes_recipes_that_the_world_displays_or_shows_the_objects_of(
+def test_the_expert_completes_recipes_as_the_world_draws_and_displays_them(
     evaluation: Callable[..., Any], asked: dict[str, Any], skills: int
 ) -> None:
     run = evaluation(RECIPES | {"policy": "expert", "episodes": 4, "num_envs": 4, **asked})
