@@ -19,8 +19,8 @@ class CollectConfig:
         count: Trajectories in the finished dataset.
         seed: Seed of every random draw.
         skills: The skills that the expert chooses from; empty for all of the task.
-        min_skills: Fewest different skills per trajectory; 0 means 1.
-        max_skills: Most different skills per trajectory; 0 means as many as `skills`.
+        min_skills: Fewest different skills per trajectory; 0 means the fewest of a recipe of the task.
+        max_skills: Most different skills per trajectory; 0 means as many of `skills` as a recipe may have.
         cameras: The cameras to record; empty for the task's first.
         height: Frame height in pixels; 0 means the camera's own.
         width: Frame width in pixels; 0 means the camera's own.

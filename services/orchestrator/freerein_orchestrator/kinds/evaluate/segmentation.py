@@ -35,8 +35,8 @@ class SegmentationConfig(FormConfig):
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
         min_kept: Shortest segment in timesteps that is kept, after merging; 0 and 1 keep all. With rejection, the share
             of timesteps that is kept and the accuracy of those are figures, too.
-        min_skills: Fewest different skills per demonstration; 0 means 1.
-        max_skills: Most different skills per demonstration; 0 means all of the task.
+        min_skills: Fewest different skills per demonstration; 0 means the fewest of a recipe of the task.
+        max_skills: Most different skills per demonstration; 0 means the most of a recipe of the task.
     """
 
     form: Literal["segmentation"] = "segmentation"
