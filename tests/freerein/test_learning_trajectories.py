@@ -1,9 +1,15 @@
+from contextlib import nullcontext
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
+from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Trajectory
 
 LENGTHS = (3, 5, 4, 6)
 
@@ -58,3 +64,16 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
         Trajectories({"front": [*frames(4)[:3], frames(4)[0]]}, actions())
     with pytest.raises(InvalidInput, match="1 or more"):
         Trajectories({"front": []}, [])
+
+
+@pytest.mark.parametrize(
+    ("value", "any_unit", "is_refused"), [(0.5, False, False), (300, True, False), (300, False, True)]
+)
+def test_a_fit_that_does_not_scale_actions_refuses_a_unit_of_their_own(
+    tmp_path: Path, value: float, any_unit: bool, is_refused: bool
+) -> None:
+    spec = DatasetSpec(10, {"front": (4, 4, 3)}, ActionSpec(2, 0, ("x", "y")), "arm", has_scaled_actions=False)
+    with create(tmp_path / "datasets" / "own", spec) as writer:
+        writer.append(Trajectory({"front": frames(4)[0]}, np.full((3, 2), value, np.float32)))
+    with pytest.raises(InvalidInput, match="unit of their own") if is_refused else nullcontext():
+        FitDataset.open(tmp_path, "own").trajectories(["front"], any_unit=any_unit)

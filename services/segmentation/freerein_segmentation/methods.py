@@ -35,7 +35,7 @@ def _check_tags(dataset: Dataset) -> None:
 
 def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:
     _check_tags(source.dataset)  # trajectories may have been added while the fit was queued
-    training, validation = source.trajectories(config.cameras).split(
+    training, validation = source.trajectories(config.cameras, any_unit=True).split(
         fraction=config.validation_fraction, seed=config.seed
     )
     scaling = None

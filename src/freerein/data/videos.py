@@ -11,7 +11,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.video import Video, VideoBounds, VideoFrame, open_video
 
-_BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silence_s=60.0)
+BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silence_s=60.0)
 """Of a file that the user chose, which may hold hours: wider than for a request, and still bounded."""
 
 _TOLERANCE = 0.25
@@ -75,7 +75,7 @@ def check_length(span: VideoSpan, end_s: float, *, index: int, fps: int) -> Vide
 
 def _open(span: VideoSpan, size: tuple[int, int, int]) -> Video:
     try:
-        return open_video(span.root / span.file, channels=size[2], size=size[:2], bounds=_BOUNDS, field=span.file)
+        return open_video(span.root / span.file, channels=size[2], size=size[:2], bounds=BOUNDS, field=span.file)
     except FileNotFoundError:
         raise InvalidInput(
             f"The video `{span.file}` must be in the dataset; it is missing.", hint="Restore it from a copy."

@@ -4,9 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from freerein.data.layout import dataset_path
 from freerein.data.lookup import open_dataset
 from freerein.data.reader import Dataset
+from freerein.errors import InvalidInput
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import Camera
 
@@ -32,13 +35,25 @@ class FitDataset:
         """Returns cameras with their frame sizes."""
         return tuple(Camera(name, *self.dataset.spec.cameras[name]) for name in names)
 
-    def trajectories(self, cameras: Sequence[str]) -> Trajectories:
+    def trajectories(self, cameras: Sequence[str], *, any_unit: bool = False) -> Trajectories:
         """Returns the trajectories, with the frames of some cameras.
 
+        Args:
+            cameras: Names of the cameras.
+            any_unit: Whether continuous actions may be in the robot's own unit; otherwise they must be in [-1, 1].
+
         Raises:
-            InvalidInput: The dataset is empty, or a file is corrupt.
+            InvalidInput: The dataset is empty, a file is corrupt, or actions are not in [-1, 1].
             FailedPrecondition: The disk is too small for the decoded frames.
         """
+        low, high = self.dataset.spec.action.bounds
+        steps = self.dataset.cached_actions().steps
+        if not any_unit and not self.dataset.spec.has_scaled_actions and not np.all((steps >= low) & (steps <= high)):
+            raise InvalidInput(
+                f"This fit needs actions in [{low:g}, {high:g}]; those of the dataset are in a unit of their own.",
+                field="dataset",
+                hint="Scale them before recording. Segmentation takes actions in any unit.",
+            )
         return Trajectories(
             frames={camera: self.dataset.cached_frames(camera) for camera in cameras},
             actions=self.dataset.cached_actions(),

@@ -3,14 +3,23 @@
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from freerein import data
 from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
 from freerein.cli.settings import CliSettings
-from freerein.data import Dataset, DatasetSummary, LeRobotSource, Problem, dataset_path, import_trajectories
+from freerein.data import (
+    Dataset,
+    DatasetSummary,
+    LeRobotSource,
+    MimeSource,
+    Problem,
+    Source,
+    dataset_path,
+    import_trajectories,
+)
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import Trajectory
 
@@ -18,6 +27,7 @@ app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_
 
 _MOST_GOAL_TEXTS = 6
 _LARGEST_SIDE = 1024
+_SOURCES: dict[str, type[LeRobotSource] | type[MimeSource]] = {"lerobot": LeRobotSource, "mime": MimeSource}
 
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
@@ -36,15 +46,16 @@ def list_datasets(as_json: AsJson = False) -> None:
 @app.command("import")
 @command
 def import_dataset(
-    path: Annotated[Path, typer.Argument(help="Folder of a LeRobotDataset v3, of images or video.")],
+    path: Annotated[Path, typer.Argument(help="Folder of a LeRobotDataset v3, of images or video, or of MIME.")],
     name: Annotated[str, typer.Argument(help="Name of the new dataset in the data directory.")],
     size: Annotated[
         str, typer.Option(metavar="HxW", help="Scale frames, such as 96x128; their own size if empty.")
     ] = "",
+    layout: Annotated[Literal["lerobot", "mime"], typer.Option(help="What the folder holds.")] = "lerobot",
     as_json: AsJson = False,
 ) -> None:
     """Import a dataset of another tool: video is decoded once, actions stay in their own unit."""
-    source = LeRobotSource(path, size=_size(size))
+    source: Source = _SOURCES[layout](path, size=_size(size))
     with progress_bar(f"importing {name}", total=len(source), is_shown=not as_json) as on_count:
         import_trajectories(source, dataset_root(name), on_count=on_count)
     _show_count(name, "imported", len(source), as_json=as_json)
