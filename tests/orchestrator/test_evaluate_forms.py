@@ -168,10 +168,11 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
     [
         ({"task": "grid"}, 5),
         ({"task": "dial"}, 5),
+        ({"task": "bins"}, 4),
         ({"task": "tabletop"}, 2),
         ({"task": "blocks", "conditions": ["blocks-2"], "skills_per_recipe": 2}, 2),
     ],
-    ids=["grid", "dial", "tabletop", "blocks-2"],
+    ids=["grid", "dial", "bins", "tabletop", "blocks-2"],
 )
 def test_the_expert_completes_recipes_as_the_world_draws_and_displays_them(
     evaluation: Callable[..., Any], asked: dict[str, Any], skills: int
