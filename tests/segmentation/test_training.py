@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,7 @@ from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation import training
-from freerein_segmentation.model import Context, SegmentationModel
+from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 
@@ -51,11 +52,20 @@ def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
     return SegmentationLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
-@pytest.mark.parametrize(("objective", "context"), [*((name, "all") for name in OBJECTIVES), ("lse_per_timestep", 0)])
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"objective": name} for name in OBJECTIVES),
+        {"context": 0},
+        {"context": 2, "final_objective": "set_likelihood"},
+        {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2},
+    ],
+    ids=lambda change: "-".join(map(str, change.values())),
+)
 def test_skills_are_located_from_tags_alone_in_trajectories_of_more_skills_than_trained_on(
-    tmp_path: Path, objective: str, context: Context
+    tmp_path: Path, change: dict[str, Any]
 ) -> None:
-    config = replace(FAST, objective=objective, context=context)
+    config = replace(FAST, augmentation=0.0, **change)
     fitted = fit(learner(config), tmp_path)
     assert fitted is not None
     model, (unseen, labels) = SegmentationModel(fitted.network), make(10, seed=2, skills=3)
@@ -101,11 +111,17 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
     assert digest("first", 0) == digest("again", 0) != digest("other", 1)
 
 
-@pytest.mark.parametrize(("stride", "augmentation"), [(1, 0.0), (3, 1.0)])
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, stride: int, augmentation: float) -> None:
-    config = replace(
-        FAST, steps=12, evaluate_every=4, checkpoint_every=5, log_every=3, stride=stride, augmentation=augmentation
-    )
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"augmentation": 0.0},
+        {"stride": 3},
+        {"final_objective": "set_likelihood", "augmentation": 0.0, "context": 2},
+        {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2, "stride": 2, "final_share": 0.7},
+    ],
+)
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, change: dict[str, Any]) -> None:
+    config = replace(FAST, **{"steps": 12, "evaluate_every": 4, "checkpoint_every": 5, "log_every": 3, **change})
     asked = iter(range(8))
     whole = fit(learner(config), tmp_path / "whole")
     assert fit(learner(config), tmp_path / "parts", stop=lambda: next(asked) == 7) is None

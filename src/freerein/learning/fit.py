@@ -3,10 +3,10 @@
     <folder>/checkpoints/step-...   the full training state, every `checkpoint_every` steps
              metrics.jsonl          one row per `log_every` steps and per evaluation
 
-The loop keeps the weights with the lowest validation loss and returns them. The result depends on the learner, its
-configuration (threads included), torch's version and the device; all are stored in each checkpoint and compared on
-resume. It never depends on clocks, interruptions or logging. Tested on the CPU; on CUDA it holds as far as kernels are
-deterministic, which cuDNN's LSTM does not promise.
+The loop keeps the weights with the lowest validation loss, from `selected_after` on, and returns them. The result
+depends on the learner, its configuration (threads included), torch's version and the device; all are stored in each
+checkpoint and compared on resume. It never depends on clocks, interruptions or logging. Tested on the CPU; on CUDA it
+holds as far as kernels are deterministic, which cuDNN's LSTM does not promise.
 """
 
 import json
@@ -178,7 +178,8 @@ def _advance(
     if is_evaluated:
         row["validation_loss"] = learner.evaluate(state)
         _check_finite(row, state.step)
-        progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
+        if state.step > config.selected_after:
+            progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
     with suppress(OSError):  # a full disk costs the row, not the fit
         rows.append(state.step, row)

@@ -1,7 +1,7 @@
 """Training state, and its exact conversion to a checkpoint and back."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar, cast
 
 import numpy as np
@@ -22,12 +22,14 @@ class TrainState(Generic[N]):
     Attributes:
         generator: Source of all randomness of an optimiser step, on the CPU.
         step: Optimiser steps done.
+        carried: What else a learner keeps from step to step, by name; it is saved with the rest.
     """
 
     network: N
     optimiser: torch.optim.Optimizer
     generator: torch.Generator
     step: int = 0
+    carried: Mapping[str, Tensor] = field(default_factory=dict)
 
     @classmethod
     def with_adam(cls, network: N, lr: float, *, generator: torch.Generator) -> "TrainState[N]":
@@ -97,6 +99,7 @@ def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Ch
         **{f"network/{name}": tensor for name, tensor in state.network.state_dict().items()},
         **{f"best/{name}": tensor for name, tensor in best.weights.items()},
         **_moments(state.optimiser),
+        **{f"carried/{name}": tensor for name, tensor in state.carried.items()},
         "generator": state.generator.get_state(),
         "order": torch.from_numpy(progress.sampler.order),
     }
@@ -125,7 +128,7 @@ def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Ma
     rng.bit_generator.state = cast(Mapping[str, object], document["rng"])
     best = cast(Mapping[str, float] | None, document["best"])
     return FitLoopState(
-        TrainState(state.network, state.optimiser, state.generator, checkpoint.step),
+        replace(state, step=checkpoint.step, carried=_under("carried/", checkpoint.tensors)),
         BatchSampler(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
         BestWeights(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else BestWeights(),
         cast(Mapping[str, float], document["metric_sums"]),

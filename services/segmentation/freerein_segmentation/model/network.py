@@ -61,6 +61,10 @@ class ModelSpec(InputSpec):
         if not self.skills:
             raise InvalidInput("A network needs at least 1 skill; got 0.", hint="Tag the trajectories.")
 
+    def scaled(self, actions: Tensor) -> Tensor:
+        """Returns continuous actions (N, A) about in [-1, 1], and others as they are."""
+        return self.action_scaling.scaled(actions) if self.action_scaling else actions
+
 
 class SegmentationNetwork(nn.Module):
     """Scores f_t(k), eq. 2.1, of each skill at each timestep; softmax over k gives P(y_t = k)."""
@@ -84,7 +88,11 @@ class SegmentationNetwork(nn.Module):
             actions: float32 (N, A) or int64 (N, 1), likewise.
             lengths: int64 (B,), timesteps of each trajectory, with sum N.
         """
-        features, ends = self.features(frames, actions), lengths.cumsum(dim=0)  # (N, D), (B,)
+        return self.score_batch(self.features(frames, actions), lengths)
+
+    def score_batch(self, features: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns what `forward` does, of features (N, D)."""
+        ends = lengths.cumsum(dim=0)  # (B,)
         padded = _padded(features, ends)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden_size)
@@ -108,9 +116,7 @@ class SegmentationNetwork(nn.Module):
             return seen
         if self.spec.action.choices:
             actions = functional.one_hot(actions[:, 0], self.spec.action.choices).to(seen.dtype)  # (N, choices)
-        elif self.spec.action_scaling:
-            actions = self.spec.action_scaling.scaled(actions)
-        return torch.cat([seen, functional.relu(self.action(actions))], dim=1)  # (N, D)
+        return torch.cat([seen, functional.relu(self.action(self.spec.scaled(actions)))], dim=1)  # (N, D)
 
     def score(self, features: Tensor) -> Tensor:
         """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does.

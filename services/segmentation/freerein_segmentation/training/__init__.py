@@ -1,7 +1,15 @@
 """Training of the segmentation network from images, executed actions, and the set of skills of each trajectory."""
 
+from freerein_segmentation.training.action_loss import held_out_action_loss
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.learner import SegmentationLearner, network_spec
 
-__all__ = ["SegmentationConfig", "SegmentationLearner", "TrajectoryBatch", "gather", "network_spec"]
+__all__ = [
+    "SegmentationConfig",
+    "SegmentationLearner",
+    "TrajectoryBatch",
+    "gather",
+    "held_out_action_loss",
+    "network_spec",
+]

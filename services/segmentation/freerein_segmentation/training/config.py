@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
@@ -16,6 +17,12 @@ class SegmentationConfig(DatasetFitConfig):
 
     Attributes:
         objective: Loss of scores against tags.
+        final_objective: What replaces it at the end of a fit: `none`, `set_likelihood`, which leaves shares of skills
+            free, or `self_training` on labels within the tags.
+        final_share: Share of the optimiser steps that the final objective takes.
+        rounds: Rounds of self-training, each with labels by the network as it was at its start.
+        switching_cost: Cost of each change of the skill in these labels, in nats.
+        action_evidence: Weight of what each skill's actions tell of the labels; 0 for none.
         context: Future timesteps, one stride apart, that scores depend on, or all; 0 is the dissertation's. A finite
             number makes streams possible.
         encoder: Image encoder.
@@ -30,6 +37,11 @@ class SegmentationConfig(DatasetFitConfig):
     """
 
     objective: str = one_of(OBJECTIVES, "lse_per_timestep")
+    final_objective: Literal["none", "set_likelihood", "self_training"] = "none"
+    final_share: float = bounded(0.5, least=0.01, most=0.99)
+    rounds: int = bounded(3, least=1, most=100)
+    switching_cost: float = bounded(1.0, least=0.0, most=100.0)
+    action_evidence: float = bounded(0.0, least=0.0, most=10.0)
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     encoder: str = one_of(ENCODERS, "patch")
     initialisation: Literal["default", "he"] = "default"
@@ -41,3 +53,35 @@ class SegmentationConfig(DatasetFitConfig):
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)
     evaluate_every: int = bounded(100, least=1, most=1_000_000)
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput where a key has no effect."""
+        if self.action_evidence and self.final_objective != "self_training":
+            raise InvalidInput(
+                f"`action_evidence` is of self-training; got it with final_objective {self.final_objective}.",
+                field="config.action_evidence",
+                hint="Set final_objective=self_training.",
+            )
+
+    @property
+    def final_from(self) -> int:
+        """Optimiser steps before the final objective; all where there is none."""
+        if self.final_objective == "none":
+            return self.steps
+        return min(self.steps - 1, round((1 - self.final_share) * self.steps))
+
+    @property
+    def round_starts(self) -> tuple[int, ...]:
+        """Optimiser steps before each round of self-training."""
+        if self.final_objective != "self_training":
+            return ()
+        steps = self.steps - self.final_from
+        rounds = min(self.rounds, steps)
+        return tuple(self.final_from + steps * index // rounds for index in range(rounds))
+
+    @property
+    def selected_after(self) -> int:
+        """See `FitConfig`: losses are compared within the final objective, and within its last round."""
+        if self.final_objective == "none":
+            return 0
+        return self.round_starts[-1] if self.round_starts else self.final_from

@@ -1,11 +1,12 @@
 """The learner of the segmentation network."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from freerein import metrics
 from freerein.learning import weights
@@ -20,12 +21,17 @@ from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.objectives.labels import label_cross_entropy
+from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.config import SegmentationConfig
+from freerein_segmentation.training.self_training import Teacher, begin_round
 
 State = TrainState[SegmentationNetwork]
 
 _NORMALISATION_FRAMES = 2000
+_ACTION_TRAJECTORIES = 400
+"""Most trajectories that an action model is fitted to."""
 
 
 def network_spec(
@@ -73,10 +79,11 @@ class SegmentationLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
-        phases = torch.randint(self.spec.stride, (len(items),), generator=state.generator).tolist()
-        batch = gather(self.training, items.tolist(), phases, spec=self.spec, device=self.device)
+        if state.step in self.config.round_starts:
+            state = self._begin_round(state)
+        batch = self._gather(items.tolist(), state.generator)
         scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
-        loss = OBJECTIVES[self.config.objective](scores, mask, batch.tags).mean()
+        loss = self._loss(state, step=state.step)(scores, mask, batch).mean()
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
@@ -86,13 +93,17 @@ class SegmentationLearner:
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
-        """Returns the mean loss of the validation trajectories' tags, on frames as they are and augmented ones."""
+        """Returns the mean loss of the validation trajectories, on frames as they are and augmented ones.
+
+        It is the loss of the last optimiser step's objective; in self-training, of labels that the teacher gives them.
+        """
+        loss = self._loss(state, step=max(0, state.step - 1))
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
         for batch in self._validation_batches():
             for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
                 scores, mask = state.network(seen.frames, seen.actions, seen.lengths)
-                losses.append(OBJECTIVES[self.config.objective](scores, mask, seen.tags))
+                losses.append(loss(scores, mask, batch))
         return torch.cat(losses).mean().item()
 
     @torch.no_grad()
@@ -135,6 +146,38 @@ class SegmentationLearner:
             for index, skill in enumerate(self.spec.skills)
             if 0 < truth[:, index].sum() < len(truth)
         }
+
+    def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
+        """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
+        config = self.config
+        if config.round_starts and step >= config.round_starts[0]:
+            teacher = Teacher.load(
+                state.carried,
+                self.spec,
+                device=self.device,
+                switching_cost=config.switching_cost,
+                action_evidence=config.action_evidence,
+            )
+            return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
+        objective = set_likelihood if step >= config.final_from else OBJECTIVES[config.objective]
+        return lambda scores, mask, batch: objective(scores, mask, batch.tags)
+
+    def _begin_round(self, state: State) -> State:
+        items = torch.randperm(self.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
+        size = self.config.batch_size
+        teacher = begin_round(
+            state.network,
+            (self._gather(items[at : at + size], state.generator) for at in range(0, len(items), size)),
+            switching_cost=self.config.switching_cost,
+            action_evidence=self.config.action_evidence,
+            generator=state.generator,
+        )
+        return replace(state, carried=teacher.tensors)
+
+    def _gather(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
+        """Returns training trajectories, each from a random phase of the stride on."""
+        phases = torch.randint(self.spec.stride, (len(items),), generator=generator).tolist()
+        return gather(self.training, items, phases, spec=self.spec, device=self.device)
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):

@@ -1,0 +1,145 @@
+"""Self-training inside the tag set: labels by Viterbi from a frozen copy of the network, the teacher of a round.
+
+Labels are found when a trajectory is used: by the teacher's probabilities within the trajectory's tags, with a cost for
+each switch (set-constrained Viterbi, Li and Todorovic, 2020, arXiv 2002.11925; expectation maximisation over
+instances, Luo et al., 2020). With a weight for action evidence, a skill is also known by what it does (Shiarlis et
+al., "TACO", 2018, arXiv 1803.01840, without its order): an action model of each skill, fitted to the teacher's labels
+on the teacher's features, adds its log posterior. A teacher is plain tensors, and a part of the training state.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from freerein.learning import weights
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.model.action_model import ActionModel
+from freerein_segmentation.training.batches import TrajectoryBatch
+from freerein_segmentation.training.viterbi import viterbi
+
+_LEAST_EVIDENCE = -5.0
+"""Least log posterior of a skill given the action, in nats: one surprising action must not outweigh the network."""
+
+_STEPS, _BATCH, _LR = 500, 512, 3e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Teacher:
+    """A frozen network that labels trajectories, with or without an action model.
+
+    Attributes:
+        network: The network.
+        actions: The action model; None for a teacher that does not look at actions' evidence.
+        switching_cost: Cost of each change of the skill, in nats.
+        action_evidence: Weight of the action model's log posterior.
+    """
+
+    network: SegmentationNetwork
+    actions: ActionModel | None
+    switching_cost: float
+    action_evidence: float
+
+    @classmethod
+    def load(
+        cls,
+        tensors: Mapping[str, Tensor],
+        spec: ModelSpec,
+        *,
+        device: torch.device,
+        switching_cost: float,
+        action_evidence: float,
+    ) -> "Teacher":
+        """Returns the teacher whose `tensors` are given, on a device."""
+        with torch.device("meta"):  # allocates no weights
+            network, actions = SegmentationNetwork(spec), _action_model(spec)
+        for part, name in ((network, "network."), (actions, "actions.")):
+            found = {key.removeprefix(name): tensor for key, tensor in tensors.items() if key.startswith(name)}
+            if found:
+                part.load_state_dict(found, assign=True)
+                part.to(device)
+        has_actions = any(key.startswith("actions.") for key in tensors)
+        return cls(network.eval(), actions if has_actions else None, switching_cost, action_evidence)
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """All weights, by name."""
+        parts: dict[str, nn.Module] = {"network": self.network}
+        if self.actions is not None:
+            parts["actions"] = self.actions
+        return {f"{part}.{name}": tensor for part in parts for name, tensor in parts[part].state_dict().items()}
+
+    @torch.no_grad()
+    def label(self, batch: TrajectoryBatch) -> Tensor:
+        """Returns labels, int64 (B, T), `NO_SKILL` in the padding."""
+        features = self.network.features(batch.frames, batch.actions)  # (N, D)
+        scores, mask = self.network.score_batch(features, batch.lengths)
+        emissions = scores.log_softmax(dim=2)
+        if self.actions is not None:
+            log_likelihood = self.actions(
+                features[:, : self.network.image.size], self.network.spec.scaled(batch.actions)
+            )  # (N, K)
+            added = torch.zeros_like(emissions)
+            added[mask] = action_posterior(log_likelihood)
+            emissions = emissions + self.action_evidence * added
+        return viterbi(emissions, mask, batch.tags, switching_cost=self.switching_cost)
+
+
+def begin_round(
+    network: SegmentationNetwork,
+    batches: Iterable[TrajectoryBatch],
+    *,
+    switching_cost: float,
+    action_evidence: float,
+    generator: torch.Generator,
+) -> Teacher:
+    """Returns the teacher that a network becomes; an action model, where it has weight, is fitted to `batches`."""
+    tensors = {f"network.{name}": tensor.detach().clone() for name, tensor in network.state_dict().items()}
+    teacher = Teacher.load(
+        tensors,
+        network.spec,
+        device=network.head.weight.device,
+        switching_cost=switching_cost,
+        action_evidence=action_evidence,
+    )
+    if not action_evidence:
+        return teacher
+    return replace(teacher, actions=fit_action_model(teacher, batches, network.spec, generator=generator))
+
+
+def action_posterior(log_likelihood: Tensor) -> Tensor:
+    """Returns log P(c | a_t, x_t) with equal priors, float (N, K), bounded from below; of log pi(a_t | x_t, c)."""
+    return log_likelihood.log_softmax(dim=1).clamp(min=_LEAST_EVIDENCE)
+
+
+def fit_action_model(
+    teacher: Teacher, batches: Iterable[TrajectoryBatch], spec: ModelSpec, *, generator: torch.Generator
+) -> ActionModel:
+    """Returns an action model of the labels that a teacher gives some trajectories, on its features of their frames."""
+    features, actions, labels = [], [], []
+    for batch in batches:
+        with torch.no_grad():
+            features.append(teacher.network.image(batch.frames))
+        actions.append(spec.scaled(batch.actions))
+        found = teacher.label(batch)
+        labels.append(found[found >= 0])
+    seen, done, skills = torch.cat(features), torch.cat(actions), torch.cat(labels)
+    model = _action_model(spec)
+    weights.initialise(model, generator=generator)
+    model.to(seen.device).standardise("feature", seen)
+    if not spec.action.choices:
+        model.standardise("action", done)
+    optimiser = torch.optim.Adam(model.parameters(), _LR, fused=True)
+    for _ in range(_STEPS):
+        rows = torch.randint(len(seen), (_BATCH,), generator=generator).to(seen.device)
+        optimiser.zero_grad()
+        with torch.enable_grad():
+            loss = -model(seen[rows], done[rows]).gather(1, skills[rows, None]).mean()
+            loss.backward()
+        optimiser.step()
+    return model.requires_grad_(requires_grad=False)
+
+
+def _action_model(spec: ModelSpec) -> ActionModel:
+    return ActionModel(features=spec.features * len(spec.cameras), skills=len(spec.skills), action=spec.action)
