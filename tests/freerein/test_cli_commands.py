@@ -96,9 +96,14 @@ def test_a_dataset_is_imported_under_a_new_name_and_other_sizes(data_dir: Path) 
     imported = json.loads(_run("dataset", "import", source, "small", "--size", "2x3", "--json").stdout)
     document = json.loads(_run("dataset", "inspect", "small", "--json").stdout)
     assert (imported["imported"], document["spec"]["cameras"]) == (2, {"top": [2, 3, 3]})
-    for words, code in (([source, "small"], "already_exists"), ([source, "x", "--size", "3"], "invalid_input")):
+    for words, code in (
+        ([source, "small"], "already_exists"),
+        ([source, "x", "--size", "3"], "invalid_input"),
+        ([str(data_dir), "x"], "not_found"),
+    ):
         refused = json.loads(_run("dataset", "import", *words, "--json").stderr)
         assert refused["error"]["code"] == code
+    assert "--layout mime" in refused["error"]["hint"]
 
 
 def test_a_user_tags_and_labels_trajectories_by_tables(data_dir: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from freerein.atomic_files import fsync_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.reader import Dataset
 from freerein.data.writer import create
-from freerein.errors import AlreadyExists, InvalidInput
+from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.types.common import Trajectory
 
 
@@ -41,7 +41,13 @@ class LeRobotSource:
     """
 
     def __init__(self, folder: Path, *, size: tuple[int, int] | None = None) -> None:
-        self._dataset = Dataset(folder)
+        try:
+            self._dataset = Dataset(folder)
+        except NotFound:
+            raise NotFound(
+                "There must be a LeRobotDataset v3 in the folder, with `meta/info.json`; there is none.",
+                hint="Name the folder that holds `meta`; for the MIME dataset add --layout mime.",
+            ) from None
         self._size = size
         own = self._dataset.spec
         cameras = {
