@@ -34,7 +34,7 @@ _SLOWNESS = 2
 """Steps for a recipe relative to those of an episode: recipes are longer than demonstrations, policies slower than the
 expert."""
 
-_SEGMENTATION: Mapping[str, Any] = {"steps": 1200, "stride": 3}
+_SEGMENTATION: Mapping[str, Any] = {"steps": 1200, "stride": 3, "augmentation": 0.0}
 _POLICIES: Mapping[str, Any] = {"method": "skill_cloning", "steps": 5000}
 _FIGURES = {"subtask_success": f"skills_{COMPLETED}", "recipe_success": WHOLE}
 
