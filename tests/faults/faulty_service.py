@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,12 @@ class FaultyModel:
     skills: tuple[str, ...] = ("even", "odd")
     lag = None
     camera, action = Camera("front", SIDE, SIDE, 3), None
+
+    def encode(self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8]:
+        return frames
+
+    def predict_encoded(self, parts: Sequence[npt.NDArray[np.uint8]]) -> Prediction:
+        return self.predict(np.concatenate(parts), None)
 
     def predict(self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None) -> Prediction:
         fault, hundredths, _ = frames[0, 0, 0]

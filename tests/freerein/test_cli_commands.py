@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import COMMANDS, app
-from freerein.cli.commands.segment import skill_bar
 from freerein.cli.doctor import machine, services
 from freerein.cli.jobs.options import setting
+from freerein.cli.segments.timeline import skill_bar
 from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
@@ -168,6 +168,7 @@ def test_settings_are_json_where_they_can_be_and_text_elsewhere() -> None:
 def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked() -> None:
     assert skill_bar([0, 0, 1, 2], width=80).plain == "AABC"
     assert skill_bar([0] * 50 + [1] * 50, width=10).plain == "AAAAABBBBB"
+    assert skill_bar([0, -1, -1, 1], width=80).plain == "A··B"
 
 
 def test_the_doctor_says_how_to_start_a_service_that_does_not_run(nobody_listens: Ports) -> None:

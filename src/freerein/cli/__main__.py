@@ -10,7 +10,7 @@ COMMANDS = {
     "up": "Run the services until Ctrl-C; restart them when they crash.",
     "doctor": "Check this machine and the services; exit code 1 where something required is missing.",
     "demo": "Run the whole pipeline, measure it, and draw the results.",
-    "segment": "Label every timestep of a trajectory with a skill; with --save, of the whole dataset.",
+    "segment": "Label every timestep of a video or a trajectory with a skill; with --save, of a whole dataset.",
     "reward": "Reward images against a goal text.",
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
     "sim": "List simulated tasks and record demonstrations.",

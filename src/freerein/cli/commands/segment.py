@@ -1,28 +1,36 @@
-"""`freerein segment`: labels the timesteps of one trajectory, or of a whole dataset, with skills."""
+"""`freerein segment`: labels the timesteps of a video, of one trajectory, or of a whole dataset with skills."""
 
+import csv
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
-from string import ascii_uppercase
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
+import numpy.typing as npt
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from freerein import wire
+from freerein.atomic_files import write_atomic
 from freerein.cli.commands.dataset import camera_or_first, dataset_root, read_trajectory
 from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json, progress_bar
+from freerein.cli.segments import picture, timeline
+from freerein.cli.segments.timeline import Timeline
+from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
 from freerein.data import Dataset, labels
 from freerein.data.labels import LabelsInfo
+from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
-from freerein.types.segmentation import NO_SKILL, ListSkillsRequest, SegmentRequest, SegmentResponse
+from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
+from freerein.video import open_video
 
-_COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", "bright_magenta")
-_WIDEST_BAR = 100
+_TIMEOUT_S = 600.0
+_FILM_HEIGHT = 120
+
+Film = Sequence[npt.NDArray[np.uint8]]
 
 app = typer.Typer(add_completion=False)
 
@@ -30,39 +38,120 @@ app = typer.Typer(add_completion=False)
 @app.command()
 @command
 def segment(
-    dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
+    source: Annotated[str, typer.Argument(help="An mp4 file, or the name of a dataset in the data directory.")],
     *,
-    index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
+    index: Annotated[int, typer.Option(min=0, help="Index of the dataset's trajectory.")] = 0,
     model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
-    camera: Annotated[str, typer.Option(help="Camera of the frames; the dataset's first by default.")] = "",
+    camera: Annotated[str, typer.Option(help="Camera of the dataset's frames; its first by default.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
     min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
     min_kept: Annotated[int, typer.Option(min=0, help="Reject segments shorter than this many timesteps.")] = 0,
+    resize: Annotated[bool, typer.Option("--resize", help="Resize a video's frames to the model's size.")] = False,
+    actions: Annotated[
+        Path | None,
+        typer.Option(help="CSV file with the actions of a video, a row per frame, for models that see them."),
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Draw the timeline into this PNG file.")] = None,
+    vtt: Annotated[Path | None, typer.Option(help="Write the segments to this WebVTT file, as subtitles.")] = None,
     save: Annotated[bool, typer.Option("--save", help="Label the whole dataset and store the labels.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Label every timestep of a trajectory with a skill; with --save, of the whole dataset."""
-    opened = Dataset(dataset_root(dataset))
-    chosen = camera_or_first(opened, camera)
+    """Label every timestep of a video or a trajectory with a skill; with --save, of a whole dataset."""
     request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing, min_kept=min_kept)
-    if save:
-        with progress_bar(f"labelling {dataset}", total=len(opened), is_shown=not as_json) as on_count:
-            info = call(
-                SegmentationClient,
-                "segmentation",
-                lambda client: label_all(client, dataset_root(dataset), request, camera=chosen, on_count=on_count),
-            )
-        _show_saved(dataset, len(opened), info, as_json=as_json)
+    if source.lower().endswith(".mp4"):
+        _check_not_saved(save)
+        labelled, film = _segment_video(
+            Path(source), replace(request, resize=resize), actions, is_drawn=png is not None
+        )
     else:
-        _segment_one(opened, index, request, chosen, as_json=as_json)
+        opened = Dataset(dataset_root(source))
+        chosen = camera_or_first(opened, camera)
+        if save:
+            _segment_all(source, opened, request, chosen, as_json=as_json)
+            return
+        labelled, film = _segment_one(opened, index, request, chosen)
+    if png is not None:
+        picture.draw(png, labelled, film)
+    if vtt is not None:
+        write_atomic(vtt, webvtt(labelled).encode())
+    print_json(wire.to_json(labelled.answer)) if as_json else timeline.show(labelled)
 
 
-def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: str, *, as_json: bool) -> None:
+def _check_not_saved(save: bool) -> None:
+    if save:
+        raise InvalidInput(
+            "Only the labels of a dataset can be saved; a video is none.",
+            field="save",
+            hint="Leave out --save; --json prints the labels.",
+        )
+
+
+def _segment_video(
+    path: Path, request: SegmentRequest, actions: Path | None, *, is_drawn: bool
+) -> tuple[Timeline, Film]:
+    """Returns the labelled video, and some of its frames where they are to be drawn."""
+    if not path.is_file():
+        raise NotFound("The video must be an mp4 file; there is none of that name.", field="source", hint="Check it.")
+
+    filled = replace(request, video=path.read_bytes())
+
+    async def ask(client: SegmentationClient) -> SegmentResponse:
+        asked = filled
+        if actions is not None:
+            skills = await client.list_skills(ListSkillsRequest(request.model))
+            asked = replace(filled, model=skills.model, actions=_read_actions(actions, skills))
+        return await client.segment(asked, timeout_s=_TIMEOUT_S)
+
+    answer = call(SegmentationClient, "segmentation", ask)
+    return timeline.of_video(answer), _film_of(path, len(answer.labels)) if is_drawn else ()
+
+
+def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
+    """Returns the actions of a CSV file without a header, (T, A), in the model's dtype."""
+    try:
+        with path.open(newline="") as file:
+            rows = [[float(number) for number in row] for row in csv.reader(file) if row]
+        return np.array(rows, np.int64 if skills.action_choices else np.float32)
+    except (OSError, ValueError):
+        raise InvalidInput(
+            f"The actions must be a CSV file of {skills.action_size} numbers a row, without a header; it is not.",
+            field="actions",
+            hint="Write a row for each frame of the video.",
+        ) from None
+
+
+def _film_of(path: Path, count: int) -> Film:
+    """Returns frames of a video at equal distances, scaled to the height of a film."""
+    with open_video(path) as probe:
+        info = probe.info
+    size = (_FILM_HEIGHT, max(1, round(info.width * _FILM_HEIGHT / info.height)))
+    shown = set(_film_indices(count))
+    with open_video(path, size=size) as video:
+        return [frame.pixels for t, frame in enumerate(islice(video, count)) if t in shown]
+
+
+def _film_indices(count: int) -> list[int]:
+    return [int(t) for t in np.linspace(0, count - 1, min(count, picture.FILM_FRAMES))]
+
+
+def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: str) -> tuple[Timeline, Film]:
     trajectory = read_trajectory(dataset, index)
-    filled = replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)
-    answer = call(SegmentationClient, "segmentation", lambda client: client.segment(filled))
-    print_json(wire.to_json(answer)) if as_json else _show(answer)
+    frames = trajectory.frames[camera]
+    filled = replace(request, frames=frames, actions=trajectory.actions)
+    answer = call(SegmentationClient, "segmentation", lambda client: client.segment(filled, timeout_s=_TIMEOUT_S))
+    film = [frames[t] for t in _film_indices(len(frames))]
+    return timeline.at_rate(answer, fps=dataset.spec.fps), film
+
+
+def _segment_all(name: str, dataset: Dataset, request: SegmentRequest, camera: str, *, as_json: bool) -> None:
+    with progress_bar(f"labelling {name}", total=len(dataset), is_shown=not as_json) as on_count:
+        info = call(
+            SegmentationClient,
+            "segmentation",
+            lambda client: label_all(client, dataset_root(name), request, camera=camera, on_count=on_count),
+        )
+    _show_saved(name, len(dataset), info, as_json=as_json)
 
 
 def _show_saved(dataset: str, count: int, info: LabelsInfo, *, as_json: bool) -> None:
@@ -96,27 +185,3 @@ async def label_all(
     info = labels.LabelsInfo(skills.skills, skills.model)
     labels.finish(root, info)
     return info
-
-
-def _show(answer: SegmentResponse) -> None:
-    """Prints the segments as a table, and the trajectory as a bar."""
-    console = Console()
-    table = Table("", "skill", "from", "to", "confidence", box=None, header_style="bold", pad_edge=False)
-    for segment in answer.segments:
-        mark = _mark(answer.skills.index(segment.skill))
-        table.add_row(mark, Text(segment.skill), str(segment.start), str(segment.end), f"{segment.confidence:.2f}")
-    console.print(table)
-    console.print(skill_bar([int(label) for label in answer.labels], width=min(console.width, _WIDEST_BAR)))
-    console.print(f"{len(answer.labels)} timesteps, model {answer.model.name} {answer.model.version}", style="dim")
-
-
-def skill_bar(labels: Sequence[int], *, width: int) -> Text:
-    """Returns a trajectory as a line of at most `width` letters: A in its own colour for skill 0, a dot for none."""
-    cells = min(width, len(labels))
-    return Text.assemble(*(_mark(labels[cell * len(labels) // cells]) for cell in range(cells)))
-
-
-def _mark(skill: int) -> Text:
-    if skill == NO_SKILL:
-        return Text("·", style="dim")
-    return Text(ascii_uppercase[skill % len(ascii_uppercase)], style=f"black on {_COLOURS[skill % len(_COLOURS)]}")
