@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import Dataset, open_writer, verify
+from freerein.data import Dataset, check, open_writer, verify
 from freerein.errors import InvalidInput, NotFound
+from freerein.learning.fit_dataset import FitDataset
 
 LENGTHS = (2, 3, 4)
 PIXELS = np.random.default_rng(0).integers(0, 256, (sum(LENGTHS), 6, 8, 3), dtype=np.uint8)
@@ -198,3 +199,19 @@ def truncate(path: Path) -> None:
 def test_a_damaged_file_is_found(root: Path, damage: Callable[[Path], None]) -> None:
     damage(root / "data/chunk-000/file-000.parquet")
     assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1"]
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_number_that_is_not_finite_is_an_error_of_check_and_of_a_fit_in_any_unit(root: Path, number: float) -> None:
+    path = root / "data/chunk-000/file-001.parquet"
+    table = pq.read_table(path)
+    broken = ACTIONS[5:].copy()
+    broken[2, 1] = number
+    column = table.column_names.index("action")
+    pq.write_table(table.set_column(column, "action", pa.array(broken.tolist(), pa.list_(pa.float32()))), path)
+
+    errors = [each for each in check(root) if each.where == "trajectory 2"]
+
+    assert [(each.severity, "1 of 8 numbers are not" in each.sentence) for each in errors] == [("error", True)]
+    with pytest.raises(InvalidInput, match="Actions must be finite"):
+        FitDataset(root, Dataset(root)).trajectories(["image"], any_unit=True)

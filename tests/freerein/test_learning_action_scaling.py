@@ -1,8 +1,6 @@
 import numpy as np
-import pytest
 import torch
 
-from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling, UnscaledActionSpec
 from freerein.types.common import ActionSpec
 
@@ -25,13 +23,10 @@ def test_a_gripper_that_seldom_closes_and_a_joint_that_never_moves_have_a_scale(
     assert (scaled[0].tolist(), scaled[5].tolist()) == ([-1, 0], [1, 0])
 
 
-def test_a_broken_sensor_is_cut_off_and_what_is_not_finite_is_refused() -> None:
+def test_a_broken_sensor_is_cut_off() -> None:
     actions = RNG.normal(0, 1, (1000, 1)).astype(np.float32)
     actions[3] = 1e38
     assert ActionScaling.of(actions).scaled(torch.from_numpy(actions)).max() == 10
-    actions[3] = np.nan
-    with pytest.raises(InvalidInput, match="1 of 1000 numbers are not"):
-        ActionScaling.of(actions)
 
 
 def test_actions_in_their_own_unit_are_bounded_by_what_is_finite_alone() -> None:

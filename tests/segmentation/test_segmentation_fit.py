@@ -1,10 +1,12 @@
 import json
+import re
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data import DatasetSpec, check, create, dataset_path, tag
 from freerein.data.layout import SPEC_FILE
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Trajectory
@@ -42,4 +44,17 @@ def test_a_tag_that_is_no_skill_of_the_dataset_is_refused(tmp_path: Path) -> Non
     path = record(tmp_path, "demos") / SPEC_FILE
     path.write_text(json.dumps({**json.loads(path.read_text()), "skills": ["pick"]}))
     with pytest.raises(InvalidInput, match="1 tags are not"):
+        METHODS.resolve(tmp_path, "demos", {}, threads=1)
+
+
+@pytest.mark.parametrize(
+    "table", ["0,pick\n1,\n", "0,pick\n1,push\n", "0,pick;push\n1,pick;push\n", "0,pick\n1,pick\n"]
+)
+def test_a_fit_refuses_what_check_calls_an_error_and_takes_what_it_warns_of(tmp_path: Path, table: str) -> None:
+    root = record(tmp_path, "demos")
+    tag(root, f"trajectory,skills\n{table}".encode())
+    problems = check(root)
+    errors = [each.sentence for each in problems if each.severity == "error"]
+    assert problems
+    with pytest.raises(InvalidInput, match=re.escape(errors[0])) if errors else nullcontext():
         METHODS.resolve(tmp_path, "demos", {}, threads=1)

@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec
 
 _QUANTILES = (0.01, 0.99)
@@ -28,19 +27,10 @@ class ActionScaling:
 
     @classmethod
     def of(cls, actions: npt.NDArray[np.float32]) -> "ActionScaling":
-        """Returns the scaling of actions (N, A).
+        """Returns the scaling of finite actions (N, A).
 
         A number whose quantiles are equal is scaled by its extremes, and a constant becomes 0.
-
-        Raises:
-            InvalidInput: An action is not finite.
         """
-        if not np.isfinite(actions).all():
-            raise InvalidInput(
-                f"Actions must be finite; {int((~np.isfinite(actions)).sum())} of {actions.size} numbers are not.",
-                field="dataset",
-                hint="Run `freerein dataset check NAME` to see which trajectories, and leave those out.",
-            )
         low, high = np.quantile(actions.astype(np.float64), _QUANTILES, axis=0)  # (A,) each
         least, greatest = np.where(low < high, (low, high), (actions.min(axis=0), actions.max(axis=0)))
         constant = least >= greatest

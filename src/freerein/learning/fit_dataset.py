@@ -43,20 +43,33 @@ class FitDataset:
             any_unit: Whether continuous actions may be in the robot's own unit; otherwise they must be in [-1, 1].
 
         Raises:
-            InvalidInput: The dataset is empty, a file is corrupt, or actions are not in [-1, 1].
+            InvalidInput: The dataset is empty, a file is corrupt, or actions are not finite or not in [-1, 1].
             FailedPrecondition: The disk is too small for the decoded frames.
         """
-        low, high = self.dataset.spec.action.bounds
-        steps = self.dataset.cached_actions().steps
-        if not any_unit and not self.dataset.spec.has_scaled_actions and not np.all((steps >= low) & (steps <= high)):
-            raise InvalidInput(
-                f"This fit needs actions in [{low:g}, {high:g}]; those of the dataset are in a unit of their own.",
-                field="dataset",
-                hint="Scale them before recording. Segmentation takes actions in any unit.",
-            )
+        self._check_actions(any_unit=any_unit)
         return Trajectories(
             frames={camera: self.dataset.cached_frames(camera) for camera in cameras},
             actions=self.dataset.cached_actions(),
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
         )
+
+    def _check_actions(self, *, any_unit: bool) -> None:
+        """Raises InvalidInput for actions that `freerein dataset check` calls an error, or in an unexpected unit."""
+        spec = self.dataset.spec
+        if spec.has_scaled_actions:
+            return  # the writer has seen to it
+        steps, (low, high) = self.dataset.cached_actions().steps, spec.action_bounds
+        if not np.all((steps >= low) & (steps <= high)):
+            raise InvalidInput(
+                f"Actions must be {spec.action_range}; some are not.",
+                field="dataset",
+                hint="Run `freerein dataset check NAME` to see which trajectories, and leave those out.",
+            )
+        low, high = spec.action.bounds
+        if not any_unit and not np.all((steps >= low) & (steps <= high)):
+            raise InvalidInput(
+                f"This fit needs actions in [{low:g}, {high:g}]; those of the dataset are in a unit of their own.",
+                field="dataset",
+                hint="Scale them before recording. Segmentation takes actions in any unit.",
+            )
