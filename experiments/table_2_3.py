@@ -125,7 +125,6 @@ def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
     value = PER_CENT * claims.mean(samples)
     ceiling = PER_CENT * claims.mean(_samples(ceilings, SUBTASKS)) if ceilings else None
     is_ours = row == OURS
-    close = ceiling is not None and ceiling >= _LEAST_CEILING and PER_CENT * low >= _LEAST_RATIO * ceiling
     return Claim(
         claim="dial_zero_shot" if is_ours else ".".join(["table_2_3", *filter(None, row)]),
         value=round(value, 3),
@@ -139,11 +138,20 @@ def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
         gap_closed=None,
         dissertation=_DISSERTATION[row][2] if row in _DISSERTATION else None,
         target=_LEAST_SUCCESS if is_ours else None,
-        met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or close) if is_ours else None,
+        met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or _is_close(samples, ceilings)) if is_ours else None,
         world_hash=arms[0].world_hash,
         command=f"python -m experiments run table_2_3 --only '{arms[0].name.removesuffix(str(arms[0].seed))}*'",
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )
+
+
+def _is_close(samples: Sequence[Sample], ceilings: Sequence[ArmResult]) -> bool:
+    """Returns whether policies do nearly as well as those that are cloned from true labels, and these well enough."""
+    if not ceilings:
+        return False
+    true = _samples(ceilings, SUBTASKS)
+    low, _ = claims.ratio_interval(samples, true, rng=np.random.default_rng(0))
+    return PER_CENT * claims.mean(true) >= _LEAST_CEILING and low >= _LEAST_RATIO
 
 
 def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult]) -> tuple[str, ...]:

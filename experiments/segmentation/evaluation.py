@@ -17,6 +17,10 @@ Labels = npt.NDArray[np.int64]
 Probabilities = npt.NDArray[np.float32]
 
 FRAME_ACCURACY, DECODED_ACCURACY, KEPT_ACCURACY = "frame_accuracy", "decoded_accuracy", "kept_accuracy"
+ACTION_LOSS = "action_loss"
+"""Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
+see `freerein_segmentation.training.held_out_action_loss`."""
+
 SMOOTHING, LEAST_SEGMENT = 2.0, 5
 """What is decoded: the Gaussian's standard deviation and the shortest segment, in timesteps. Chapter 2 rejects segments
 under 5 timesteps and does not tell its Gaussian."""

@@ -1,10 +1,11 @@
 """An experiment on segmentation: methods in their contexts, with several seeds, on the demonstrations of worlds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from experiments.segmentation import dataset, draw, evaluation, report, supervised, trials, truth, weakly_supervised
 from experiments.segmentation.dataset import SPLITS, SplitName
@@ -17,13 +18,15 @@ from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
 from freerein.learning.fit import FitResult, fit
-from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import SegmentationConfig
+from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.training import SegmentationConfig, held_out_action_loss
 
 SHOWN_LABELS = "test.labels"
 """What a network shows: its labels of the first test trajectories."""
 
 _SHOWN = 4
+_ACTION_STEPS = 500
+_LABELLED: tuple[SplitName, ...] = ("train", "validation")
 
 Fitted = FitResult[SegmentationNetwork]
 
@@ -133,13 +136,35 @@ def _fit(
 
 def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:
     chosen = {"lr": config.lr, "best_step": float(fitted.best_step), "validation_loss": fitted.validation_loss}
-    parts = [Outcome(chosen, {})]
+    parts, labels = [Outcome(chosen, {})], {}
     for split in SPLITS:
         count = _evaluated(study, split)
         predicted = evaluation.predict(fitted.network, dataset.open_split(data, study.data, split), count=count)
         parts.append(evaluation.score(predicted, truth.first_labels(data, split, count), split=split))
-    shown = [each.argmax(axis=1).tolist() for each in predicted[:_SHOWN]]
-    return _joined([*parts, Outcome({}, {}, {SHOWN_LABELS: shown})])
+        labels[split] = [each.argmax(axis=1) for each in predicted]
+    shown = [each.tolist() for each in labels["test"][:_SHOWN]]
+    explained = _action_loss(study, labels, spec=fitted.network.spec, data=data)
+    return _joined([*parts, Outcome({evaluation.ACTION_LOSS: explained}, {}, {SHOWN_LABELS: shown})])
+
+
+def _action_loss(
+    study: Study, labels: Mapping[SplitName, Sequence[evaluation.Labels]], *, spec: ModelSpec, data: Path
+) -> float:
+    """Returns how badly the labels explain held-out actions; they compare between methods and contexts."""
+    training, validation = (
+        dataset.open_split(data, study.data, split).subset(range(len(labels[split]))) for split in _LABELLED
+    )
+    loss = held_out_action_loss(
+        training,
+        labels["train"],
+        validation,
+        labels["validation"],
+        spec=spec,
+        steps=_ACTION_STEPS,
+        seed=0,
+        device=torch.device("cpu"),
+    )
+    return round(loss, 6)
 
 
 def _evaluated(study: Study, split: SplitName) -> int:

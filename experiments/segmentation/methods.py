@@ -30,8 +30,9 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 
 
 def ours(*contexts: str) -> Method:
-    """Returns our method."""
-    return Method(OURS.method, contexts or (WHOLE,), {"objective": "lse_per_timestep"})
+    """Returns our method: normalised pooling, then self-training without shares, with what skills do as evidence."""
+    settings = {"objective": "lse_per_timestep", "final_objective": "self_training", "action_evidence": 0.3}
+    return Method(OURS.method, contexts or (WHOLE,), settings)
 
 
 def supervised(*contexts: str) -> Method:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.evaluation import DECODED_ACCURACY, FRAME_ACCURACY
+from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.rows import PER_CENT, Row, Rows
 from experiments.segmentation.study import Study
 from experiments.segmentation.targets import LEAST_GAP, Target
@@ -26,6 +26,7 @@ _ROW_HEADER = (
     "test decoded",
     "decoded edit",
     "gap closed, test",
+    "action loss, nats",
     "learning rate",
     "seeds",
     "minutes",
@@ -177,6 +178,7 @@ def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
         *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in decoded),
         *("" for _ in range(len(_DECODED_FIGURES) - len(decoded))),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
+        f"{rows.mean(row, ACTION_LOSS):.3f}" if row.context else "",
         ", ".join(f"{rate:g}" for rate in rates),
         "" if test.seeds is None else str(test.seeds),
         f"{test.minutes:.1f}",

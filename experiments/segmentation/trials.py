@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
@@ -19,6 +20,9 @@ from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein_segmentation.training import SegmentationConfig
+
+_WITHOUT_FINAL: dict[str, Any] = {"final_objective": "none", "action_evidence": 0.0}
+"""Trials end before the final objective begins: its loss is that of labels of its own, and so compares with none."""
 
 Fit = Callable[[SegmentationConfig, Path], float | None]
 """Fits in a folder, or resumes; returns the lowest validation loss, None when it was stopped."""
@@ -35,7 +39,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
         results: Folder of the experiment's results.
         work: Folder that all arms share; trials keep their checkpoints there.
     """
-    config = replace(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps)
+    config = replace(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps, **_WITHOUT_FINAL)
     made_by: dict[str, JSON] = {
         "fit": json.loads(json.dumps(asdict(config))),
         "method": arm.method,

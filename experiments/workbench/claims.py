@@ -81,6 +81,15 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
+def ratio_interval(
+    samples: Sequence[Sample], others: Sequence[Sample], *, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Returns the 95 % interval of the ratio of two means over seeds, which are resampled apart, as in `interval`."""
+    ratios = [_resampled(samples, rng) / _resampled(others, rng) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    return float(low), float(high)
+
+
 def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
     """Returns the share of the gap between baseline and ceiling that a value closes.
 
@@ -89,6 +98,15 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     if baseline is None or ceiling is None or ceiling - baseline < least_gap:
         return None
     return (value - baseline) / (ceiling - baseline)
+
+
+def _resampled(samples: Sequence[Sample], rng: np.random.Generator) -> float:
+    """Returns the mean over resampled seeds of the figure over resampled trials."""
+    chosen = [
+        np.array([each.totals, each.counts], np.float64)
+        for each in [samples[i] for i in rng.integers(len(samples), size=len(samples))]
+    ]
+    return float(np.mean([_ratio(*rng.choice(each, each.shape[1], axis=1)) for each in chosen]))
 
 
 def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:

@@ -127,6 +127,7 @@ def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
 
 EVALUATED_FIGURES = (
     "lr",
+    "action_loss",
     *(f"test.{name}" for name in ("balanced_accuracy", "edit_score", "f1_at_50", "decoded_accuracy")),
     "test.decoded_edit_score",
 )

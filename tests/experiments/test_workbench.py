@@ -83,6 +83,14 @@ def test_the_interval_covers_seeds_before_trials() -> None:
     assert claims.interval(networks, rng=np.random.default_rng(0)) == pytest.approx((0.2, 0.8))
 
 
+def test_the_interval_of_a_ratio_covers_both_of_its_parts() -> None:
+    steady, other = [Sample([8] * 50, [10] * 50)] * 3, [Sample([5] * 25 + [10] * 25, [10] * 50)] * 3
+    assert claims.ratio_interval(steady, steady, rng=np.random.default_rng(0)) == (1.0, 1.0)
+    low, high = claims.ratio_interval(steady, other, rng=np.random.default_rng(0))
+    assert low < 0.8 / 0.75 < high
+    assert (low, high) == pytest.approx((1.02, 1.12), abs=0.03)
+
+
 def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
     assert claims.gap_closed(0.9, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(0.75)
     assert claims.gap_closed(0.5, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(-0.25)
