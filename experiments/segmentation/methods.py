@@ -2,6 +2,7 @@
 
 from experiments.segmentation.rows import Row
 from experiments.segmentation.study import SUPERVISED, Method
+from freerein.learning.checkpoints import JSON
 
 CAUSAL, WHOLE = "causal", "bidirectional"
 OURS = Row("ours", WHOLE)
@@ -31,7 +32,11 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 
 def ours(*contexts: str) -> Method:
     """Returns our method: normalised pooling, then self-training without shares, with what skills do as evidence."""
-    settings = {"objective": "lse_per_timestep", "final_objective": "self_training", "action_evidence": 0.3}
+    settings: dict[str, JSON] = {
+        "objective": "lse_per_timestep",
+        "final_objective": "self_training",
+        "action_evidence": 0.3,
+    }
     return Method(OURS.method, contexts or (WHOLE,), settings)
 
 

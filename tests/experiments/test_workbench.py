@@ -38,6 +38,7 @@ EVALUATED = replace(
             "test.f1_at_50",
             "test.decoded_accuracy",
             "test.decoded_edit_score",
+            "action_loss",
         ),
         0.5,
     ),
