@@ -90,6 +90,12 @@ def test_every_trajectory_of_a_shared_file_is_read(root: Path) -> None:
     assert verify(root) == []
 
 
+def test_names_of_cameras_become_names_of_ours(root: Path) -> None:
+    features = {("observation.images.Front" if "image" in key else key): each for key, each in INFO["features"].items()}
+    write_info(root, features=features)
+    assert list(Dataset(root).spec.cameras) == ["front"]
+
+
 def test_nothing_but_the_cache_is_written_into_it(root: Path) -> None:
     before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
     Dataset(root).cached_actions()

@@ -96,9 +96,9 @@ def _check_layout(info: dict[str, Any]) -> None:
 
 
 def _camera_keys(features: dict[str, Any], *, dtype: str) -> dict[str, str]:
-    """Returns the features of the cameras whose frames are `image` or `video`, by camera."""
+    """Returns the features of the cameras whose frames are `image` or `video`, by camera, in lower case."""
     keys = [key for key, feature in features.items() if feature["dtype"] == dtype and not _is_depth(feature)]
-    return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation."): key for key in keys}
+    return {key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation.").lower(): key for key in keys}
 
 
 def _is_depth(feature: dict[str, Any]) -> bool:
