@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from experiments.segmentation import truth, weakly_supervised
 from experiments.segmentation.dataset import DatasetSpec
@@ -19,6 +18,7 @@ from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import SegmentationNetwork
+from freerein_segmentation.objectives.labels import NO_SKILL, label_cross_entropy
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, gather
 
 State = TrainState[SegmentationNetwork]
@@ -96,8 +96,6 @@ class SupervisedLearner:
         strided = [
             labels[item][phase % len(labels[item]) :: spec.stride] for item, phase in zip(items, phases, strict=True)
         ]
-        targets = torch.from_numpy(np.concatenate(strided)).to(self.weak.device)  # (N,)
-        losses = scores.new_zeros(mask.shape)
-        losses[mask] = functional.cross_entropy(scores[mask], targets, reduction="none")
-        mean_losses: Tensor = losses.sum(dim=1) / batch.lengths  # (B,)
-        return mean_losses
+        targets = torch.full_like(mask, NO_SKILL, dtype=torch.int64)  # (B, T)
+        targets[mask] = torch.from_numpy(np.concatenate(strided)).to(self.weak.device)
+        return label_cross_entropy(scores, targets)
