@@ -22,7 +22,7 @@ from freerein_segmentation.training.viterbi import viterbi
 _LEAST_EVIDENCE = -5.0
 """Least log posterior of a skill given the action, in nats: one surprising action must not outweigh the network."""
 
-_STEPS, _BATCH, _LR = 500, 512, 3e-3
+_STEPS, _BATCH, _LR = 300, 256, 3e-3
 
 
 @dataclass(frozen=True, eq=False)
