@@ -54,6 +54,14 @@ def test_setup_and_images_install_every_package_at_one_version() -> None:
     assert "constraints.txt" in (ROOT / "tools" / "setup").read_text()
 
 
+def test_no_image_holds_codecs_under_the_gpl() -> None:
+    extras = re.findall(r"'\.\[([a-z,]+)\]'", (ROOT / "Dockerfile").read_text())
+    assert extras
+    assert "video" not in ",".join(extras).split(",")
+    manifests = [tomllib.loads(path.read_text())["project"]["dependencies"] for path in MANIFESTS]
+    assert not any("video" in Requirement(line).extras for lines in manifests for line in lines)
+
+
 DISTRIBUTIONS = packages_distributions()
 LISTED = {canonicalize_name(Requirement(line).name) for path in MANIFESTS for line in listed(path)}
 PROGRAMS = ("tests", "experiments", "benchmarks", "soak", "mutants", "tools")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import psutil
 import pytest
 
-from freerein.errors import InvalidInput, UnsupportedMedia
+from freerein.errors import InvalidInput, Unimplemented, UnsupportedMedia
 from freerein.video import VideoBounds, open_video
 
 EncodeVideo = Callable[..., bytes]
@@ -145,6 +145,13 @@ def test_a_decoder_that_ends_is_an_error_of_the_file(
         os.kill(decoder.pid, kill)
         with pytest.raises(InvalidInput, match=reason):
             list(video)
+
+
+def test_without_a_decoder_it_is_said_how_to_get_one(monkeypatch: pytest.MonkeyPatch, h264: bytes) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    with pytest.raises(Unimplemented) as error:
+        open_video(h264)
+    assert "freerein[video]" in error.value.hint
 
 
 def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, h264: bytes) -> None:
