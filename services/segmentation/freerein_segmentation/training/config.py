@@ -81,7 +81,7 @@ class SegmentationConfig(DatasetFitConfig):
 
     @property
     def selected_after(self) -> int:
-        """See `FitConfig`: losses are compared within the final objective, and within its last round."""
+        """See `FitConfig`: weights are of the final objective, and of its last round."""
         if self.final_objective == "none":
             return 0
         return self.round_starts[-1] if self.round_starts else self.final_from

@@ -20,7 +20,7 @@ from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
-from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
@@ -95,15 +95,16 @@ class SegmentationLearner:
     def evaluate(self, state: State) -> float:
         """Returns the mean loss of the validation trajectories, on frames as they are and augmented ones.
 
-        It is the loss of the last optimiser step's objective; in self-training, of labels that the teacher gives them.
+        It is a loss of their tags: the objective, or the set likelihood once the final objective is trained. Labels of
+        a teacher would favour the network that agrees with itself, whatever it says.
         """
-        loss = self._loss(state, step=max(0, state.step - 1))
+        objective = self._tag_objective(step=max(0, state.step - 1))
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
         for batch in self._validation_batches():
             for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
                 scores, mask = state.network(seen.frames, seen.actions, seen.lengths)
-                losses.append(loss(scores, mask, batch))
+                losses.append(objective(scores, mask, seen.tags))
         return torch.cat(losses).mean().item()
 
     @torch.no_grad()
@@ -159,8 +160,11 @@ class SegmentationLearner:
                 action_evidence=config.action_evidence,
             )
             return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
-        objective = set_likelihood if step >= config.final_from else OBJECTIVES[config.objective]
+        objective = self._tag_objective(step=step)
         return lambda scores, mask, batch: objective(scores, mask, batch.tags)
+
+    def _tag_objective(self, *, step: int) -> Objective:
+        return set_likelihood if step >= self.config.final_from else OBJECTIVES[self.config.objective]
 
     def _begin_round(self, state: State) -> State:
         items = torch.randperm(self.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
