@@ -1,3 +1,5 @@
+from typing import Any
+
 import pytest
 import torch
 
@@ -8,19 +10,20 @@ from freerein.learning.encoders import (
     ConvolutionalEncoder,
     MomentsEncoder,
     PatchEncoder,
+    PrincipalEncoder,
     SpatialEncoder,
 )
 from freerein.types.common import Camera
 
 SIZES = [(33, 30, 3), (64, 64, 3), (96, 128, 1), (112, 112, 1), (120, 320, 1)]
-KINDS = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, ConvolutionalEncoder])
-STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder])
+KINDS = pytest.mark.parametrize(
+    "kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, PrincipalEncoder, ConvolutionalEncoder]
+)
+TRAINED = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, ConvolutionalEncoder])
+STILL = pytest.mark.parametrize("kind", [PatchEncoder, SpatialEncoder, MomentsEncoder, PrincipalEncoder])
 
-Made = PatchEncoder | SpatialEncoder | MomentsEncoder | ConvolutionalEncoder
-Kind = type[PatchEncoder] | type[SpatialEncoder] | type[MomentsEncoder] | type[ConvolutionalEncoder]
 
-
-def make(kind: Kind, height: int, width: int, channels: int) -> Made:
+def make(kind: Any, height: int, width: int, channels: int) -> Any:
     encoder = kind(height=height, width=width, channels=channels, features=16)
     weights.initialise(encoder, generator=torch.Generator().manual_seed(0))
     encoder.fit_normalisation(frames(height, width, channels))
@@ -34,7 +37,7 @@ def frames(height: int, width: int, channels: int, *, count: int = 4) -> torch.T
 
 @KINDS
 @pytest.mark.parametrize("size", SIZES)
-def test_frames_of_any_size_become_features(kind: Kind, size: tuple[int, int, int]) -> None:
+def test_frames_of_any_size_become_features(kind: Any, size: tuple[int, int, int]) -> None:
     features = make(kind, *size)(frames(*size))
     assert features.shape == (4, 16)
     assert features.dtype == torch.float32
@@ -43,7 +46,7 @@ def test_frames_of_any_size_become_features(kind: Kind, size: tuple[int, int, in
 
 @KINDS
 @pytest.mark.parametrize("size", SIZES)
-def test_every_pixel_counts_even_in_the_last_corner(kind: Kind, size: tuple[int, int, int]) -> None:
+def test_every_pixel_counts_even_in_the_last_corner(kind: Any, size: tuple[int, int, int]) -> None:
     encoder, seen = make(kind, *size), frames(*size, count=64)
     changed = seen.clone()
     changed[:, -1, -1] = 255 - changed[:, -1, -1]
@@ -61,7 +64,7 @@ def test_a_wide_frame_has_about_as_many_patches_as_a_square_one(size: tuple[int,
 
 
 @STILL
-def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) -> None:
+def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Any) -> None:
     plain, scene = frames(64, 64, 3, count=8) // 4, frames(64, 64, 3, count=1) // 2
     darker, brighter = make(kind, 64, 64, 3), make(kind, 64, 64, 3)
     darker.fit_normalisation(plain)
@@ -70,7 +73,7 @@ def test_the_background_and_the_contrast_of_a_scene_do_not_matter(kind: Kind) ->
 
 
 @KINDS
-def test_a_frame_is_encoded_alike_alone_and_among_others(kind: Kind) -> None:
+def test_a_frame_is_encoded_alike_alone_and_among_others(kind: Any) -> None:
     encoder, seen = make(kind, 64, 64, 3), frames(64, 64, 3)
     torch.testing.assert_close(encoder(seen[1:2]), encoder(seen)[1:2])
 
@@ -85,8 +88,8 @@ def test_he_keeps_the_scale_of_activations_through_many_layers() -> None:
     assert network(seen).square().mean().item() < 0.01
 
 
-@KINDS
-def test_weights_depend_on_the_generator_alone(kind: Kind) -> None:
+@TRAINED
+def test_weights_depend_on_the_generator_alone(kind: Any) -> None:
     torch.manual_seed(5)
     first = make(kind, 33, 30, 3)
     torch.manual_seed(6)
@@ -149,3 +152,16 @@ def test_every_encoder_takes_several_cameras_of_different_sizes(name: str) -> No
     assert features.shape == (4, encoders.size) == (4, 24)
     assert features.isfinite().all()
     torch.testing.assert_close(encoders(seen | {"wrist": seen["wrist"].flip(0)})[:, :12], features[:, :12])
+
+
+def test_principal_components_tell_where_a_light_is_and_those_beyond_the_rank_are_zeros() -> None:
+    places = torch.linspace(5, 27, 40)
+    brightness = 200 * torch.exp(-((torch.arange(32) - places[:, None]) ** 2) / 50)
+    seen = brightness.round().to(torch.uint8)[:, None, :, None].expand(-1, 8, -1, -1)  # (40, 8, 32, 1)
+    encoder = PrincipalEncoder(height=8, width=32, channels=1, features=64)
+    encoder.fit_normalisation(seen[::2])
+    features, few = encoder(seen), encoder(seen)[:, :8]
+    fitted = torch.linalg.lstsq(few[::2], places[::2, None] - places[::2].mean()).solution
+    torch.testing.assert_close((few @ fitted)[1::2, 0], places[1::2] - places[::2].mean(), atol=0.1, rtol=0)
+    assert not features[:, 32:].any()
+    assert features[:, 0].std() > features[:, 1].std() > features[:, 2].std() > 0

@@ -131,6 +131,7 @@ CASES = {
     "skills-gripper": skills_case(replace(SKILLS, action=ActionSpec(3, 0, ("dy", "dz", "gripper")))),
     "cloned": cloned_case(CLONED),
     "cloned-discrete": cloned_case(replace(CLONED, **DISCRETE)),
+    "cloned-principal": cloned_case(replace(CLONED, encoder="principal")),
     "cloned-one-frame": cloned_case(replace(CLONED, **TWO, memory=0, past_actions=0, chunk=1, ends="budget")),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES)

@@ -41,7 +41,7 @@ from freerein_imitation.training.skill_spans import NONE, SkillTimes, SpanBatch,
 
 State = TrainState[SkillCloningNetwork]
 
-_NORMALISATION_FRAMES = 500
+_NORMALISATION_FRAMES = 800
 _EVALUATED_SPANS = 120
 _LIMIT_FACTOR, _LIMIT_PERCENTILE = 1.5, 95
 _BUDGET_PERCENTILE = 75

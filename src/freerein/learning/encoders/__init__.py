@@ -11,6 +11,7 @@ from freerein.learning.encoders.convolutional import ConvolutionalEncoder
 from freerein.learning.encoders.encoder import EncoderClass
 from freerein.learning.encoders.moments import MomentsEncoder
 from freerein.learning.encoders.patch import PatchEncoder
+from freerein.learning.encoders.principal import PrincipalEncoder
 from freerein.learning.encoders.spatial import SpatialEncoder
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Frames",
     "MomentsEncoder",
     "PatchEncoder",
+    "PrincipalEncoder",
     "SpatialEncoder",
 ]
 
@@ -28,6 +30,7 @@ ENCODERS: Mapping[str, EncoderClass] = MappingProxyType(
         "patch": PatchEncoder,
         "spatial": SpatialEncoder,
         "moments": MomentsEncoder,
+        "principal": PrincipalEncoder,
         "convolutional": ConvolutionalEncoder,
     }
 )
