@@ -119,6 +119,27 @@ def test_friction_alone_holds_a_grocery_until_the_fingers_open() -> None:
         assert world.position(milk)[2] < FLOOR_M + milk.below_m + 0.01
 
 
+def test_picks_last_longer_than_places_and_four_fit_into_an_episode() -> None:
+    picking = placing = 0
+    with closing(begin()) as world:
+        for seed in range(2):
+            rng = np.random.default_rng(seed)
+            world.reset(rng)
+            expert, steps, lifted = world.expert((), rng), 0, set()
+            while (labelled := expert.act()) is not None:
+                grocery = GROCERIES[labelled.skill]
+                if world.position(grocery)[2] > FLOOR_M + grocery.below_m + 0.05:
+                    lifted.add(grocery)
+                placing += grocery in lifted
+                picking += grocery not in lifted
+                world.step(labelled.action)
+                steps += 1
+
+            assert expert.succeeded()
+            assert steps <= SPEC.max_episode_steps
+    assert picking > 1.5 * placing
+
+
 @pytest.mark.parametrize("grocery", GROCERIES, ids=[each.name for each in GROCERIES])
 def test_a_skill_is_completed_where_its_grocery_lies_released_in_its_own_compartment(grocery: Grocery) -> None:
     holds = COMPLETED[f"completed/move-{grocery.name}"].holds

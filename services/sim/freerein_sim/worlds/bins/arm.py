@@ -51,7 +51,7 @@ class Arm:
         for _ in range(_ITERATIONS):
             offset = place - self.reach(angles)
             axes = self._data.site_xmat[self._grip].reshape(3, 3)
-            turn = 0.5 * np.cross(axes, _AXES, axis=0).sum(axis=1)
+            turn = _turn(axes)
             if max(np.abs(offset).max(), np.abs(turn).max()) < _NEAR_M:
                 break
             mujoco.mj_comPos(self._model, self._data)
@@ -62,3 +62,10 @@ class Arm:
             angles += inverse @ (np.concatenate([offset, turn]) - of_arm @ homing) + homing
             angles = np.clip(angles, *self._range.T)
         return angles if np.abs(place - self.reach(angles)).max() < _FAR_M else np.array(start)
+
+
+def _turn(axes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Returns the small rotation, float64 (3,) in radians, that takes these axes of the gripper to its own."""
+    rotation = _AXES @ axes.T
+    apart = rotation - rotation.T
+    return 0.5 * np.array([apart[2, 1], apart[0, 2], apart[1, 0]])
