@@ -319,9 +319,9 @@ async def test_messages_of_many_megabytes_pass(channel: Channel) -> None:
 
 
 async def test_a_request_over_the_limit_is_refused_before_it_is_sent(channel: Channel, peer: Peer) -> None:
-    frames = np.zeros((1, MAX_MESSAGE_BYTES, 1, 1), np.uint8)
+    request = segmentation.SegmentRequest(video=bytes(MAX_MESSAGE_BYTES))
     with pytest.raises(errors.TooLarge, match="at most 67108864 bytes; got 671088"):
-        await SegmentationClient(channel).segment(segmentation.SegmentRequest(frames=frames))
+        await SegmentationClient(channel).segment(request)
     assert peer.calls == []
 
 
