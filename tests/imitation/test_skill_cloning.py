@@ -221,16 +221,24 @@ def test_shifted_frames_have_replicated_edges(rows: int, columns: int) -> None:
 SIZES = MemorySizes(frames=2, features=3, actions=1, action_size=1, chunk=2, outputs=1)
 
 
-def test_a_memory_survives_being_flat_and_forgets_predictions_of_another_skill() -> None:
+def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_skill() -> None:
     memory = Memory.parse(torch.zeros(1, SIZES.total), SIZES)
-    memory, first = memory.advanced(torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]))
+    memory, first = memory.advanced(
+        torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]), torch.tensor([0.8])
+    )
     memory = Memory.parse(memory.flat(), SIZES)
     assert memory.is_known.tolist() == [[True, False]]
-    _, same = memory.advanced(torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]))
-    _, other = memory.advanced(torch.ones(1, 3), torch.tensor([0]), torch.tensor([[[4.0], [5.0]]]))
+    same_skill, same = memory.advanced(
+        torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
+    )
+    other_skill, other = memory.advanced(
+        torch.ones(1, 3), torch.tensor([0]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
+    )
     assert first.flatten().tolist() == [1, 2]
     assert same.flatten().tolist() == pytest.approx([(0.7 * 2 + 4) / 1.7, 5])
     assert other.flatten().tolist() == [4, 5]
+    ends = [each.ended.item() for each in (memory, same_skill, other_skill)]
+    assert ends == pytest.approx([0.4, 0.5, 0.3])
 
 
 def test_any_finite_state_gives_finite_actions_in_range(policy: SkillCloningPolicy) -> None:
@@ -243,7 +251,7 @@ def test_any_finite_state_gives_finite_actions_in_range(policy: SkillCloningPoli
 
 
 def test_a_memory_that_does_not_fit_into_a_state_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="at most 16000 numbers; got 16403") as error:
+    with pytest.raises(InvalidInput, match="at most 16000 numbers; got 16404") as error:
         SkillCloningSpec(cameras=CAMERAS, action=ACTION, skills=SKILLS, features=1024, memory=16, chunk=1)
     assert error.value.field == "config.memory"
 

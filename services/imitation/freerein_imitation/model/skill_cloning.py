@@ -198,13 +198,13 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
         features = network.encoder(seen)
         chunk, termination = network(features, skill, memory.features, memory.is_known, memory.actions)
-        later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk))
-        reached, score = termination.sigmoid(), network.in_distribution
+        ended, score = termination.sigmoid(), network.in_distribution
+        later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)
         return PolicyOutput(
             actions=self._actions(averaged).cpu().numpy(),
-            reached=(reached if self.spec.predicts_reached else torch.zeros_like(reached)).cpu().numpy(),
+            reached=(later.ended if self.spec.predicts_reached else torch.zeros_like(ended)).cpu().numpy(),
             recurrent=later.flat().cpu().numpy(),
-            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
+            in_distribution=score(score.distance(image_statistics(seen)), confidence(ended)).cpu().numpy(),
         )
 
     def _predicted(self, chunk: Tensor) -> Tensor:

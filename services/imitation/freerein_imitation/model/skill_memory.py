@@ -4,16 +4,22 @@ Frames are remembered as features, newest first, beside the actions executed bef
 predicted for the next timesteps are averaged (temporal ensembling; Zhao et al., "Learning fine-grained bimanual
 manipulation with low-cost hardware", 2023); those for another skill are dropped.
 
+Whether a skill has ended is averaged over frames, too, with more weight on later ones: a robot that passes what looks
+like an end does not stay there.
+
 Callers may change a state, so that any finite numbers must be taken: flags are compared with 0, counts are clamped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 _DECAY = 0.7
 """Weight of a prediction relative to one that was made a timestep later."""
+
+_END_DECAY = 0.5
+"""The same for the probability that a skill has ended; before its first frame the probability is 0."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +49,9 @@ class MemorySizes:
 
     @property
     def parts(self) -> tuple[int, ...]:
-        """Numbers of each part: flags and features of frames, actions, skill, weights and sums of predictions."""
+        """Numbers of each part: flags and features of frames, actions, skill, end, weights and sums of predictions."""
         window = (self.frames, self.frames * self.features, self.actions * self.action_size)
-        return (*window, 1, self.chunk, self.chunk * self.outputs)
+        return (*window, 1, 1, self.chunk, self.chunk * self.outputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,7 @@ class Memory:
         features: Of earlier frames, float32 (B, n, D), newest first.
         actions: Executed ones, float32 (B, m, E), newest first; zeros for none.
         skill: Index of the skill that predictions are for, plus 1; 0 for none: float32 (B,).
+        ended: Averaged probability that it has ended, float32 (B,).
         weights: Of the predictions for each of the next timesteps, float32 (B, K).
         sums: Weighted sums of them, float32 (B, K, O).
     """
@@ -65,47 +72,57 @@ class Memory:
     features: Tensor
     actions: Tensor
     skill: Tensor
+    ended: Tensor
     weights: Tensor
     sums: Tensor
 
     @classmethod
     def parse(cls, flat: Tensor, sizes: MemorySizes) -> "Memory":
         """Returns the memories in flat vectors, float32 (B, R), of any finite numbers."""
-        known, features, actions, skill, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
+        known, features, actions, skill, ended, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
         return cls(
             known > 0,
             features.reshape(len(flat), sizes.frames, sizes.features),
             actions.reshape(len(flat), sizes.actions, sizes.action_size),
             skill[:, 0],
+            ended[:, 0].clamp(0, 1),
             weights.clamp(0, 1 / (1 - _DECAY)),
             sums.reshape(len(flat), sizes.chunk, sizes.outputs),
         )
 
     def flat(self) -> Tensor:
         """Returns the flat vectors, float32 (B, R)."""
-        parts = (self.is_known.float(), self.features, self.actions, self.skill[:, None], self.weights, self.sums)
+        window = (self.is_known.float(), self.features, self.actions)
+        parts = (*window, self.skill[:, None], self.ended[:, None], self.weights, self.sums)
         return torch.cat([each.flatten(1) for each in parts], dim=1)
 
     def with_action(self, action: Tensor) -> "Memory":
         """Returns the memories after an action (B, E) was executed."""
         actions = torch.cat([action[:, None], self.actions], dim=1)[:, : self.actions.shape[1]]
-        return Memory(self.is_known, self.features, actions, self.skill, self.weights, self.sums)
+        return replace(self, actions=actions)
 
-    def advanced(self, features: Tensor, skill: Tensor, chunk: Tensor) -> tuple["Memory", Tensor]:
+    def advanced(self, features: Tensor, skill: Tensor, chunk: Tensor, ended: Tensor) -> tuple["Memory", Tensor]:
         """Returns the memories after a frame, and the averaged chunks, float32 (B, K, O).
 
         Args:
             features: Of the frame, float32 (B, D).
             skill: Index of the current skill, int64 (B,).
             chunk: Predictions from the frame, the first for its own timestep, float32 (B, K, O).
+            ended: Probability that the skill has ended, float32 (B,).
         """
-        same = (self.skill == skill + 1)[:, None]
-        weights = torch.where(same, self.weights, 0.0) + 1
-        sums = torch.where(same[..., None], self.sums, 0.0) + chunk
+        same = self.skill == skill + 1
+        weights = torch.where(same[:, None], self.weights, 0.0) + 1
+        sums = torch.where(same[:, None, None], self.sums, 0.0) + chunk
+        ended = averaged_end(torch.where(same, self.ended, 0.0), ended)
         known = torch.cat([torch.ones_like(self.is_known[:, :1]), self.is_known], dim=1)[:, : self.is_known.shape[1]]
         seen = torch.cat([features[:, None], self.features], dim=1)[:, : self.features.shape[1]]
-        later = Memory(known, seen, self.actions, (skill + 1).float(), _later(weights), _later(sums))
+        later = Memory(known, seen, self.actions, (skill + 1).float(), ended, _later(weights), _later(sums))
         return later, sums / weights[..., None]
+
+
+def averaged_end(before: Tensor, ended: Tensor) -> Tensor:
+    """Returns the averaged probability after one more frame, of that before it and the frame's own, float32 (B,)."""
+    return _END_DECAY * before + (1 - _END_DECAY) * ended
 
 
 def _later(values: Tensor) -> Tensor:

@@ -28,6 +28,7 @@ from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningSpec
+from freerein_imitation.model.skill_memory import averaged_end
 from freerein_imitation.training.frame_features import sampled_statistics
 from freerein_imitation.training.skill_segments import (
     Ints,
@@ -49,7 +50,6 @@ _NO_MEMORY = 0.1
 """Share of spans without earlier frames, as at the start of an episode."""
 
 _THRESHOLDS = np.linspace(0.5, 0.98, 25)
-_THRESHOLD_TOLERANCE = 1.0  # timesteps
 _EARLY_COST = 3.0
 """What a timestep too early costs relative to one too late, where the threshold of the termination head is chosen: a
 skill that goes on for longer rests at its end, and one that is broken off is not completed."""
@@ -268,11 +268,8 @@ class SkillCloningLearner:
 
     @torch.no_grad()
     def termination_threshold(self, network: SkillCloningNetwork) -> float:
-        """Returns the probability at which held-out skills end nearly where they were demonstrated to end.
-
-        It is the lowest that costs hardly more than the best: the robot's own frames are never quite as demonstrated.
-        """
-        ends = [each.cpu().numpy() for each in self._end_probabilities(network)]
+        """Returns the probability at which held-out skills end nearest to where they were demonstrated to end."""
+        ends = [_averaged(each) for each in self._end_probabilities(network)]
         lasts = np.array([each.stop - 1 - each.start for each in self.held_out])
 
         def cost(threshold: float) -> float:
@@ -280,8 +277,7 @@ class SkillCloningLearner:
             late = first - lasts
             return float(np.where(late < 0, -_EARLY_COST * late, late).mean())
 
-        costs = np.array([cost(threshold) for threshold in _THRESHOLDS])
-        return float(_THRESHOLDS[np.argmax(costs <= costs.min() + _THRESHOLD_TOLERANCE)])
+        return float(min(_THRESHOLDS, key=cost))
 
     def _end_probabilities(self, network: SkillCloningNetwork) -> list[Tensor]:
         """Returns, of each held-out segment and the steps after it, the probability that its skill has ended."""
@@ -369,6 +365,15 @@ class SkillCloningLearner:
 
     def _tensor(self, array: npt.NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+
+def _averaged(ended: Tensor) -> npt.NDArray[np.float32]:
+    """Returns the probabilities that a skill has ended, of a segment's frames, as its policy averages them: (T,)."""
+    found, average = [], torch.zeros(())
+    for each in ended.cpu():
+        average = averaged_end(average, each)
+        found.append(average.item())
+    return np.array(found, np.float32)
 
 
 def _flat(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
