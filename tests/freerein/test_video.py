@@ -30,6 +30,12 @@ def h264(encode_video: EncodeVideo, colours: npt.NDArray[np.uint8]) -> bytes:
     return encode_video(colours)
 
 
+@pytest.fixture(scope="module")
+def long_video(encode_video: EncodeVideo) -> bytes:
+    """More than fits between a decoder and its reader: the decoder waits until it is read."""
+    return encode_video(np.zeros((100, 128, 128, 3), np.uint8))
+
+
 def decoded(source: bytes | Path, **options: object) -> npt.NDArray[np.uint8]:
     """Returns all frames of a video, uint8 (T, H, W, C)."""
     with open_video(source, **options) as video:  # type: ignore[arg-type]
@@ -65,8 +71,8 @@ def test_frames_are_resized_and_gray_when_asked(h264: bytes) -> None:
     assert decoded(h264, size=(32, 40)).shape == (FRAMES, 32, 40, 3)
 
 
-def test_a_video_that_is_left_ends_its_decoder(h264: bytes) -> None:
-    with open_video(h264) as video:
+def test_a_video_that_is_left_ends_its_decoder(long_video: bytes) -> None:
+    with open_video(long_video) as video:
         next(iter(video))
         (decoder,) = psutil.Process().children()
         assert decoder.is_running()
@@ -154,9 +160,9 @@ def test_without_a_decoder_it_is_said_how_to_get_one(monkeypatch: pytest.MonkeyP
     assert "freerein[video]" in error.value.hint
 
 
-def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, h264: bytes) -> None:
+def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, long_video: bytes) -> None:
     monkeypatch.setenv("FREEREIN_TOKEN", "secret")
-    with open_video(h264) as video:
+    with open_video(long_video) as video:
         (decoder,) = psutil.Process().children()
         assert "FREEREIN_TOKEN" not in decoder.environ()
         assert video.info.codec == "h264"

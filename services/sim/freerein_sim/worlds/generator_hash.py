@@ -13,6 +13,7 @@ which contacts amplify. So its sources are hashed, which are equal on all machin
 import ast
 import hashlib
 import importlib.util
+import threading
 from collections.abc import Iterator
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -31,6 +32,9 @@ _DRAW_NOTHING = frozenset(f"{_WORLDS}.{name}" for name in ("world", "conditions"
 
 _SIMULATORS = ("mujoco",)
 _READS_FILES = "asset_folder"
+
+_parsing = threading.Lock()
+"""Python's parser, before 3.11.5, is not safe to call on several threads at once."""
 
 
 def generator_hash(task: TaskDefinition) -> str:
@@ -60,7 +64,8 @@ def _modules(task: TaskDefinition) -> dict[str, ast.Module]:
         if name in found or name in _DRAW_NOTHING or not name.startswith(tuple(f"{root}." for root in roots) + roots):
             continue
         if (source := _source(name)) is not None:
-            found[name] = tree = ast.parse(source)
+            with _parsing:
+                found[name] = tree = ast.parse(source)
             waiting += _imports(tree)
     return found
 

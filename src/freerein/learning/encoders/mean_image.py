@@ -8,19 +8,15 @@ from torch.nn import functional
 
 
 class PatchStem(nn.Module):
-    """Subtracts the mean image and embeds square patches by a convolution.
-
-    Patches are as large as those of a square frame of equal area with `patches` along each side, so that a wide frame
-    has no fewer.
-    """
+    """Subtracts the mean image and embeds square patches, about `patches` along the longer side, by a convolution."""
 
     mean_image: Tensor
     pixel_std: Tensor
     min_features = 1
 
-    def __init__(self, *, height: int, width: int, channels: int, patches: int, outputs: int) -> None:
+    def __init__(self, *, height: int, width: int, channels: int, patches: float, outputs: int) -> None:
         super().__init__()
-        side = math.ceil(math.sqrt(height * width) / patches)
+        side = math.ceil(max(height, width) / patches)
         self._padding = (0, -width % side, 0, -height % side)  # no pixel is dropped
         self.stem = nn.Conv2d(channels, outputs, kernel_size=side, stride=side)
         self.register_buffer("mean_image", torch.empty(channels, height, width))

@@ -1,5 +1,7 @@
 """An encoder for small data that mostly ignores position."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -13,13 +15,14 @@ _STEM, _BODY = 24, 48
 class PatchEncoder(PatchStem):
     """A small CNN for small data that mostly ignores position: patch embedding, two 3 x 3 convolutions, max pooling.
 
-    About 11 x 11 patches (6 to 10 times faster than a stack of 5 x 5 convolutions); the first 3 x 3 convolution also
+    About 121 patches, however wide the frame (6 to 10 times faster than a stack of 5 x 5 convolutions); the first 3 x 3 convolution also
     sees patch coordinates (CoordConv). Global max pooling shares what is learned between positions. Frames have height
     and width in pixels, and 1 or 3 channels.
     """
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
-        super().__init__(height=height, width=width, channels=channels, patches=_PATCHES, outputs=_STEM)
+        patches = _PATCHES * math.sqrt(max(height, width) / min(height, width))
+        super().__init__(height=height, width=width, channels=channels, patches=patches, outputs=_STEM)
         self.conv1 = nn.Conv2d(_STEM, _BODY, kernel_size=3, stride=2, padding=1)
         self.coord_conv = nn.Conv2d(2, _BODY, kernel_size=3, stride=2, padding=1, bias=False)
         self.conv2 = nn.Conv2d(_BODY, _BODY, kernel_size=3, padding=1)
