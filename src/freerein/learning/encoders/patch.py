@@ -15,9 +15,9 @@ _STEM, _BODY = 24, 48
 class PatchEncoder(PatchStem):
     """A small CNN for small data that mostly ignores position: patch embedding, two 3 x 3 convolutions, max pooling.
 
-    About 121 patches, however wide the frame (6 to 10 times faster than a stack of 5 x 5 convolutions); the first 3 x 3 convolution also
-    sees patch coordinates (CoordConv). Global max pooling shares what is learned between positions. Frames have height
-    and width in pixels, and 1 or 3 channels.
+    About 121 patches, however wide the frame (6 to 10 times faster than a stack of 5 x 5 convolutions); the first 3 x 3
+    convolution also sees patch coordinates (CoordConv). Global max pooling shares what is learned between positions.
+    Frames have height and width in pixels, and 1 or 3 channels.
     """
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
