@@ -11,10 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import h11
 import httpx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+from freerein.serving.rest.http_server import BoundedConnection
+from freerein.serving.rest.middleware import MAX_HEADER_BYTES
 
 pytestmark = pytest.mark.e2e
 MiB = 2**20
@@ -284,6 +288,17 @@ def test_large_bodies_must_come_in_chunks_of_64_bytes_or_more(
     reply = send_chunks(faulty, total, size)
     assert status(reply) == expected
     assert expected == 200 or b"application/problem+json" in reply
+
+
+@pytest.mark.fault("F5")
+def test_chunks_of_64_bytes_may_be_cut_anywhere_and_the_last_may_be_small() -> None:
+    connection = BoundedConnection(h11.SERVER, MAX_HEADER_BYTES)
+    sent = raw_request("POST", SEGMENT, in_chunks(b"x" * 17_000, 64), "transfer-encoding: chunked")
+    for i in range(len(sent)):
+        connection.receive_data(sent[i : i + 1])
+        while connection.next_event() not in (h11.NEED_DATA, h11.PAUSED):
+            pass
+    assert connection.their_state is h11.DONE
 
 
 @pytest.mark.fault("F5")

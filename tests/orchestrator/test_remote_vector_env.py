@@ -1,6 +1,8 @@
 """Vectorised envs over the network, with the real sim and reward services."""
 
+import itertools
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -276,11 +278,11 @@ def test_a_rollout_is_collected_in_another_session_to_the_same_bits(sim: SyncCli
 
 
 def test_a_step_of_a_sim_that_hangs_can_be_interrupted(start_service: Callable[..., Any]) -> None:
-    service, asked = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), list[None]()
+    service, hangs = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), threading.Event()
+    polls = itertools.count()
 
     def interrupt() -> None:
-        asked.append(None)
-        if len(asked) > 3:
+        if hangs.is_set() and next(polls) == 3:
             raise Stopped
 
     with SyncClient(SimClient(Channel(service.address))) as sim:
@@ -288,6 +290,7 @@ def test_a_step_of_a_sim_that_hangs_can_be_interrupted(start_service: Callable[.
         envs = RemoteVectorEnv([sim], request, camera=CAMERA, reward_fn=zero_reward, interrupt=interrupt)
         envs.reset()
         service.process.send_signal(signal.SIGSTOP)
+        hangs.set()
         with pytest.raises(Stopped):
             envs.step(np.zeros((3, 3), np.float32))
         envs.close()

@@ -33,10 +33,10 @@ class BoundedConnection(h11.Connection):
         if isinstance(event, h11.Request):
             self._chunks = self._body_bytes = 0
         elif isinstance(event, h11.Data):
-            self._chunks += event.chunk_start
             self._body_bytes += len(event.data)
             if _MIN_BYTES_IN_CHUNKS < self._body_bytes < _MIN_MEAN_CHUNK_BYTES * self._chunks:
                 raise h11.RemoteProtocolError("the chunks are too small")
+            self._chunks += event.chunk_end  # not those that TCP cuts, and not the last, which may be small
         return event
 
 
