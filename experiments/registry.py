@@ -6,6 +6,7 @@ from experiments.workbench.arms import Experiment
 from freerein.errors import NotFound
 
 EXPERIMENTS = (
+    "development",
     "table_2_1",
     "table_2_2",
     "table_2_3",

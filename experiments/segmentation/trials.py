@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from experiments.segmentation.study import Study
+from experiments.segmentation.study import SUPERVISED, Study
 from experiments.workbench.arms import Arm
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
@@ -42,7 +42,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
     config = replace(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps, **_WITHOUT_FINAL)
     made_by: dict[str, JSON] = {
         "fit": json.loads(json.dumps(asdict(config))),
-        "method": arm.method,
+        "supervised": arm.method == SUPERVISED,
         "data": json.loads(json.dumps(asdict(study.data))),
         "learning_rates": list(study.learning_rates),
         "world_hash": world_hash,
@@ -50,7 +50,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
     name = _trials_name(arm)
     path = results / "trials" / f"{name}.json"
     digest = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()
-    folder = work / "trials" / f"{name}-{digest[:12]}"
+    folder = work / "trials" / digest[:16]  # of all methods that differ only after their trials
     with locked(folder / "lock"):
         if path.is_file() and (found := json.loads(path.read_bytes()))["made_by"] == made_by:
             return float(found["lr"])
