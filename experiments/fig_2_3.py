@@ -14,7 +14,7 @@ from experiments.segmentation import draw
 from experiments.segmentation.dataset import SPLITS
 from experiments.segmentation.experiment import SHOWN_LABELS, SegmentationExperiment
 from experiments.segmentation.methods import OURS
-from experiments.segmentation.rows import Row
+from experiments.segmentation.rows import Rows
 from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
 from experiments.workbench.plots import new_figure, png
@@ -80,7 +80,8 @@ class _Figure:
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the segments of each trajectory, with their frames as a picture."""
-        shown = [_shown(result) for world in _WORLDS for result in results if _is_shown(result, world)]
+        of_worlds = [Rows.of(results, world) for world in _WORLDS]
+        shown = [_shown(rows.arms[row][0]) for rows in of_worlds if (row := rows.chosen(OURS))]
         return Table(
             title="Skills found in held-out trajectories (Figure 2.3)",
             text="The first test trajectory of each world, and the labels of our network of seed 0: not decoded, not "
@@ -93,11 +94,6 @@ class _Figure:
 
 def _no_arms() -> NotFound:
     return NotFound("A figure has no arms to run.", hint=f"Run those of {' and '.join(_SOURCES)}.")
-
-
-def _is_shown(result: ArmResult, world: str) -> bool:
-    row = Row(result.method, result.options.get("context", ""))
-    return result.world == world and row == OURS and result.seed == 0
 
 
 def _study(world: str) -> Study:

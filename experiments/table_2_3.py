@@ -9,9 +9,9 @@ import numpy as np
 from experiments import table_2_2
 from experiments.segmentation import draw
 from experiments.segmentation.evaluation import FRAME_ACCURACY, KEPT_ACCURACY
-from experiments.segmentation.methods import CAUSAL, OURS
+from experiments.segmentation.methods import CAUSAL, OURS, WHOLE
 from experiments.segmentation.rows import PER_CENT, Row, Rows
-from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LABELS, WHOLE, ZeroShot
+from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LABELS, WHOLE_RECIPES, ZeroShot
 from experiments.workbench import claims
 from experiments.workbench.arms import Arm
 from experiments.workbench.claims import Claim
@@ -23,7 +23,8 @@ from freerein.learning.checkpoints import JSON
 _SOURCE, _WORLD = "table_2_2", table_2_2.DIAL
 _SEEDS = 3
 _LEAST_SUCCESS, _LEAST_RATIO, _LEAST_CEILING = 85.0, 0.95, 60.0
-_METHODS = (OURS, Row("lse", CAUSAL), Row("fcn_mil", CAUSAL), Row("mil", CAUSAL))
+_OURS = Row(OURS, WHOLE)
+_METHODS = (_OURS, Row("lse", CAUSAL), Row("fcn_mil", CAUSAL), Row("mil", CAUSAL))
 _DISSERTATION = {
     Row("fcn_mil", CAUSAL): (59.64, 68.58, 38.8),
     Row("mil", CAUSAL): (15.89, 50.0, 39.6),
@@ -124,7 +125,7 @@ def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
     low, high = claims.interval(samples, rng=np.random.default_rng(0))
     value = PER_CENT * claims.mean(samples)
     ceiling = PER_CENT * claims.mean(_samples(ceilings, SUBTASKS)) if ceilings else None
-    is_ours = row == OURS
+    is_ours = row == _OURS
     return Claim(
         claim="dial_zero_shot" if is_ours else ".".join(["table_2_3", *filter(None, row)]),
         value=round(value, 3),
@@ -164,7 +165,7 @@ def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult]) -> tuple[str, ..
     done = ["", ""]
     if executed:
         claim = _claim(row, {row: list(executed), Row(TRUE_LABELS): []})
-        whole = PER_CENT * claims.mean(_samples(executed, WHOLE))
+        whole = PER_CENT * claims.mean(_samples(executed, WHOLE_RECIPES))
         done = [f"{claim.value:.1f} [{claim.low:.1f}, {claim.high:.1f}]", f"{whole:.1f}"]
     theirs = " / ".join(f"{value:g}" for value in _DISSERTATION.get(row, ()))
     return (*row, *labelled, *done, theirs, str(len(executed) or len(rows.arms.get(row, ()))))

@@ -65,7 +65,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
     """
     by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
     sections, made, plotted = [], [], []
-    targets = [target for target in report.targets if target.row in by_world[target.world][1].arms]
+    targets = [target for target in report.targets if by_world[target.world][1].chosen(target.method)]
     for target in targets:
         made.append(_target_claim(report, *by_world[target.world], target))
     if targets:
@@ -148,14 +148,14 @@ def _row_claim(report: Report, study: Study, rows: Rows, row: Row, split: SplitN
 
 
 def _target_claim(report: Report, study: Study, rows: Rows, target: Target) -> Claim:
-    return _claim(report, study, rows, name=target.claim, row=target.row, figure=target.figure, target=target)
+    return _claim(report, study, rows, name=target.claim, row=target.row(rows), figure=target.figure, target=target)
 
 
 def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
     missing = target.missing(rows) + (["reduced scale"] if claim.scale == "reduced" else [])
     return (
         target.claim,
-        " ".join(filter(None, target.row)),
+        " ".join(filter(None, target.row(rows))),
         target.figure,
         _value_cell(claim),
         "" if claim.target is None else f"{claim.target:.2f}",

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.segmentation.evaluation import ACTION_LOSS
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult
@@ -38,6 +39,14 @@ class Rows:
             if result.world == world:
                 rows.setdefault(Row(result.method, result.options.get("context", "")), []).append(result)
         return cls(rows)
+
+    def chosen(self, method: str) -> Row | None:
+        """Returns the row of a method, of several contexts that whose first seed explains held-out actions best.
+
+        The action loss is label-free. None where the method has no result.
+        """
+        found = [row for row in self.arms if row.method == method]
+        return min(found, key=lambda row: self.arms[row][0].figures[ACTION_LOSS]) if found else None
 
     def mean(self, row: Row, figure: str) -> float:
         """Returns the mean of a figure over seeds."""

@@ -21,7 +21,7 @@ class Target:
     Attributes:
         claim: Its name.
         world: Its world.
-        row: Whose figure it is.
+        method: Whose figure it is, in the context that `Rows.chosen` names.
         figure: What is measured; it has samples.
         seeds: Number of independently trained networks that it needs.
         least: What the figure must reach, in per cent.
@@ -35,7 +35,7 @@ class Target:
 
     claim: str
     world: str
-    row: Row
+    method: str
     figure: str = TEST_ACCURACY
     seeds: int = 3
     least: float | None = None
@@ -44,11 +44,23 @@ class Target:
     above_row: Row | None = None
     least_figures: Mapping[str, float] = field(default_factory=dict)
 
+    def row(self, rows: Rows) -> Row:
+        """Returns whose figure it is.
+
+        Raises:
+            ValueError: The method has no result.
+        """
+        row = rows.chosen(self.method)
+        if row is None:
+            raise ValueError(f"The method must have a result in {self.world}; {self.method} has none.")
+        return row
+
     def least_value(self, rows: Rows) -> float | None:
         """Returns the least value that satisfies all that is asked of the value; None where it cannot be told yet."""
+        row = self.row(rows)
         bounds = [bound for bound in (self.least, self.above) if bound is not None]
         if self.least_gap_closed is not None:
-            baseline, ceiling = rows.baseline(self.row, self.figure), rows.ceiling(self.row, self.figure)
+            baseline, ceiling = rows.baseline(row, self.figure), rows.ceiling(row, self.figure)
             if baseline is None or ceiling is None:
                 return None
             bounds.append(baseline + self.least_gap_closed * max(ceiling - baseline, 0.0))
@@ -63,7 +75,8 @@ class Target:
         return list(self._missing(rows))
 
     def _missing(self, rows: Rows) -> Iterator[str]:
-        arms, value = rows.arms[self.row], rows.value(self.row, self.figure) or 0.0
+        row = self.row(rows)
+        arms, value = rows.arms[row], rows.value(row, self.figure) or 0.0
         if len(arms) < self.seeds:
             yield f"{len(arms)} of {self.seeds} seeds"
         if self.least is not None and value < self.least:
@@ -75,8 +88,8 @@ class Target:
         if self.above_row is not None and not self._is_apart(rows, self.above_row):
             yield f"its interval is not above that of {self.above_row.method}"
         for name, least in self.least_figures.items():
-            if rows.mean(self.row, name) < least:
-                yield f"{name} is {rows.mean(self.row, name):.3f}, below {least:g}"
+            if rows.mean(row, name) < least:
+                yield f"{name} is {rows.mean(row, name):.3f}, below {least:g}"
 
     def _missing_beside_dissertation(self, rows: Rows, value: float, above: float) -> Iterator[str]:
         if value <= above:
@@ -88,7 +101,8 @@ class Target:
             yield f"the dissertation's method has {baseline:.2f} here, more than 5 points under {above:g}"
 
     def _missing_of_gap(self, rows: Rows, value: float, least: float) -> Iterator[str]:
-        baseline, ceiling = rows.baseline(self.row, self.figure), rows.ceiling(self.row, self.figure)
+        row = self.row(rows)
+        baseline, ceiling = rows.baseline(row, self.figure), rows.ceiling(row, self.figure)
         gap = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=LEAST_GAP)
         if gap is None:
             yield "no gap between the dissertation's method and full supervision"
@@ -98,4 +112,4 @@ class Target:
     def _is_apart(self, rows: Rows, other: Row) -> bool:
         if other not in rows.arms:
             return False
-        return rows.interval(self.row, self.figure)[0] > rows.interval(other, self.figure)[1]
+        return rows.interval(self.row(rows), self.figure)[0] > rows.interval(other, self.figure)[1]

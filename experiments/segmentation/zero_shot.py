@@ -25,7 +25,7 @@ from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.worlds.tasks import tasks
 
 CLONED, EXPERT, TRUE_LABELS = "cloned", "expert", "true"
-SUBTASKS, WHOLE = "zero_shot.subtasks", "zero_shot.whole"
+SUBTASKS, WHOLE_RECIPES = "zero_shot.subtasks", "zero_shot.whole"
 
 _DATASET, _RECIPES = "demonstrations", "recipes"
 _HELD_OUT_SEED = 1_000_003
@@ -166,4 +166,4 @@ def _outcome(found: Trials | None) -> Outcome | None:
     completed = [np.array(each["completed"], np.bool_) for each in found[_RECIPES]]
     subtasks = Sample([int(each.sum()) for each in completed], [len(each) for each in completed])
     whole = Sample([int(each.all()) for each in completed], [1] * len(completed))
-    return Outcome({SUBTASKS: subtasks.mean, WHOLE: whole.mean}, {SUBTASKS: subtasks, WHOLE: whole})
+    return Outcome({SUBTASKS: subtasks.mean, WHOLE_RECIPES: whole.mean}, {SUBTASKS: subtasks, WHOLE_RECIPES: whole})
