@@ -23,7 +23,8 @@ def main(folder: Path) -> int:
     def work(job: Mapping[str, Any]) -> bool:
         experiment = registry.load(job["experiment"])
         (arm,) = choose(experiment, [job["arm"]])
-        experiment.prepare(arm, Path(job["work"]))
+        if not experiment.prepare(arm, Path(job["work"])):
+            return False
         elapsed = Elapsed(folder / "elapsed.json")
         outcome = experiment.run(
             arm, results=Path(job["results"]), work=Path(job["work"]), folder=folder, on_progress=elapsed.save

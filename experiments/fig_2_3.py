@@ -68,7 +68,7 @@ class _Figure:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
-    def prepare(self, arm: Arm, work: Path) -> None:
+    def prepare(self, arm: Arm, work: Path) -> bool:
         """Raises NotFound: there are no arms."""
         raise _no_arms()
 

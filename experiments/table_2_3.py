@@ -47,7 +47,7 @@ _HEADER = (
 _TEXT = """\
 Labels of validation trajectories of `dial`, smoothed by a Gaussian over time, without segments under 5 timesteps; and
 zero-shot execution: policies are cloned from the labelled segments of 2 000 demonstrations of 2 to 4 digits, and
-execute 100 recipes of 5. A learned end, never the simulator's state, switches from one skill to the next; the simulator
+execute 100 recipes of 5, in at most twice the steps of a demonstration. A learned end, never the simulator's state, switches from one skill to the next; the simulator
 judges whether a key was pressed in its turn. `true` clones the true labels, the ceiling; `expert` is the scripted one.
 The networks are those of table 2.2.
 """
@@ -80,14 +80,22 @@ class _Experiment:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
-    def prepare(self, arm: Arm, work: Path) -> None:
-        """Does nothing: an arm collects its own demonstrations."""
+    def prepare(self, arm: Arm, work: Path) -> bool:
+        """Collects the demonstrations that all policies are cloned from."""
+        return arm.method == EXPERT or ZERO_SHOT.prepare(work, world_hash=self.world_hash(arm.world))
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
         """Runs an arm; see `Experiment`."""
-        return ZERO_SHOT.run(arm, results=results.parent, folder=folder, on_progress=on_progress)
+        return ZERO_SHOT.run(
+            arm,
+            results=results.parent,
+            work=work,
+            folder=folder,
+            world_hash=self.world_hash(arm.world),
+            on_progress=on_progress,
+        )
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each method that has results, and the claim."""

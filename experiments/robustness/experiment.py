@@ -117,12 +117,13 @@ class RobustnessExperiment:
         """Returns the hash of what the world's generator draws."""
         return world_hash(world)
 
-    def prepare(self, arm: Arm, work: Path) -> None:
+    def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws what is learned from and what fits are evaluated on."""
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
         more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())
         for spec in (*specs, *more):
             open_or_draw(spec, work)
+        return True
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]

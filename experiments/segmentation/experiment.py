@@ -67,9 +67,10 @@ class SegmentationExperiment:
         """Returns the hash of what the world's generator draws."""
         return draw.world_hash(world)
 
-    def prepare(self, arm: Arm, work: Path) -> None:
+    def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws the demonstrations, or waits until another arm has drawn them."""
         dataset.open_or_draw(self._study(arm.world).data, work)
+        return True
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]

@@ -1,9 +1,14 @@
 """Zero-shot execution, section 2.4: policies cloned from labelled segments execute longer recipes than were shown.
 
 Everything but the true labels of the ceiling is a pipeline of the orchestrator, so that what is measured is what a user
-would get.
+would get. All arms learn from the same demonstrations, which are collected once:
+
+    <work>/demonstrations/<hash>/data/   the services' data directory with their dataset
 """
 
+import hashlib
+import json
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +20,7 @@ from experiments.segmentation import trials
 from experiments.segmentation.evaluation import LEAST_SEGMENT, SMOOTHING
 from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
+from experiments.workbench.locks import locked
 from experiments.workbench.pipelines import Step, Trials, fit_step, run_pipeline, step
 from experiments.workbench.results import Outcome, Sample
 from freerein.data import Dataset, dataset_path, labels
@@ -27,8 +33,11 @@ from freerein_sim.worlds.tasks import tasks
 CLONED, EXPERT, TRUE_LABELS = "cloned", "expert", "true"
 SUBTASKS, WHOLE_RECIPES = "zero_shot.subtasks", "zero_shot.whole"
 
-_DATASET, _RECIPES = "demonstrations", "recipes"
+_DATASET, _RECIPES, _COLLECTED = "demonstrations", "recipes", "collected"
 _HELD_OUT_SEED = 1_000_003
+_SLOWNESS = 2
+"""Steps for a recipe relative to those of an episode: policies are slower than the expert."""
+
 _ENVIRONMENTS = 25
 
 
@@ -68,30 +77,51 @@ class ZeroShot:
             config |= {"fit": asdict(self.study.fit_config(_network(arm))), "smoothing": SMOOTHING}
         return config
 
-    def run(self, arm: Arm, *, results: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+    def prepare(self, work: Path, *, world_hash: str) -> bool:
+        """Collects the demonstrations, or waits until another arm has; returns False when it was stopped."""
+        folder = self._demonstrations(work, world_hash)
+        with locked(folder.with_suffix(".lock")):
+            if not (folder / _COLLECTED).is_file():
+                if run_pipeline([self._collect], folder, lambda: None, keeps_datasets=True) is None:
+                    return False
+                (folder / _COLLECTED).touch()
+        return True
+
+    def run(
+        self,
+        arm: Arm,
+        *,
+        results: Path,
+        work: Path,
+        folder: Path,
+        world_hash: str,
+        on_progress: Callable[[], None],
+    ) -> Outcome | None:
         """Labels, clones and executes; None when it was stopped.
 
         `results` is the folder of the results of all experiments.
         """
         if arm.method == EXPERT:
             return _outcome(run_pipeline([self._executed("expert")], folder, on_progress))
+        root = dataset_path(folder / "data", _DATASET)
+        if not root.exists():
+            copy = root.with_suffix(".copy")
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.copytree(dataset_path(self._demonstrations(work, world_hash) / "data", _DATASET), copy)
+            copy.replace(root)
         cloned = [
             fit_step("fit", "imitation", _DATASET, **{**self.policies, "seed": arm.seed}),
             self._executed({"model": "default"}),
         ]
-        if arm.options["labels"] != TRUE_LABELS:
-            steps = [self._collected(arm), *self._labelled(arm, results / self.source), *cloned]
-            return _outcome(run_pipeline(steps, folder, on_progress))
-        collected = run_pipeline(
-            [self._collected(arm)], folder, on_progress, name="demonstrations", keeps_datasets=True
-        )
-        if collected is None:
-            return None
-        _label_truly(self._demonstrate(arm), folder / "data")
+        if arm.options["labels"] == TRUE_LABELS:
+            _label_truly(self._request, root)
+        else:
+            cloned = [*self._labelled(arm, results / self.source), *cloned]
         return _outcome(run_pipeline(cloned, folder, on_progress))
 
-    def _demonstrate(self, arm: Arm) -> DemonstrateRequest:
-        """Returns the request of the demonstrations, with their true labels."""
+    @property
+    def _request(self) -> DemonstrateRequest:
+        """The request of the demonstrations, with their true labels."""
         train = self.study.data.train
         return DemonstrateRequest(
             self.study.world,
@@ -99,14 +129,15 @@ class ZeroShot:
             min_skills=train.least_skills,
             max_skills=train.most_skills,
             count=train.count,
-            seed=arm.seed,
+            seed=self.study.data.seed,
             height=1,
             width=1,
             privileged=True,
         )
 
-    def _collected(self, arm: Arm) -> Step:
-        asked = self._demonstrate(arm)
+    @property
+    def _collect(self) -> Step:
+        asked = self._request
         return step(
             _DATASET,
             "collect",
@@ -118,6 +149,10 @@ class ZeroShot:
             max_skills=asked.max_skills,
             seed=asked.seed,
         )
+
+    def _demonstrations(self, work: Path, world_hash: str) -> Path:
+        digest = hashlib.sha256(json.dumps([dict(self._collect), world_hash]).encode()).hexdigest()
+        return work / "demonstrations" / digest[:16]
 
     def _labelled(self, arm: Arm, results: Path) -> list[Step]:
         network = _network(arm)
@@ -136,6 +171,7 @@ class ZeroShot:
             policy=policy,
             skills_per_recipe=self.study.data.test.most_skills,
             step_limits="own",
+            episode_steps=_SLOWNESS * self.study.data.world.max_episode_steps,
             episodes=self.recipes,
             num_envs=_ENVIRONMENTS,
             seed=_HELD_OUT_SEED,
@@ -147,9 +183,9 @@ def _network(arm: Arm) -> Arm:
     return Arm(arm.world, arm.options["labels"], {"context": arm.options["context"]}, arm.seed)
 
 
-def _label_truly(request: DemonstrateRequest, data_dir: Path) -> None:
+def _label_truly(request: DemonstrateRequest, root: Path) -> None:
     """Labels demonstrations truly, by making them again, where predicted labels lie."""
-    root, task = dataset_path(data_dir, _DATASET), tasks()[request.task]
+    task = tasks()[request.task]
     lengths = Dataset(root).lengths
     with closing(task.make()) as world:
         for index, length in enumerate(lengths):

@@ -52,8 +52,11 @@ class Experiment(Protocol):
     def world_hash(self, world: str) -> str:
         """Returns the hash of what the world's generator draws."""
 
-    def prepare(self, arm: Arm, work: Path) -> None:
-        """Makes what an arm shares with others, such as datasets, unless it is there; its time is no arm's."""
+    def prepare(self, arm: Arm, work: Path) -> bool:
+        """Makes what an arm shares with others, such as datasets, unless it is there; its time is no arm's.
+
+        Returns False when it was stopped by SIGTERM.
+        """
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
