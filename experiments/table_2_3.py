@@ -47,9 +47,9 @@ _HEADER = (
 _TEXT = """\
 Labels of validation trajectories of `dial`, smoothed by a Gaussian over time, without segments under 5 timesteps; and
 zero-shot execution: policies are cloned from the labelled segments of 2 000 demonstrations of 2 to 4 digits, and
-execute 100 recipes of 5, in at most twice the steps of a demonstration. A learned end, never the simulator's state, switches from one skill to the next; the simulator
-judges whether a key was pressed in its turn. `true` clones the true labels, the ceiling; `expert` is the scripted one.
-The networks are those of table 2.2.
+execute 100 recipes of 5, in at most twice the steps of a demonstration. A learned end, never the simulator's state,
+switches from one skill to the next; the simulator judges whether a key was pressed in its turn. `true` clones the true
+labels, the ceiling; `expert` is the scripted one. The networks are those of table 2.2.
 """
 
 ZERO_SHOT = ZeroShot(
