@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from experiments.segmentation import dataset, draw, evaluation, report, supervised, trials, truth, weakly_supervised
+from experiments.segmentation import (
+    dataset,
+    draw,
+    evaluation,
+    report,
+    served,
+    supervised,
+    trials,
+    truth,
+    weakly_supervised,
+)
 from experiments.segmentation.dataset import SPLITS, SplitName
 from experiments.segmentation.guesses import GUESSES
 from experiments.segmentation.report import Report
@@ -17,9 +27,9 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, fit
+from freerein.learning.fit import FitResult, Learner, fit
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
-from freerein_segmentation.training import SegmentationConfig, held_out_action_loss
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 
 SHOWN_LABELS = "test.labels"
 """What a network shows: its labels of the first test trajectories."""
@@ -81,11 +91,8 @@ class SegmentationExperiment:
         if study.is_guess(arm):
             return _guess(study, arm, data)
 
-        def fit_in(config: SegmentationConfig, place: Path) -> Fitted | None:
-            return _fit(study, arm, config, data=data, folder=place, on_progress=on_progress)
-
         def fit_trial(config: SegmentationConfig, place: Path) -> float | None:
-            fitted = fit_in(config, place)
+            fitted = _fit(_learner(study, arm, config, data), place, on_progress)
             return None if fitted is None else fitted.validation_loss
 
         config = study.fit_config(arm)
@@ -96,8 +103,15 @@ class SegmentationExperiment:
             if lr is None:
                 return None
             config = replace(config, lr=lr)
-        fitted = fit_in(config, folder)
-        return None if fitted is None else _evaluate(study, fitted, config, data)
+        learner = _learner(study, arm, config, data)
+        fitted = _fit(learner, folder, on_progress)
+        if fitted is None:
+            return None
+        outcome = _evaluate(study, fitted, config, data)
+        if isinstance(learner, SegmentationLearner):
+            command = f"python -m experiments run {self.report.experiment} --only {arm.name}"
+            served.save(study, learner, fitted, folder / "model", figures=outcome.figures, command=command)
+        return outcome
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
@@ -120,19 +134,17 @@ def _guess(study: Study, arm: Arm, data: Path) -> Outcome:
     return _joined(parts)
 
 
-def _fit(
-    study: Study,
-    arm: Arm,
-    config: SegmentationConfig,
-    *,
-    data: Path,
-    folder: Path,
-    on_progress: Callable[[], None],
-) -> Fitted | None:
-    """Returns what a fit found; None when it was stopped."""
+def _learner(
+    study: Study, arm: Arm, config: SegmentationConfig, data: Path
+) -> SegmentationLearner | supervised.SupervisedLearner:
     make = supervised.make_learner if arm.method == SUPERVISED else weakly_supervised.make_learner
+    return make(config, study.data, data)
+
+
+def _fit(learner: Learner[SegmentationNetwork], folder: Path, on_progress: Callable[[], None]) -> Fitted | None:
+    """Returns what a fit found; None when it was stopped."""
     with stop_on_sigterm() as stop:
-        return fit(make(config, study.data, data), folder, stop=stop, on_event=lambda _: on_progress())
+        return fit(learner, folder, stop=stop, on_event=lambda _: on_progress())
 
 
 def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:

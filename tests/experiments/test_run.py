@@ -20,6 +20,8 @@ from experiments.workbench.arms import choose
 from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.runner import Ending, Places, arm_folder, run_arms
 
+from freerein_segmentation.methods import METHODS
+
 ROOT = Path(__file__).parents[2]
 ARM = "grid-lse-causal-seed0"
 ARMS = (ARM, "grid-supervised-causal-seed0", "grid-random_cls-seed0")
@@ -75,6 +77,11 @@ def test_an_arm_that_was_stopped_and_then_killed_goes_on_to_the_same_result(
     assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
 
     assert_same_result(places, uninterrupted)
+
+
+def test_an_arm_leaves_a_model_that_the_service_loads(uninterrupted: Places) -> None:
+    model = METHODS.load(smoke_folder(uninterrupted) / "model", "cpu")
+    assert model.skills == SMOKE.studies[0].data.world.skills
 
 
 def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
