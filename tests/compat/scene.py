@@ -7,6 +7,7 @@ TASK = "tidy the desk"
 GOAL_TEXTS = ("", "put the cup away", "wipe the desk")
 TASKS = tuple(text or TASK for text in GOAL_TEXTS)
 SIZES = {"front": (24, 32, 3), "wrist": (16, 16, 1)}
+VIDEO_SIZE = (64, 96, 3)
 ACTION_NAMES = ("x", "y", "grip")
 SKILLS = (("pick",), ("pick", "place"), ())
 LENGTHS = (5, 7, 4)
@@ -17,6 +18,20 @@ def frames(index: int, camera: str) -> np.ndarray:
     """Returns uint8 (T, H, W, C)."""
     rng = np.random.default_rng([index, *camera.encode()])
     return rng.integers(0, 256, (LENGTHS[index], *SIZES[camera]), dtype=np.uint8)
+
+
+def moving_bar(index: int) -> np.ndarray:
+    """Returns uint8 (T, H, W, 3), smooth enough for video: a white bar goes to the right from episode to episode."""
+    frames = np.full((LENGTHS[index], *VIDEO_SIZE), 40, np.uint8)
+    for t in range(LENGTHS[index]):
+        left = bar_at(index, t)
+        frames[t, :, left : left + 6] = 230
+    return frames
+
+
+def bar_at(index: int, t: int) -> int:
+    """Returns the left side of the bar."""
+    return 4 * (sum(LENGTHS[:index]) + t)
 
 
 def actions(index: int) -> np.ndarray:
