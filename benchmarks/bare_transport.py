@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import grpc
-import msgpack  # type: ignore[import-untyped]
+import msgpack
 import uvloop
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve

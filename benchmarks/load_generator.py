@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import TypeAlias
 
 import grpc
-import msgpack  # type: ignore[import-untyped]
+import msgpack
 import uvloop
 
 from freerein.api.imitation.v1 import imitation_pb2

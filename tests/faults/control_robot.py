@@ -13,7 +13,7 @@ import numpy as np
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ControlRequest, ControlResponse, Hello, Observed
 from freerein_imitation.core import PolicyRunner
-from freerein_imitation.core.act import ActContext
+from freerein_imitation.core.act_context import ActContext
 from freerein_imitation.core.inference import InferenceResult
 
 FAULTS = ("right", "raises", "nan", "shape", "infinite")

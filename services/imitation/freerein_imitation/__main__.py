@@ -17,6 +17,7 @@ from freerein.serving.metrics import Metrics
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import Policy
+from freerein_imitation.openpi import OpenpiService
 
 NAME = "imitation"
 
@@ -41,6 +42,7 @@ def build(
             ActService(models, batcher, timeout_s=limits.unary_s),
             ControlService(models, batcher, health=health, drain_s=limits.drain_s),
         ),
+        make_websocket=lambda models: OpenpiService(models, batcher, timeout_s=limits.unary_s).open,
         settings=settings,
         health=health,
         batcher=batcher,

@@ -4,7 +4,7 @@ import hmac
 
 from freerein.errors import Unauthenticated
 
-_SCHEME = "bearer "
+_SCHEMES = ("bearer", "api-key")  # the second is that of openpi's client
 
 
 def check(authorization: str, token: str) -> None:
@@ -12,7 +12,8 @@ def check(authorization: str, token: str) -> None:
 
     Raises Unauthenticated when the token is missing or wrong.
     """
-    given = authorization[len(_SCHEME) :] if authorization[: len(_SCHEME)].lower() == _SCHEME else ""
+    scheme, _, credentials = authorization.partition(" ")
+    given = credentials if scheme.lower() in _SCHEMES else ""
     if token and not hmac.compare_digest(given.encode(), token.encode()):
         raise Unauthenticated(
             "The call must carry the service's bearer token; it carries none, or another one.",

@@ -55,6 +55,12 @@ def problem_document(error: ServiceError, request_id: str) -> bytes:
     )
 
 
+def error_line(error: ServiceError, request_id: str) -> str:
+    """Returns an error as a text of at most 4 KiB; RPCs that it names have become paths."""
+    text = with_paths(f"{error.code}: {error.detail} {error.hint}".strip())
+    return f"{_sanitised(text)} (request {request_id})"
+
+
 def problem_headers(error: ServiceError, request_id: str) -> dict[str, str]:
     """Returns the HTTP headers of an error's reply."""
     headers = {"content-type": PROBLEM_MEDIA_TYPE, "x-request-id": request_id}

@@ -15,6 +15,7 @@ from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.serving.rest.websocket import OpenSession
 from freerein.serving.settings import ServiceSettings
 
 Model = TypeVar("Model")
@@ -49,13 +50,14 @@ def learned_service(
     batcher: Batcher[Any, Any],
     load: Callable[[Path], Model],
     resolve: Callable[..., dict[str, Any]],
+    make_websocket: Callable[[ModelCache[Model]], OpenSession] | None = None,
     fit_arguments: Sequence[str] = (),
     fit_hint: str = "",
 ) -> Service:
     """Returns a learned service: the methods of its cores, `FitService` and `ModelService`.
 
     A fit runs `freerein_<name>.fit`. `resolve` is called with the data directory, the dataset, the configuration and
-    `threads`; see `FitService`.
+    `threads`; see `FitService`. `make_websocket` makes what opens the connections of a WebSocket, where there is one.
     """
     store = open_store(name, settings)
     models = ModelCache(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}")
@@ -89,4 +91,5 @@ def learned_service(
         close=close,
         not_ready=lambda: models.not_ready() or batcher.not_ready(),
         hangs=batcher.hangs,
+        open_websocket=make_websocket(models) if make_websocket else None,
     )

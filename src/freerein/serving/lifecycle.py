@@ -30,6 +30,7 @@ from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.app import make_app
 from freerein.serving.rest.http_server import HttpServer, make_server
+from freerein.serving.rest.websocket import OpenSession
 from freerein.serving.settings import ServiceSettings
 
 _log = logging.getLogger(__name__)
@@ -50,6 +51,7 @@ class Service:
         close: Releases what it holds.
         not_ready: Returns why it is not ready, empty when it is.
         hangs: Returns whether it can only be helped by a new process.
+        open_websocket: Opens a connection of its WebSocket; None for a service without one.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Service:
     close: Callable[[], Awaitable[None]]
     not_ready: Callable[[], str]
     hangs: Callable[[], bool] = lambda: False
+    open_websocket: OpenSession | None = None
 
 
 class _DecodeThreads(ThreadPoolExecutor):
@@ -94,7 +97,11 @@ async def _serve(settings: S, build: Build[S]) -> int:
     threads = _DecodeThreads(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
     asyncio.get_running_loop().set_default_executor(threads)
     limits = Limits(
-        receipt_s=settings.receipt_s, write_s=settings.write_s, unary_s=settings.unary_s, queue=settings.queue
+        receipt_s=settings.receipt_s,
+        write_s=settings.write_s,
+        idle_s=settings.idle_s,
+        unary_s=settings.unary_s,
+        queue=settings.queue,
     )
     metrics, token = Metrics(), settings.token_text
     built: list[Service] = []
@@ -109,6 +116,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         limits=limits,
         token=token,
         origins=settings.origins,
+        open_websocket=service.open_websocket,
     )
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)
     ports = _chosen_ports(service.name, settings)
@@ -122,7 +130,8 @@ async def _serve(settings: S, build: Build[S]) -> int:
             CONFIGURATION_ERROR,
         )
     cert, key = (str(path) if path else None for path in (settings.tls_cert, settings.tls_key))
-    http_server = make_server(app, limits=limits, health=health, cert=cert, key=key)
+    has_websocket = service.open_websocket is not None
+    http_server = make_server(app, limits=limits, health=health, cert=cert, key=key, has_websocket=has_websocket)
     rest = asyncio.create_task(http_server.serve(sockets=[listener]))
     await grpc_server.server.start()
     http_port = listener.getsockname()[1]

@@ -28,7 +28,10 @@ class Limits:
         unary_s: Seconds from request to reply of a unary call; a caller's shorter deadline takes precedence.
         queue: Items waiting for the model.
         batch: Items in one model call.
-        streams: Streams open at once, over REST and over gRPC each.
+        streams: Streams open at once, over REST and over gRPC each; as many WebSockets.
+        websocket_bytes: Bytes of one message of a WebSocket.
+        idle_s: Seconds that a WebSocket may be open without a message.
+        ping_s: Seconds between two pings of a WebSocket, and from a ping to its answer.
         videos: Videos being decoded at once.
         concurrent_calls: gRPC calls in progress at once, without health checks.
         connection_calls: gRPC calls in progress at once on one connection.
@@ -45,6 +48,9 @@ class Limits:
     queue: int = 256
     batch: int = 32
     streams: int = 64
+    websocket_bytes: int = 8 * 2**20
+    idle_s: float = 600.0
+    ping_s: float = 10.0
     videos: int = 2
     concurrent_calls: int = 512
     connection_calls: int = 256

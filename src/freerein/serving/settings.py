@@ -27,6 +27,7 @@ class ServiceSettings(BaseSettings):
         data_dir: Folder of datasets, models, fits and runs.
         receipt_s: Seconds that a client has to send a whole request.
         write_s: Seconds that a client may leave a reply unread.
+        idle_s: Seconds that a robot's WebSocket may be open without a message.
         unary_s: Seconds from request to reply of a unary call; a model call of four times as long ends the process.
         queue: Items that may wait for the model.
         cors_origins: Origins whose web pages may call the REST API, separated by commas, such as
@@ -45,6 +46,7 @@ class ServiceSettings(BaseSettings):
     data_dir: Path = Path("var")
     receipt_s: float = Field(default=10.0, gt=0, le=600)
     write_s: float = Field(default=30.0, gt=0, le=600)
+    idle_s: float = Field(default=600.0, gt=0, le=86400)
     unary_s: float = Field(default=30.0, gt=0, le=3600)
     queue: int = Field(default=256, ge=1, le=65536)
     cors_origins: str = ""

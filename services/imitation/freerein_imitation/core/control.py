@@ -2,7 +2,6 @@
 
 import asyncio
 import math
-import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 
@@ -10,8 +9,10 @@ from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.serving.health import Health
 from freerein.types.common import Camera, Draining, Error
 from freerein.types.imitation import Chunk, ControlResponse, GetSpecResponse, Hello
-from freerein_imitation.core.act import ActContext, Policies, PolicyBatcher, spec_response, timing
+from freerein_imitation.core.act import Policies
+from freerein_imitation.core.act_context import ActContext, spec_response
 from freerein_imitation.core.control_queue import ControlQueue, PendingObservation, RejectedMessage, Requests
+from freerein_imitation.core.policy_session import PolicyBatcher, PolicySession
 
 MAX_VALID_FOR_S = 60.0
 _TOLERANCE = 1e-3  # relative, of times and scales
@@ -82,7 +83,7 @@ class ControlService:
 
 
 class _ControlSession:
-    """One robot's stream after its Hello: holds the policy state.
+    """One robot's stream after its Hello.
 
     Attributes:
         spec: The model's spec.
@@ -90,28 +91,18 @@ class _ControlSession:
 
     def __init__(self, spec: GetSpecResponse, context: ActContext, hello: Hello, batcher: PolicyBatcher) -> None:
         self.spec = spec
-        self._context = context
-        self._batcher = batcher
-        self._state = context.decode_state(hello.state)
-        self._has_state = bool(hello.state)
-        self._elapsed = 0  # control steps since the observation of the state, up to the last one that failed
         self._valid_for_s = hello.valid_for_s or (spec.horizon + 2) * spec.control_dt_s
+        self._policy = PolicySession(context, batcher, state=hello.state, timeout_s=self._valid_for_s)
 
     async def act(self, pending: PendingObservation, queue: ControlQueue) -> ControlResponse:
         """Returns the chunk for an observation, or its error, which leaves the policy state unchanged."""
-        observed, start_ns = pending.observed, time.perf_counter_ns()
-        self._elapsed += pending.elapsed
-        elapsed = self._elapsed if self._has_state else 0
+        observed = pending.observed
         try:
-            request = await self._context.parse(
-                observed.observation, observed.executed_actions, self._state, elapsed=elapsed
+            result, timing = await self._policy.act(
+                observed.observation, observed.executed_actions, elapsed=pending.elapsed, arrived_ns=pending.arrived_ns
             )
-            decode_ns = time.perf_counter_ns() - start_ns
-            done = await self._batcher.submit(request, key=self._context.model, timeout_s=self._valid_for_s)
         except ServiceError as error:
             return _error(observed.seq, error)
-        result = done.output
-        self._state, self._has_state, self._elapsed = result.state, True, 0
         chunk = Chunk(
             actions=result.actions,
             goal_reached=result.reached,
@@ -119,11 +110,11 @@ class _ControlSession:
             goal_index=result.state.goal_index,
             goal_abandoned=result.state.abandoned,
             in_distribution=result.in_distribution,
-            state=self._context.encode_state(result.state),
+            state=self._policy.state,
             observation_time_ns=observed.observation_time_ns,
             valid_until_ns=min(observed.observation_time_ns + round(self._valid_for_s * 1e9), _LAST_NS),
             dropped=queue.dropped,
-            timing=timing(pending.arrived_ns, decode_ns, done),
+            timing=timing,
         )
         return ControlResponse(seq=observed.seq, chunk=chunk)
 

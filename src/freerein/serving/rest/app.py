@@ -26,6 +26,7 @@ from freerein.serving.rest import body
 from freerein.serving.rest.docs_page import add_docs_page
 from freerein.serving.rest.middleware import RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
+from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
 
@@ -39,19 +40,26 @@ def make_app(
     limits: Limits,
     token: str = "",
     origins: Sequence[str] = (),
+    open_websocket: OpenSession | None = None,
 ) -> FastAPI:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
-    An empty `token` allows every call. Web pages of the `origins` may call it, too.
+    An empty `token` allows every call. Web pages of the `origins` may call it, too. With `open_websocket` it has a
+    WebSocket.
     """
     served = [method for method in methods if method.rest_form != "none"]
     app = FastAPI(title=f"freerein {name}", version=__version__, docs_url=None, redoc_url=None, redirect_slashes=False)
     slots = Slots(limits.streams, "streams may be open")
     for method in served:
-        endpoint = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
-        app.add_route(method.path, endpoint, methods=["GET" if method.reads else "POST"], include_in_schema=False)
+        answer = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
+        app.add_route(method.path, answer, methods=["GET" if method.reads else "POST"], include_in_schema=False)
     _add_health_and_metrics(app, health, metrics)
     add_docs_page(app)
+    if open_websocket is not None:
+        endpoint = WebSocketEndpoint(
+            open_websocket, health=health, metrics=metrics, limits=limits, token=token, origins=origins
+        )
+        app.router.add_websocket_route(PATH, endpoint.serve)
     app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
     app.openapi = cache(lambda: openapi_document(app, served))  # type: ignore[method-assign]  # FastAPI's documented way

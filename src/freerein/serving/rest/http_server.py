@@ -86,6 +86,12 @@ class DeadlineProtocol(H11Protocol):
         if self.transport.get_write_buffer_size():
             self._start_write_timer()
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Stops both deadlines: from here on another protocol has the connection."""
+        self._stop_receive_timer()
+        self._stop_write_timer()
+        super().handle_websocket_upgrade(event)
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Stops both deadlines."""
         self._stop_receive_timer()
@@ -170,12 +176,18 @@ class HttpServer(uvicorn.Server):
         self.should_exit = True
 
 
-def make_server(app: Any, *, limits: Limits, health: Health, cert: str | None, key: str | None) -> HttpServer:
+def make_server(
+    app: Any, *, limits: Limits, health: Health, cert: str | None, key: str | None, has_websocket: bool = False
+) -> HttpServer:
     """Returns the HTTP server of the REST API; `serve(sockets=[...])` runs it."""
     config = uvicorn.Config(
         app,
         http=type("LimitedProtocol", (DeadlineProtocol,), {"limits": limits}),
-        ws="none",
+        ws=_websocket_protocol(limits) if has_websocket else "none",
+        ws_max_size=limits.websocket_bytes,
+        ws_ping_interval=limits.ping_s,
+        ws_ping_timeout=limits.ping_s,
+        ws_per_message_deflate=False,
         lifespan="off",
         access_log=False,
         log_config=None,
@@ -185,3 +197,9 @@ def make_server(app: Any, *, limits: Limits, health: Health, cert: str | None, k
         ssl_keyfile=key,
     )
     return HttpServer(config, health, limits)
+
+
+def _websocket_protocol(limits: Limits) -> type[asyncio.Protocol]:
+    from freerein.serving.rest.websocket_protocol import BoundedWebSocketProtocol  # the extra [websocket]
+
+    return type("LimitedWebSocketProtocol", (BoundedWebSocketProtocol,), {"limits": limits})

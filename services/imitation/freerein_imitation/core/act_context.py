@@ -1,0 +1,104 @@
+"""`ActContext`: the policy and the goals that the observations of a call, a stream or a WebSocket share."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.types.common import Goal, ModelRef, Observation
+from freerein.types.imitation import GetSpecResponse
+from freerein_imitation.core.inference import InferenceRequest
+from freerein_imitation.core.inputs import Subgoal, goal_digest, parse_frames, parse_goal, parse_previous_action
+from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
+from freerein_imitation.model.policy import Policy, PolicySpec
+
+
+@dataclass(frozen=True, eq=False)
+class ActContext:
+    """The policy and the goals.
+
+    Attributes:
+        model: Name and version of the model.
+        policy: The policy.
+        goals: Goals in the order in which to reach them.
+        digest: Digest of the goals.
+        max_steps: Control steps after which each goal is abandoned.
+    """
+
+    model: ModelRef
+    policy: Policy
+    goals: tuple[Subgoal, ...]
+    digest: bytes
+    max_steps: tuple[int, ...]
+
+    @classmethod
+    async def create(cls, model: ModelRef, policy: Policy, goal: Goal, *, max_steps: int) -> "ActContext":
+        """Returns the context of a goal; `max_steps` 0 stands for the model's own limits.
+
+        Raises:
+            InvalidInput: The goal does not match the policy.
+            UnsupportedMedia: An image is not in the encoding that it names.
+        """
+        goals = await parse_goal(policy.spec, goal)
+        limits = tuple(max_steps or policy.spec.step_limit(each.content) for each in goals)
+        return cls(model, policy, goals, goal_digest(goals), limits)
+
+    def decode_state(self, data: bytes) -> PolicyState:
+        """Returns the policy state in an API `state`; the initial one when empty.
+
+        Raises:
+            InvalidInput: The state is malformed.
+            FailedPrecondition: The state is of another model or goal.
+        """
+        size = self.policy.spec.recurrent_size
+        if not data:
+            return PolicyState(np.zeros(size, np.float32))
+        version = self.model.version
+        return decode_state(data, version=version, goal_digest=self.digest, goals=len(self.goals), size=size)
+
+    def encode_state(self, state: PolicyState) -> bytes:
+        """Returns a policy state as an API `state`."""
+        return encode_state(state, version=self.model.version, goal_digest=self.digest)
+
+    async def parse(
+        self, observation: Observation, executed: npt.NDArray[Any] | None, state: PolicyState, *, elapsed: int
+    ) -> InferenceRequest:
+        """Returns an observation as an inference request.
+
+        Args:
+            observation: The observation.
+            executed: Actions executed since the previous observation, (N, A), or None.
+            state: Policy state before the observation.
+            elapsed: Control steps since the observation of that state.
+
+        Raises:
+            InvalidInput: Observation or actions do not match the policy.
+            UnsupportedMedia: An image is not in the encoding that it names.
+        """
+        spec = self.policy.spec
+        return InferenceRequest(
+            policy=self.policy,
+            version=self.model.version,
+            goals=self.goals,
+            frames=await parse_frames(spec, observation),
+            previous=parse_previous_action(spec, executed),
+            state=state,
+            elapsed=elapsed,
+            max_steps=self.max_steps[min(state.goal_index, len(self.goals) - 1)],
+        )
+
+
+def spec_response(model: ModelRef, spec: PolicySpec) -> GetSpecResponse:
+    """Returns a policy's spec as the API has it."""
+    return GetSpecResponse(
+        model=model,
+        cameras=spec.cameras,
+        action=spec.action,
+        horizon=spec.horizon,
+        control_dt_s=spec.control_dt_s,
+        goal_form=spec.goal_form,
+        skills=spec.skills,
+        max_steps_per_goal=spec.max_steps_per_goal,
+        reached_threshold=spec.reached_threshold,
+    )

@@ -1,0 +1,134 @@
+"""What an openpi client's message says: images, goal, executed actions, and whether an episode begins.
+
+    observation/<camera>   uint8 (H, W, C), one for each camera
+    prompt                 a text as goal
+    recipe                 a list of skills as goal
+    goal/<camera>          images as goal: uint8 (H, W, C), or (N, H, W, C) of several to reach in order
+    executed_actions       float32 (N, A) or int64 (N, 1), executed since the previous observation
+    reset                  bool: an episode begins
+
+A message holds the model's form of goal only. For a single camera `image` is as good as its name.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein.errors import InvalidInput
+from freerein.types.common import Camera, Encoding, Goal, Image, Observation
+from freerein_imitation.model.policy import PolicySpec
+
+_ONLY_CAMERA = "image"
+_HINT = "The metadata sent on connect tells the model's cameras, goals and actions."
+
+
+@dataclass(frozen=True, eq=False)
+class OpenpiObservation:
+    """A message of an openpi client.
+
+    Attributes:
+        observation: Its images.
+        goal: Its goal; None where it holds none.
+        executed_actions: As in `ActRequest`; None where it does not tell.
+        reset: Whether an episode begins.
+    """
+
+    observation: Observation
+    goal: Goal | None
+    executed_actions: npt.NDArray[Any] | None
+    reset: bool
+
+
+def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObservation:
+    """Returns what a message says to a policy.
+
+    Raises:
+        InvalidInput: A key is unknown or missing, or a value is of another type, dtype or shape.
+    """
+    rest = dict(message)
+    images = _take_images(rest, "observation", spec.cameras)
+    goal = _take_goal(rest, spec)
+    executed, reset = rest.pop("executed_actions", None), rest.pop("reset", False)
+    if rest:
+        raise InvalidInput(
+            f"An observation for this model may hold {', '.join(_known_keys(spec))}; got {len(rest)} other keys.",
+            field="observation",
+            hint=_HINT,
+        )
+    if len(images) != len(spec.cameras):
+        keys = ", ".join(f"`observation/{camera.name}`" for camera in spec.cameras)
+        raise InvalidInput(
+            f"An observation must hold one image of each camera, {keys}; got {len(images)}.",
+            field="observation",
+            hint=_HINT,
+        )
+    if executed is not None and not isinstance(executed, np.ndarray):
+        raise InvalidInput("`executed_actions` must be an array; it is not.", field="executed_actions", hint=_HINT)
+    if not isinstance(reset, bool):
+        raise InvalidInput("`reset` must be a boolean; it is not.", field="reset", hint="Send True or False.")
+    return OpenpiObservation(Observation(images), goal, executed, reset)
+
+
+def _known_keys(spec: PolicySpec) -> list[str]:
+    goals = {
+        "text": ["prompt"],
+        "recipe": ["recipe"],
+        "images": [f"goal/{camera.name}" for camera in spec.cameras],
+    }
+    observed = [f"observation/{camera.name}" for camera in spec.cameras]
+    return [f"`{key}`" for key in (*observed, *goals[spec.goal_form], "executed_actions", "reset")]
+
+
+def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:
+    """Removes the goal in the policy's form, and returns it; None where there is none."""
+    if spec.goal_form == "images":
+        has_goal = any(key.startswith("goal/") for key in rest)
+        return Goal(_take_images(rest, "goal", spec.cameras)) if has_goal else None
+    if spec.goal_form == "text":
+        prompt = rest.pop("prompt", None)
+        if prompt is not None and not isinstance(prompt, str):
+            raise InvalidInput("`prompt` must be a text; it is not.", field="prompt", hint="Send a str.")
+        return None if prompt is None else Goal(text=prompt)
+    recipe = rest.pop("recipe", None)
+    if recipe is None:
+        return None
+    if not isinstance(recipe, list) or not all(isinstance(name, str) for name in recipe):
+        raise InvalidInput("`recipe` must be a list of texts; it is not.", field="recipe", hint=_HINT)
+    return Goal(recipe=tuple(recipe))
+
+
+def _take_images(rest: dict[str, Any], part: str, cameras: Sequence[Camera]) -> tuple[Image, ...]:
+    """Removes the images under a part of the message; returns them, one of each camera after the other."""
+    views: list[tuple[Image, ...]] = []
+    for camera in cameras:
+        key = f"{part}/{camera.name}"
+        if len(cameras) == 1 and key not in rest:
+            key = f"{part}/{_ONLY_CAMERA}"
+        if key in rest:
+            views.append(_images(rest.pop(key), camera, key, is_sequence=part == "goal"))
+    counts = {len(each) for each in views}
+    if len(counts) > 1:
+        raise InvalidInput(
+            f"`{part}` must hold as many images of each camera; got {min(counts)} to {max(counts)}.",
+            field=part,
+            hint="A goal is one image of each camera.",
+        )
+    return tuple(image for moment in zip(*views, strict=True) for image in moment)
+
+
+def _images(value: object, camera: Camera, key: str, *, is_sequence: bool) -> tuple[Image, ...]:
+    shape = (camera.height, camera.width, camera.channels)
+    is_frame = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[-3:] == shape
+    if not isinstance(value, np.ndarray) or not is_frame or value.ndim > (4 if is_sequence else 3):
+        got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else "no array"
+        raise InvalidInput(
+            f"`{key}` must be uint8 of shape {shape}, as in training; got {got}.",
+            field=key,
+            hint="Send height, width and channels in this order, or name another model.",
+        )
+    encoding: Encoding = "raw_rgb8" if camera.channels == 3 else "raw_gray8"
+    frames = value.reshape(-1, *shape)
+    return tuple(Image(encoding, camera.height, camera.width, frame.tobytes(), camera.name) for frame in frames)

@@ -1,0 +1,200 @@
+"""`OpenpiService`: a policy of openpi's protocol, over the same core as `Act` and `Control`.
+
+openpi's client sends observations and gets actions, one for one. It knows no goals and never says what the robot
+executed, nor that an episode begins, so observations may tell (see `observations`), and the connection keeps the rest:
+the model's version, the goal and the policy state.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import wire
+from freerein.errors import InvalidInput
+from freerein.types.common import Goal, ModelRef
+from freerein_imitation.core.act import Policies
+from freerein_imitation.core.act_context import ActContext, spec_response
+from freerein_imitation.core.inputs import elapsed_steps
+from freerein_imitation.core.policy_session import PolicyBatcher, PolicySession
+from freerein_imitation.model.policy import Policy
+from freerein_imitation.openpi.messages import pack, unpack
+from freerein_imitation.openpi.observations import OpenpiObservation, parse_observation
+
+MAX_STEPS = 2**32 - 1
+_TEXTS = ("model.name", "model.version", "goal.text")
+_NUMBERS = ("max_steps_per_goal", "action_horizon")
+_RECIPE = "goal.recipe"
+
+
+@dataclass(frozen=True)
+class OpenpiQuery:
+    """What the URL of a connection asks for.
+
+    Attributes:
+        model: The model; the connection keeps its version.
+        goal: The goal; None where observations hold it.
+        max_steps_per_goal: As in `ActRequest`.
+        action_horizon: Actions of each reply that the robot executes, unless it tells otherwise; 0 for all.
+    """
+
+    model: ModelRef
+    goal: Goal | None
+    max_steps_per_goal: int
+    action_horizon: int
+
+
+class OpenpiService:
+    """Opens connections.
+
+    Args:
+        models: The policies.
+        batcher: Runs `PolicyRunner.run_batch` on the model's thread.
+        timeout_s: Longest wait of an observation for the model, in seconds.
+    """
+
+    def __init__(self, models: Policies, batcher: PolicyBatcher, *, timeout_s: float) -> None:
+        self._models = models
+        self._batcher = batcher
+        self._timeout_s = timeout_s
+
+    async def open(self, query: Sequence[tuple[str, str]]) -> "OpenpiConnection":
+        """Returns a connection as the query of its URL asks for.
+
+        Raises:
+            InvalidInput: A parameter is unknown, repeated or invalid.
+            NotFound: There is no such model.
+            FailedPrecondition: No model is active.
+        """
+        asked = parse_query(query)
+        model, policy = await self._models.resolve(asked.model)
+        connection = OpenpiConnection(model, policy, asked, self._batcher, timeout_s=self._timeout_s)
+        if asked.goal is not None:
+            await connection.pursue(asked.goal)
+        return connection
+
+
+class OpenpiConnection:
+    """One robot's connection: holds the goal and the policy state.
+
+    Attributes:
+        greeting: The message sent on connect: the model's spec.
+    """
+
+    def __init__(
+        self, model: ModelRef, policy: Policy, query: OpenpiQuery, batcher: PolicyBatcher, *, timeout_s: float
+    ) -> None:
+        self.greeting = pack(wire.to_json(spec_response(model, policy.spec)))
+        self._model = model
+        self._policy = policy
+        self._query = query
+        self._batcher = batcher
+        self._timeout_s = timeout_s
+        self._goal: object = None
+        self._context: ActContext | None = None
+        self._session: PolicySession | None = None
+        self._proposed: npt.NDArray[Any] | None = None
+
+    async def answer(self, data: bytes) -> bytes:
+        """Returns the reply to a message.
+
+        Raises:
+            MalformedRequest: The message is not msgpack.
+            InvalidInput: Observation, goal or executed actions do not match the model.
+            ServiceError: The model failed, is overloaded, or did not answer in time.
+        """
+        arrived_ns = time.perf_counter_ns()
+        message = parse_observation(self._policy.spec, unpack(data))
+        session = await self._session_of(message)
+        executed = self._proposed if message.executed_actions is None else message.executed_actions
+        result, timing = await session.act(
+            message.observation,
+            executed,
+            elapsed=elapsed_steps(executed),
+            arrived_ns=arrived_ns,
+            decode_ns=time.perf_counter_ns() - arrived_ns,
+        )
+        self._proposed = result.actions[: self._query.action_horizon or None]
+        return pack(
+            {
+                "actions": result.actions if len(result.actions) else self._hold(),
+                "goal_reached": result.reached,
+                "goal_confidence": result.confidence,
+                "goal_index": result.state.goal_index,
+                "goal_abandoned": result.state.abandoned,
+                "in_distribution": result.in_distribution,
+                "model": asdict(self._model),
+                "timing": asdict(timing),
+            }
+        )
+
+    async def pursue(self, goal: Goal) -> None:
+        """Starts towards a goal, unless it is the current one.
+
+        Raises:
+            InvalidInput: The goal does not match the policy.
+        """
+        content = (goal.text, goal.recipe, [(image.camera, image.data) for image in goal.images])
+        if content != self._goal:
+            limit = self._query.max_steps_per_goal
+            self._context = await ActContext.create(self._model, self._policy, goal, max_steps=limit)
+            self._goal, self._session = content, None
+
+    async def _session_of(self, message: OpenpiObservation) -> PolicySession:
+        """Returns the session that an observation belongs to: a new one for another goal, or after a reset."""
+        if message.goal is not None:
+            if self._query.goal is not None:
+                raise InvalidInput(
+                    "The goal must be given once; the connection's URL has one, and so has the observation.",
+                    field="goal",
+                    hint="Leave it out of one of them.",
+                )
+            await self.pursue(message.goal)
+        if self._context is None:
+            raise InvalidInput(
+                "The first observation must hold the goal; it does not.",
+                field="goal",
+                hint="Send `prompt`, `recipe` or `goal/<camera>`, or put `goal.text` or `goal.recipe` into the URL.",
+            )
+        if self._session is None or message.reset:
+            self._session = PolicySession(self._context, self._batcher, timeout_s=self._timeout_s)
+            self._proposed = None
+        return self._session
+
+    def _hold(self) -> npt.NDArray[Any]:
+        """Returns actions for a robot whose goals are over, (K, A): openpi's clients cannot execute none."""
+        spec = self._policy.spec
+        return np.repeat(spec.action.no_action()[None], spec.horizon, axis=0)
+
+
+def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:
+    """Returns the query of a connection's URL, named as the fields of `ActRequest`.
+
+    Raises:
+        InvalidInput: A parameter is unknown, repeated or invalid.
+    """
+    single = {key: value for key, value in items if key != _RECIPE}
+    known = (*_TEXTS, *_NUMBERS)
+    recipe = tuple(value for key, value in items if key == _RECIPE)
+    if len(single) + len(recipe) != len(items) or not set(single) <= set(known):
+        raise InvalidInput(
+            f"The URL may have {', '.join(known)}, each once, and {_RECIPE}; got others, or one twice.",
+            hint="Write it like ws://localhost:8102/?model.name=skills&goal.recipe=move-red",
+        )
+    name, version, text = (single.get(key, "") for key in _TEXTS)
+    steps, horizon = (_number(key, single.get(key, "0")) for key in _NUMBERS)
+    has_goal = recipe or "goal.text" in single
+    return OpenpiQuery(ModelRef(name, version), Goal(recipe=recipe, text=text) if has_goal else None, steps, horizon)
+
+
+def _number(key: str, value: str) -> int:
+    if not (value.isascii() and value.isdecimal() and len(value) <= 10 and int(value) <= MAX_STEPS):
+        raise InvalidInput(
+            f"`{key}` must be a whole number up to {MAX_STEPS}; got {len(value)} characters that are not.",
+            field=key,
+            hint="Leave it out for the model's own.",
+        )
+    return int(value)

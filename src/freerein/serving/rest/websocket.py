@@ -1,0 +1,158 @@
+"""The WebSocket of a service, at `/` of its REST port: binary messages in, each answered by one, in order.
+
+A message that is refused is answered by a text, which openpi's client raises. What is refused before the first message
+is a problem document if the service refuses it to anyone (token, limits), else a close frame with the reason.
+"""
+
+import asyncio
+import logging
+import time
+import uuid
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Protocol
+
+import structlog
+from starlette.responses import Response
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError, Unauthenticated
+from freerein.serving import auth
+from freerein.serving.error_replies import error_line, internal_error, problem_document, problem_headers
+from freerein.serving.health import Health
+from freerein.serving.limits import Limits, Slots
+from freerein.serving.metrics import Metrics
+
+PATH = "/"
+_log = logging.getLogger(__name__)
+_CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}
+_VIOLATION = 1008
+_MAX_REASON_BYTES = 123
+
+
+class MessageSession(Protocol):
+    """One connection as the service sees it."""
+
+    @property
+    def greeting(self) -> bytes:
+        """The message that is sent first."""
+
+    async def answer(self, message: bytes) -> bytes:
+        """Returns the reply to a message; raises ServiceError when it is refused."""
+
+
+OpenSession = Callable[[Sequence[tuple[str, str]]], Awaitable[MessageSession]]
+"""Opens a connection for the query of its URL; raises ServiceError when it is refused."""
+
+
+class WebSocketEndpoint:
+    """Serves connections. An empty `token` allows every one; web pages must be of one of the `origins`."""
+
+    def __init__(
+        self,
+        open_session: OpenSession,
+        *,
+        health: Health,
+        metrics: Metrics,
+        limits: Limits,
+        token: str,
+        origins: Sequence[str],
+    ) -> None:
+        self._open_session = open_session
+        self._health = health
+        self._metrics = metrics
+        self._limits = limits
+        self._token = token
+        self._origins = origins
+        self._slots = Slots(limits.streams, "WebSockets may be open")
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serves one connection until the client closes it, is silent for too long, or the service drains."""
+        started, code, request_id = time.perf_counter(), "ok", uuid.uuid4().hex
+        with (
+            structlog.contextvars.bound_contextvars(request_id=request_id),
+            self._metrics.in_flight.labels("websocket").track_inprogress(),
+        ):
+            try:
+                await self._serve(socket, request_id)
+            except WebSocketDisconnect:
+                code = Cancelled.code
+                self._metrics.cancelled.labels("websocket").inc()
+            except ServiceError as error:
+                code = error.code
+                await _refuse(socket, error, request_id)
+            except Exception:
+                code = Internal.code
+                _log.exception("bug", extra={"route": PATH})
+                await _refuse(socket, internal_error(), request_id)
+            finally:
+                self._record(code, time.perf_counter() - started)
+
+    async def _serve(self, socket: WebSocket, request_id: str) -> None:
+        self._check(socket)
+        with self._slots.hold():
+            await socket.accept(headers=[(b"x-request-id", request_id.encode())])
+            session = await self._open_session(socket.query_params.multi_items())
+            await self._send(socket, session.greeting)
+            while (message := await self._receive(socket)) is not None:
+                await self._send(socket, await _reply(session, message, request_id))
+
+    def _check(self, socket: WebSocket) -> None:
+        if self._health.draining:
+            raise self._health.error()
+        auth.check(socket.headers.get("authorization", ""), self._token)
+        if "origin" in socket.headers and socket.headers["origin"] not in self._origins:
+            raise Unauthenticated(
+                "The page that connects must be of an origin that the service allows; it is not.",
+                hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
+            )
+
+    async def _receive(self, socket: WebSocket) -> bytes | str | None:
+        """Returns the next message; None when the client has closed the connection."""
+        try:
+            async with asyncio.timeout(self._limits.idle_s):
+                event = await self._health.await_or_drain(socket.receive())
+        except TimeoutError:
+            raise DeadlineExceeded(
+                f"A message must come within {self._limits.idle_s:g} s; none came.", hint="Connect again."
+            ) from None
+        if event is None:
+            raise self._health.error()
+        if event["type"] == "websocket.disconnect":
+            return None
+        message: bytes | str = event["text"] if event.get("bytes") is None else event["bytes"]
+        return message
+
+    async def _send(self, socket: WebSocket, message: bytes | str) -> None:
+        try:
+            async with asyncio.timeout(self._limits.write_s):
+                await (socket.send_text(message) if isinstance(message, str) else socket.send_bytes(message))
+        except TimeoutError:
+            raise WebSocketDisconnect(1006) from None
+
+    def _record(self, code: str, seconds: float) -> None:
+        self._metrics.calls.labels("websocket", PATH, code).inc()
+        self._metrics.latency.labels("websocket", PATH).observe(seconds)
+        _log.info("websocket", extra={"route": PATH, "code": code, "ms": round(seconds * 1e3, 3)})
+
+
+async def _reply(session: MessageSession, message: bytes | str, request_id: str) -> bytes | str:
+    """Returns the reply to a message, a text when it is refused."""
+    try:
+        if isinstance(message, str):
+            raise MalformedRequest("A message must be binary; it is a text.", hint="Send what the client packs.")
+        return await session.answer(message)
+    except ServiceError as error:
+        return error_line(error, request_id)
+
+
+async def _refuse(socket: WebSocket, error: ServiceError, request_id: str) -> None:
+    """Ends a connection with an error: a problem document instead of it, or a close frame."""
+    try:
+        if socket.application_state is WebSocketState.CONNECTING:
+            headers = problem_headers(error, request_id)
+            await socket.send_denial_response(Response(problem_document(error, request_id), error.http_status, headers))
+        else:
+            reason = error_line(error, request_id).encode()[:_MAX_REASON_BYTES].decode(errors="ignore")
+            await socket.close(_CLOSE_CODES.get(error.code, _VIOLATION), reason)
+    except WebSocketDisconnect:  # the client is gone
+        pass
