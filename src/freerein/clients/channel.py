@@ -1,9 +1,16 @@
 """The connection to one service."""
 
+import os
+import threading
+from functools import cache
+from typing import Any
+from weakref import WeakSet
+
 import grpc
 from grpc import aio
 
 from freerein.clients import retry_policy
+from freerein.errors import FailedPrecondition
 
 MAX_MESSAGE_BYTES = 64 * 2**20
 
@@ -37,6 +44,9 @@ class Channel:
         root_certificates: PEM root certificates for TLS; None for no TLS.
         keepalive_s: Seconds of silence before a ping, at least 1. A service that hangs is noticed 1 s later. On a slow
             line a ping waits behind what is being sent, so a short time takes a long upload for a silence.
+
+    Attributes:
+        methods: Methods of the gRPC channel, by RPC; forgotten when it is closed, since they keep gRPC running.
     """
 
     def __init__(
@@ -47,11 +57,21 @@ class Channel:
         self._authorization = (("authorization", f"Bearer {token}"),) if token else ()
         self._root_certificates = root_certificates
         self._grpc: aio.Channel | None = None
+        self._is_closed = False
+        self.methods: dict[str, Any] = {}
 
     @property
     def grpc(self) -> aio.Channel:
-        """The gRPC channel; access within a running event loop."""
+        """The gRPC channel; access within a running event loop.
+
+        Raises:
+            FailedPrecondition: The channel is closed, or the process was forked while its parent had an open one.
+        """
+        if self._is_closed:
+            raise FailedPrecondition("The client must be open; it is closed.", hint="Make another one.")
         if self._grpc is None:
+            _check_not_forked()
+            _open_channels.add(self)
             options = (
                 *_OPTIONS,
                 ("grpc.keepalive_time_ms", self._keepalive_ms),
@@ -66,9 +86,33 @@ class Channel:
 
     async def close(self) -> None:
         """Cancels the calls in flight and closes the connection."""
+        self._is_closed = True
         if self._grpc is not None:
             await self._grpc.close()
+            self._grpc = None
+            self.methods.clear()
+            _open_channels.discard(self)
 
     def metadata(self, request_id: str) -> tuple[tuple[str, str], ...]:
         """Returns the metadata of a call."""
         return (("x-request-id", request_id), *self._authorization)
+
+
+# gRPC crashes or hangs in a process that was forked while it was in use.
+_open_channels: "WeakSet[Channel]" = WeakSet()
+_was_forked = threading.Event()
+
+
+def _check_not_forked() -> None:
+    if _was_forked.is_set():
+        raise FailedPrecondition(
+            "A process whose parent has open clients must be started by spawn or forkserver to call services; "
+            "this one was forked.",
+            hint="Close them first, or write for example: AsyncVectorEnv(..., context='forkserver').",
+        )
+    _watch_forks()
+
+
+@cache
+def _watch_forks() -> None:
+    os.register_at_fork(after_in_child=lambda: _was_forked.set() if _open_channels else None)

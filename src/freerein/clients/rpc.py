@@ -11,7 +11,6 @@ from collections.abc import AsyncGenerator, AsyncIterator, Iterator
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from operator import methodcaller
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar, cast
@@ -84,9 +83,15 @@ class Rpc(Generic[Request, Response]):
         bound._channel = channel
         return bound
 
-    @cached_property
+    @property
     def _grpc_call(self) -> Any:
         """The method of the gRPC channel."""
+        methods, name = self._channel.methods, self.descriptor.full_name
+        if name not in methods:
+            methods[name] = self._grpc_method()
+        return methods[name]
+
+    def _grpc_method(self) -> Any:
         rpc = self.descriptor
         sent, received = ("stream" if streams else "unary" for streams in (rpc.client_streaming, rpc.server_streaming))
         return getattr(self._channel.grpc, f"{sent}_{received}")(

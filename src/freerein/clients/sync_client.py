@@ -7,6 +7,7 @@ The thread makes it work where a loop is already running, as in notebooks; it co
 """
 
 import asyncio
+import os
 import threading
 import weakref
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
@@ -36,6 +37,7 @@ class SyncClient:
         )
         thread.start()
         self._client = client
+        self._process_id = os.getpid()
         self._loop, stop = started.result()
         self._stop = weakref.finalize(self, _end, self._loop, stop, thread)
 
@@ -66,6 +68,12 @@ class SyncClient:
         if not self._stop.alive:
             reply.close()
             raise FailedPrecondition("The client must be open; it is closed.", hint="Make another one.")
+        if self._process_id != os.getpid():  # its thread was not forked
+            reply.close()
+            raise FailedPrecondition(
+                "A client must be used in the process that made it; this process was forked from that one.",
+                hint="Make it in the new process, started by spawn or forkserver.",
+            )
         future = asyncio.run_coroutine_threadsafe(reply, self._loop)
         try:
             return future.result()
