@@ -10,12 +10,13 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from gymnasium.utils.env_checker import check_env
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.envs import SimEnv, SimVectorEnv
 from freerein.clients.tasks import find_task
+from freerein.envs import SimEnv, SimVectorEnv
 from freerein.errors import InvalidInput, NotFound, SessionNotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds.tasks import tasks
 
 TOKEN = "secret"
 TASKS = {task.name: task for task in (*grid.TASKS, *blocks.TASKS)}
@@ -38,13 +39,14 @@ def address(start_module_service: Callable[..., object]) -> str:
     ("task", "cameras"), [("grid", ()), ("blocks", ()), ("blocks.red-left-of-blue", ("front", "left"))]
 )
 def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
-    gymnasium.register("freerein/Real-v0", SimEnv, disable_env_checker=True, order_enforce=False)
-    kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged, "token": TOKEN}
-    try:
-        with gymnasium.make("freerein/Real-v0", **kwargs).unwrapped as env:
-            check_env(env)
-    finally:
-        gymnasium.registry.pop("freerein/Real-v0")
+    options = {"address": address, "cameras": cameras, "privileged": privileged, "token": TOKEN}
+    with gymnasium.make(f"freerein/{task}-v0", **options) as env:
+        check_env(env.unwrapped)
+
+
+def test_every_task_that_comes_with_freerein_has_an_id() -> None:
+    ids = {name for name, each in gymnasium.registry.items() if each.namespace == "freerein"}
+    assert ids == {f"freerein/{task}-v0" for task in tasks()}
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """One asyncio client per gRPC service.
 
 Its methods are the service's RPCs; they take and return dataclasses of `freerein.types` and raise `freerein.errors`.
-`SyncClient` wraps any client for blocking use; `freerein.clients.envs` (extra `envs`) has Gymnasium environments.
+`SyncClient` wraps any client for blocking use; `freerein.envs` (extra `envs`) has Gymnasium environments.
 """
 
 from freerein.clients.channel import Channel as Channel

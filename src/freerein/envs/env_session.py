@@ -1,22 +1,20 @@
 """A blocking session of the sim service with camera observations and Gymnasium spaces."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from freerein.clients.channel import Channel
-from freerein.clients.services import SimClient
-from freerein.clients.sync_client import SyncClient
-from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, ServiceError
+from freerein.clients import Channel, SimClient, SyncClient
+from freerein.envs.leased_session import LeasedSession
+from freerein.errors import FailedPrecondition, InvalidInput, Overloaded
+from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
-    CloseSessionRequest,
     CreateSessionRequest,
-    CreateSessionResponse,
     Frames,
     ResetRequest,
     ResetResponse,
@@ -29,8 +27,8 @@ from freerein.types.sim import (
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, Pixels]
 
-_LEASE_S = 600.0
-_CLOSE_TIMEOUT_S = 2.0
+ADDRESS = f"127.0.0.1:{PORTS['sim'].grpc}"
+_LEASE_S = 60.0
 
 
 class SessionOptions(TypedDict, total=False):
@@ -43,7 +41,9 @@ class SessionOptions(TypedDict, total=False):
         privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
             `success` of each step, and of resets that begin an episode.
         conditions: Conditions of the task, named variations; empty for the nominal task.
-        lease_s: Time without a call after which the service ends the session, in seconds; at most 3600, default 600.
+        max_episode_steps: Steps after which an episode is truncated; 0 for the task's own.
+        lease_s: Seconds after which the service ends the session when this process is gone or stopped; at most 3600.
+            While it lives, a thread renews the lease.
         render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
         token: Bearer token; empty for none.
         root_certificates: PEM root certificates for TLS; None for no TLS.
@@ -54,6 +54,7 @@ class SessionOptions(TypedDict, total=False):
     width: int
     privileged: bool
     conditions: Sequence[str]
+    max_episode_steps: int
     lease_s: float
     render_mode: str | None
     token: str
@@ -81,6 +82,7 @@ class EnvSession:
         width: int = 0,
         privileged: bool = False,
         conditions: Sequence[str] = (),
+        max_episode_steps: int = 0,
         lease_s: float = _LEASE_S,
         render_mode: str | None = None,
         token: str = "",
@@ -101,13 +103,14 @@ class EnvSession:
             width=width,
             privileged=privileged,
             conditions=tuple(conditions),
+            max_episode_steps=max_episode_steps,
         )
         with ExitStack() as on_error:
             on_error.callback(self._sim.close)
-            created: CreateSessionResponse = self._sim.create_session(request)
-            self._session = created.session
+            self._lease = LeasedSession(self._sim, request)
             on_error.callback(self.close)
-            self.task: Task = created.task
+            self._session = self._lease.created.session
+            self.task: Task = self._lease.created.task
             self._step_id = 0
             self._cameras = tuple(cameras) or (self.task.cameras[0].name,)
             self.observation_space = _observation_space(self.task, self._cameras, height, width)
@@ -156,10 +159,8 @@ class EnvSession:
         return np.repeat(pixels, 3, axis=-1) if pixels.shape[-1] == 1 else np.array(pixels)
 
     def close(self) -> None:
-        """Closes the session and the channel; may be called twice."""
-        with suppress(ServiceError):  # if this fails, the session ends with its lease
-            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
-        self._sim.close()
+        """Closes the session and the connection; may be called twice."""
+        self._lease.close()
 
     def _encoded(self, actions: npt.ArrayLike) -> npt.NDArray[Any]:
         if isinstance(self.action_space, spaces.Discrete):

@@ -2,7 +2,7 @@
 # ruff: noqa: N802 -- gRPC names the methods
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from freerein import wire
 from freerein.api.sim.v1 import sim_pb2_grpc
-from freerein.clients.envs import SimEnv, SimVectorEnv
+from freerein.envs import SimEnv, SimVectorEnv, register
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -88,6 +88,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     """`failures`: statuses with which the next steps end after they were made."""
 
     sessions: dict[str, Session] = field(default_factory=dict)
+    created: list[CreateSessionResponse] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
     failures: list[grpc.StatusCode] = field(default_factory=list)
 
@@ -95,9 +96,12 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
         request = wire.unpack(message, CreateSessionRequest)
         if request.task not in TASKS:
             context.abort(grpc.StatusCode.NOT_FOUND, "no such task")
-        count, name = request.num_envs or 1, f"{len(self.sessions):032x}"
-        self.sessions[name] = Session(request, lines(7, count))
-        return wire.pack(CreateSessionResponse(name, 7, count, TASKS[request.task], request.lease_s))
+        assert request.idempotency_key
+        known = (name for name, each in self.sessions.items() if each.request == request)
+        count, name = request.num_envs or 1, next(known, f"{len(self.created):032x}")
+        self.sessions.setdefault(name, Session(request, lines(7, count)))
+        self.created.append(CreateSessionResponse(name, 7, count, TASKS[request.task], request.lease_s))
+        return wire.pack(self.created[-1])
 
     def Reset(self, message, context):
         self.calls.append("Reset")
@@ -139,6 +143,14 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
         return StepResponse(session.steps, frames, zeros, ends[:, 0], ends[:, 1], zeros > 0, final, truth)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _registered() -> Iterator[None]:
+    register(*TASKS)
+    yield
+    for task in TASKS:
+        gymnasium.registry.pop(f"freerein/{task}-v0")
+
+
 @pytest.fixture
 def service() -> Sim:
     return Sim()
@@ -172,13 +184,16 @@ def test_an_observation_is_the_one_cameras_frame_or_a_dict_of_several(address: s
 @pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_finds_nothing_to_mend(address: str, task: str, cameras: tuple[str, ...], privileged: bool) -> None:
-    gymnasium.register("freerein/Toy-v0", SimEnv, disable_env_checker=True, order_enforce=False)
-    kwargs = {"task": task, "address": address, "cameras": cameras, "privileged": privileged}
-    try:
-        with gymnasium.make("freerein/Toy-v0", **kwargs).unwrapped as env:
-            check_env(env)
-    finally:
-        gymnasium.registry.pop("freerein/Toy-v0")
+    with gymnasium.make(f"freerein/{task}-v0", address=address, cameras=cameras, privileged=privileged) as env:
+        check_env(env.unwrapped)
+
+
+def test_gymnasium_makes_a_vector_of_one_session(address: str, service: Sim) -> None:
+    envs = gymnasium.make_vec("freerein/slide-v0", num_envs=3, address=address)
+    assert isinstance(envs, SimVectorEnv)
+    assert envs.reset(seed=1)[0].shape == (3, 40, 44, 3)
+    assert len(service.sessions) == 1
+    envs.close()
 
 
 def test_the_last_frame_is_the_old_episodes_and_reset_takes_up_the_one_already_begun(
@@ -264,6 +279,29 @@ def test_close_ends_the_session_once_and_needs_no_service(address: str, service:
     lost = SimEnv("slide", address)
     service.sessions.clear()
     lost.close()
+
+
+def test_the_lease_is_renewed_while_the_environment_lives(
+    address: str, service: Sim, wait_until: Callable[..., float]
+) -> None:
+    env = SimEnv("slide", address, lease_s=0.03)
+    wait_until(lambda: len(service.created) > 3, 20)
+    assert len({each.session for each in service.created}) == 1
+    del env
+    wait_until(lambda: service.sessions == {}, 20)
+    assert "session-lease" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_a_session_that_the_service_lost_is_not_made_again(
+    address: str, service: Sim, wait_until: Callable[..., float]
+) -> None:
+    env = SimEnv("slide", address, lease_s=0.03)
+    service.sessions.clear()
+    wait_until(lambda: len({each.session for each in service.created}) == 2, 20)
+    wait_until(lambda: service.sessions == {}, 20)
+    with pytest.raises(ServiceError):
+        env.reset()
+    env.close()
 
 
 def test_what_cannot_be_made_leaves_nothing_behind(address: str, service: Sim) -> None:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from freerein.clients.env_session import EnvSession, Observation, Pixels, SessionOptions, frames_of, truth_info
+from freerein.envs.env_session import ADDRESS, EnvSession, Observation, Pixels, SessionOptions, frames_of, truth_info
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.sim import Frames, StepResponse
 
@@ -30,7 +30,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
 
     Args:
         task: Task name.
-        address: `host:port` of the sim service.
+        address: `host:port` of the sim service; by default its port on this machine.
         options: See `SessionOptions`.
 
     Raises:
@@ -39,7 +39,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
 
     metadata = _METADATA
 
-    def __init__(self, task: str, address: str, **options: Unpack[SessionOptions]) -> None:
+    def __init__(self, task: str, address: str = ADDRESS, **options: Unpack[SessionOptions]) -> None:
         self._session = EnvSession(task, address, **options)
         self.task = self._session.task
         self.render_mode = options.get("render_mode")
@@ -101,7 +101,7 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
 
     metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
 
-    def __init__(self, task: str, address: str, *, num_envs: int, **options: Unpack[SessionOptions]) -> None:
+    def __init__(self, task: str, address: str = ADDRESS, *, num_envs: int, **options: Unpack[SessionOptions]) -> None:
         self._session = EnvSession(task, address, num_envs=num_envs, **options)
         self.task = self._session.task
         self.num_envs = num_envs

@@ -1,0 +1,35 @@
+"""The ids under which Gymnasium makes environments: `freerein/TASK-v0` for the task TASK of the sim service."""
+
+from itertools import permutations
+
+import gymnasium
+
+_RELATIONS = ("left-of", "on-top-of", "right-of")
+_BLOCKS = tuple(
+    f"blocks.{first}-{relation}-{second}"
+    for first, second in permutations(("blue", "green", "red", "yellow"), 2)
+    for relation in _RELATIONS
+)
+
+TASKS = (
+    *("bins", "blocks", "blocks.scatter", "dial", "grid", "grid-no-indicator", "pendulum", "tabletop"),
+    *("tabletop.only-own-objects", *_BLOCKS),
+)
+"""The tasks that come with freerein."""
+
+
+def register(*tasks: str) -> None:
+    """Registers tasks of the sim service, such as those of worlds that another package adds.
+
+    `gymnasium.make` takes the keyword arguments of `SimEnv` but the task, `gymnasium.make_vec` those of `SimVectorEnv`.
+
+    Args:
+        tasks: Task names.
+    """
+    for task in tasks:
+        gymnasium.register(
+            f"freerein/{task}-v0",
+            entry_point="freerein.envs:SimEnv",
+            vector_entry_point="freerein.envs:SimVectorEnv",
+            kwargs={"task": task},
+        )
