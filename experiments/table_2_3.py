@@ -57,7 +57,7 @@ ZERO_SHOT = ZeroShot(
     study=table_2_2.EXPERIMENT.studies[0],
     labelled_by=tuple((row.method, row.context) for row in _METHODS),
     seeds=_SEEDS,
-    policies={"method": "skill_cloning"},
+    policies={"method": "skill_cloning", "steps": 12_000, "memory": 1, "chunk": 3, "shift": 1},
     recipes=100,
 )
 
