@@ -53,18 +53,18 @@ class Bright(_MeanPixel):
 
 
 class Corner(_MeanPixel):
-    """A grounding model: the n-th phrase is n eighths from the upper left corner; a phrase `no` is not there."""
+    """A grounding model: the n-th phrase is n eighths from the upper left corner; it does not know the phrase `no`."""
 
     grammar = Grammar((), ("red", "block", "b", "no", "raise", "nan"))
 
-    def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Any:
+    def locate(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> Any:
         if "raise" in phrases:
             raise ZeroDivisionError
         shape = (len(images), len(phrases))
         places = np.broadcast_to(np.arange(len(phrases)) / 8, shape)
         heatmaps = np.full((*shape, 4, 4), np.nan if "nan" in phrases else 0.5, np.float32)
         presence = np.broadcast_to([float(phrase != "no") for phrase in phrases], shape)
-        return SimpleNamespace(heatmaps=heatmaps, x=places, y=places, presence=presence, heat=presence)
+        return SimpleNamespace(heatmaps=heatmaps, x=places, y=places, presence=presence, known=presence[0])
 
 
 def build(data_dir: Path, health: Health, publish: Callable[..., Any]) -> Service:

@@ -3,14 +3,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
+from freerein.learning.model_files import read_card
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.methods import load
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
-from freerein_reward.training import synthetic_objects
+from freerein_reward.model import KNOWN, DualEncoder, DualEncoderSpec, GradCamModel
+from freerein_reward.training import GroundingConfig, GroundingLearner, evaluate_known_phrases, synthetic_objects
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 PHRASES = ("a red block", "a blue block", "a yellow block")
@@ -55,6 +57,44 @@ def test_heat_is_in_0_to_1_and_finite_whatever_is_shown(model: GradCamModel) -> 
         assert found.heatmaps.max() <= 1.0
         assert np.isfinite(np.stack([found.x, found.y, found.presence])).all()
         assert ((found.x >= 0) & (found.x <= 1) & (found.y >= 0) & (found.y <= 1)).all()
+
+
+@pytest.mark.parametrize(
+    "phrase", ["a dog", "xyzzy", "the sky", "a red dog", "a thing", "nothing", "a red blue thing", "a ball", "an a an"]
+)
+def test_what_the_model_does_not_know_is_nowhere_and_leaves_the_others_alone(model: GradCamModel, phrase: str) -> None:
+    image = picture((15, 40, RED), (45, 20, BLUE))[None]
+    found, without = model.locate(image, (phrase, *PHRASES)), model.locate(image, PHRASES)
+    assert found.known[0] < KNOWN
+    assert (found.presence[0, 0], found.heatmaps[0, 0].max()) == (0.0, 0.0)
+    assert np.array_equal(found.heatmaps[:, 1:], without.heatmaps)
+    assert np.array_equal(found.presence[:, 1:], without.presence)
+
+
+@pytest.mark.parametrize("phrase", ["a red block", "the big red ball", "that red one", "one small red thing"])
+def test_what_names_a_colour_is_known_however_it_is_put(model: GradCamModel, phrase: str) -> None:
+    found = model.locate(picture((15, 40, RED), (45, 20, BLUE))[None], (phrase,))
+    assert found.known[0] >= KNOWN
+    assert found.presence[0, 0] > 0.9
+    assert abs(64 * found.x[0, 0] - 15) < 3
+
+
+@pytest.mark.parametrize("phrases", [("a purple block",), ("a yellow block", "a green block")])
+def test_what_is_asked_for_without_what_is_there_is_not_found(model: GradCamModel, phrases: tuple[str, ...]) -> None:
+    found = model.locate(picture((15, 40, RED), (45, 20, BLUE))[None], phrases)
+    assert found.known.min() >= KNOWN
+    assert found.presence.max() < 0.5
+
+
+def test_the_card_says_what_the_model_knows_and_how_well_that_is_told(model: GradCamModel) -> None:
+    store = ModelStore(SHIPPED)
+    card = read_card(store.folder(ModelRef("grounding", store.active_version("grounding"))))
+    assert tuple(card["names"]) == model.names == synthetic_objects.COLOURS
+    learner = GroundingLearner(GroundingConfig.from_mapping(card["config"]), torch.device("cpu"))
+    figures = evaluate_known_phrases(model.network, learner)
+    assert figures == pytest.approx({name: card["figures"][name] for name in figures}, abs=0.01)
+    assert figures["known_auroc"] >= 0.95
+    assert figures["known_colours"] > 0.99
 
 
 def test_an_image_alone_or_in_a_batch_is_read_alike(model: GradCamModel) -> None:

@@ -14,9 +14,12 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding
-from freerein_reward.training import RewardConfig, caption_images
+from freerein_reward.relations import SpatialRelation
+from freerein_reward.training import CaptionDataset, RewardConfig, caption_images, caption_warnings, check_shown
+from freerein_reward.training.caption_dataset import NO_CAPTION
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
+GROUNDING = ModelStore(SHIPPED).folder(ModelRef("grounding", ModelStore(SHIPPED).active_version("grounding")))
 PHRASES = ["a red block", "a blue block"]
 FAST = {"steps": 2, "batch_size": 4, "evaluate_every": 1, "checkpoint_every": 1, "hidden_size": 16, "phrases": PHRASES}
 
@@ -40,13 +43,11 @@ def data_dir(tmp_path: Path) -> Path:
 
 
 def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone(data_dir: Path) -> None:
-    store = ModelStore(SHIPPED)
-    version = store.active_version("grounding")
     folder = data_dir / "work"
     folder.mkdir()
-    config = METHODS.resolve(data_dir, "squares", FAST, threads=1)
+    config = METHODS.resolve(data_dir, "squares", FAST, threads=1, grounding=GROUNDING)
     (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
-    arguments = [str(folder), str(data_dir), "cpu", str(store.folder(ModelRef("grounding", version)))]
+    arguments = [str(folder), str(data_dir), "cpu", str(GROUNDING)]
     command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
@@ -58,16 +59,52 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     assert model.cameras == ("front",)
     assert model.grammar.read("The red cube is on the blue one.").text == "a red block on top of a blue block"
     card = json.loads((folder / "model" / "card.json").read_bytes())
-    assert (card["method"], card["grounding"]) == ("relation_captions", version)
+    assert (card["method"], card["grounding"]) == ("relation_captions", GROUNDING.name)
     assert """--set 'phrases=["a red block", "a blue block"]' --set hidden_size=16""" in card["command"]
     assert "relation_accuracy" in card["figures"]
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert (rows[0], rows[-1]["step"]) == ({"step": 0, "captioned": 1.0}, 2)
 
 
+@pytest.mark.parametrize(
+    ("phrases", "named"),
+    [
+        (["a coffee mug", "a red block"], "a coffee mug"),
+        (["a ball", "a red block"], "a ball"),
+        (["xyzzy", "the sky"], "xyzzy, the sky"),
+    ],
+)
+def test_a_fit_refuses_phrases_that_the_grounding_model_does_not_know(
+    data_dir: Path, phrases: list[str], named: str
+) -> None:
+    with pytest.raises(InvalidInput, match=rf"does not know {named}\.") as refused:
+        METHODS.resolve(data_dir, "squares", {"phrases": phrases}, threads=1, grounding=GROUNDING)
+    assert refused.value.field == "config.phrases"
+    assert "red, orange" in refused.value.hint
+
+
+def test_a_phrase_that_no_image_shows_is_refused(data_dir: Path) -> None:
+    frames = open_dataset(data_dir, "squares").cached_frames("front").steps
+    grounding = load_grounding(GROUNDING, "cpu")
+    check_shown(frames, PHRASES, grounding)
+    with pytest.raises(InvalidInput, match=r"of 12, none shows a yellow block\."):
+        check_shown(frames, (*PHRASES, "a yellow block"), grounding)
+
+
+def test_captions_of_nearly_one_relation_are_warned_of() -> None:
+    def captioned(relations: list[SpatialRelation]) -> CaptionDataset:
+        pairs = np.full((len(relations), 2, 2), NO_CAPTION, np.int8)
+        pairs[:, 0, 1] = relations
+        return CaptionDataset((), ("a red block", "a blue block"), pairs, np.ones(2))
+
+    left, apart = [SpatialRelation.LEFT_OF], [SpatialRelation.APART_FROM]
+    (warning,) = caption_warnings(captioned(apart * 19 + left))
+    assert warning.startswith("`apart from` makes up 95% of the 20 captions")
+    assert caption_warnings(captioned(apart * 18 + left * 2)) == []
+
+
 def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> None:
-    store, cache = ModelStore(SHIPPED), data_dir / "captions.safetensors"
-    grounding = load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    cache, grounding = data_dir / "captions.safetensors", load_grounding(GROUNDING, "cpu")
     dataset, config = open_dataset(data_dir, "squares"), RewardConfig(cameras=("front",), phrases=tuple(PHRASES))
     for _ in range(2):
         caption_images(dataset, grounding, config, cache)
@@ -77,13 +114,13 @@ def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> Non
 
 
 def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:
-    config = METHODS.resolve(data_dir, "squares", {"phrases": PHRASES}, threads=2)
+    config = METHODS.resolve(data_dir, "squares", {"phrases": PHRASES}, threads=2, grounding=GROUNDING)
     assert (config["method"], config["cameras"], config["threads"]) == ("relation_captions", ("front",), 2)
 
 
 def test_a_fit_without_phrases_is_told_what_to_give(data_dir: Path) -> None:
     with pytest.raises(InvalidInput, match="2 to 16 distinct noun phrases") as refused:
-        METHODS.resolve(data_dir, "squares", {}, threads=1)
+        METHODS.resolve(data_dir, "squares", {}, threads=1, grounding=GROUNDING)
     assert refused.value.field == "config.phrases"
     assert "--set 'phrases=" in refused.value.hint
 
@@ -115,4 +152,4 @@ def test_captions_are_not_made_by_a_reward_model() -> None:
 )
 def test_phrases_must_be_different_and_name_things_only(data_dir: Path, phrases: list[str]) -> None:
     with pytest.raises(InvalidInput, match="phrases"):
-        METHODS.resolve(data_dir, "squares", {"phrases": phrases}, threads=1)
+        METHODS.resolve(data_dir, "squares", {"phrases": phrases}, threads=1, grounding=GROUNDING)

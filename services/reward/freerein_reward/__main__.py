@@ -1,6 +1,7 @@
 """The reward service as a process: `python -m freerein_reward`."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -61,7 +62,7 @@ def build(
         health=health,
         batcher=batcher,
         load=lambda folder: _warm(load(folder, settings.device)),
-        resolve=METHODS.resolve if grounding else _refuse_without_grounding,
+        resolve=partial(METHODS.resolve, grounding=grounding) if grounding else _refuse_without_grounding,
         fit_arguments=(str(grounding),),
         fit_hint=f"; a grounding model: {_PRETRAIN}",
     )
@@ -85,7 +86,7 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
     """Returns a model after its first, slow call."""
     image = loaded.preprocess(np.zeros((1, 1, 3), np.uint8))[None]
     if isinstance(loaded, GroundingModel):
-        loaded.ground(image, ("a thing",))
+        loaded.locate(image, ("a thing",))
     else:
         loaded.embed_images(dict.fromkeys(loaded.cameras, image))
         loaded.embed_texts(("a thing",))

@@ -15,8 +15,20 @@ from freerein.errors import ServiceError
 from freerein.learning.fit import FitEvent, FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
 from freerein.serving.model_store import ModelStore
-from freerein_reward.model import GROUNDING, DualEncoder
-from freerein_reward.training import GroundingConfig, GroundingLearner, calibrate_presence, evaluate_grounding
+from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
+from freerein_reward.training import (
+    GroundingConfig,
+    GroundingLearner,
+    calibrate_known_phrases,
+    calibrate_presence,
+    evaluate_grounding,
+    evaluate_known_phrases,
+)
+
+_LIMITS = (
+    "It names things by colour: see `names`. It tells shapes badly (`shape_accuracy`, `known_shapes`), and knows no "
+    "other nouns. Trained on drawings; not measured on photographs."
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _pretrain(folder: Path, learner: GroundingLearner) -> int:
     def save(fitted: FitResult[DualEncoder], path: Path) -> None:
         calibrate_presence(fitted.network, learner)
+        calibrate_known_phrases(fitted.network, learner)
         save_model(fitted.network, path, card=_card(learner, fitted))
 
     if not fit_and_save(learner, folder, save, on_event=_print_event):
@@ -63,8 +76,14 @@ def _card(learner: GroundingLearner, fitted: FitResult[DualEncoder]) -> Mapping[
         "data": "synthetic images of single objects, freerein_reward.training.synthetic_objects",
         "command": "python -m freerein_reward.pretrain FOLDER",
         "config": asdict(learner.config),
-        "figures": {**fitted.figures, **evaluate_grounding(fitted.network, learner)},
+        "names": list(GradCamModel(fitted.network).names),
+        "figures": {
+            **fitted.figures,
+            **evaluate_grounding(fitted.network, learner),
+            **evaluate_known_phrases(fitted.network, learner),
+        },
         "supervision": "captions of single objects, without positions and relations",
+        "limits": _LIMITS,
     }
 
 

@@ -36,7 +36,7 @@ class Method(Generic[C, L, N, M_co]):
     Attributes:
         config: Class of the configuration.
         resolve: Returns the configuration completed by what the dataset decides. Raises InvalidInput where the
-            dataset cannot be trained on, before a fit is queued.
+            dataset cannot be trained on, before a fit is queued. Further keyword arguments are as of `prepare`.
         prepare: Returns the learner of a fit, for a dataset, a resolved configuration and a device; further keyword
             arguments are the resources of `Methods.run_fit`.
         card: Returns the card's entries of this method, such as `supervision`; they replace the common ones of the
@@ -48,7 +48,7 @@ class Method(Generic[C, L, N, M_co]):
     """
 
     config: type[C]
-    resolve: Callable[[FitDataset, C], C]
+    resolve: Callable[..., C]
     prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
     load: Callable[[Path, str], M_co]
@@ -68,8 +68,10 @@ class Methods(Generic[M_co]):
     service: str
     by_name: Mapping[str, Method[Any, Any, Any, M_co]]
 
-    def resolve(self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int) -> dict[str, Any]:
-        """Returns the complete configuration of a fit; `values` override the defaults.
+    def resolve(
+        self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int, **resources: Path
+    ) -> dict[str, Any]:
+        """Returns the complete configuration of a fit; `values` override the defaults, `resources` are as of `run_fit`.
 
         Raises:
             NotFound: There is no such dataset.
@@ -79,7 +81,8 @@ class Methods(Generic[M_co]):
         name, method, given = self._choose(values)
         source = FitDataset.open(data_dir, dataset)
         config = parse(method.config, {"threads": threads, **given})
-        config = method.resolve(source, replace(config, cameras=choose_cameras(source.dataset, config.cameras)))
+        config = replace(config, cameras=choose_cameras(source.dataset, config.cameras))
+        config = method.resolve(source, config, **resources)
         return {"method": name, **asdict(config)}
 
     def run_fit(self, folder: Path, data_dir: Path, device: str, **resources: Path) -> int:

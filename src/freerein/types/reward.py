@@ -65,7 +65,12 @@ class RewardResponse:
 
 @dataclass(frozen=True, eq=False)
 class GroundRequest:
-    """An image of any size, and the phrases to locate in it: distinct noun phrases, which compete with each other."""
+    """An image of any size, and the phrases to locate in it.
+
+    Attributes:
+        phrases: Distinct noun phrases; they compete with each other, and with the names that the model knows and no
+            phrase says.
+    """
 
     image: Image
     phrases: tuple[str, ...]
@@ -77,10 +82,11 @@ class Grounding:
     """Location of a phrase in an image.
 
     Attributes:
-        heatmap: Grad-CAM, float32 (H, W) in [0, 1], of the image's size.
+        heatmap: Grad-CAM, float32 (H, W) in [0, 1], of the image's size; 0 for an unknown phrase.
         x: Horizontal position in pixels from the left edge.
         y: Vertical position in pixels from the upper edge.
-        presence: Probability that the image shows the phrase, in [0, 1].
+        presence: Probability that the image shows the phrase, in [0, 1]; 0 for an unknown phrase. Below 0.5, `x` and
+            `y` mean nothing.
     """
 
     phrase: str
@@ -90,18 +96,33 @@ class Grounding:
     presence: float
 
 
+@dataclass(frozen=True)
+class UnknownPhrase:
+    """A phrase that the grounding model does not know.
+
+    Attributes:
+        words: Its words that the model does not know, as in `RewardResponse`. Empty where it knows every word, but does
+            not tell what they name from other things better than it does for words without meaning.
+    """
+
+    phrase: str
+    words: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class GroundResponse:
     """Groundings in the order of the request's phrases.
 
     Attributes:
         unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+        unknown_phrases: The phrases that the model does not know; their presence is 0.
     """
 
     groundings: tuple[Grounding, ...]
     model: ModelRef
     timing: Timing
     unknown: tuple[str, ...]
+    unknown_phrases: tuple[UnknownPhrase, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +152,14 @@ class DescribeResponse:
 
     Attributes:
         unknown: Words of the phrases that the model does not know, as in `RewardResponse`.
+        unknown_phrases: The phrases that the model does not know; no caption mentions them.
     """
 
     descriptions: tuple[Description, ...]
     model: ModelRef
     timing: Timing
     unknown: tuple[str, ...]
+    unknown_phrases: tuple[UnknownPhrase, ...]
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,13 @@ from freerein.types.reward import (
     Grounding,
     GroundRequest,
     GroundResponse,
+    UnknownPhrase,
 )
 from freerein_reward.core import inputs
 from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
-from freerein_reward.model import GROUNDING, PhraseLocations
+from freerein_reward.goal_text import Grammar
+from freerein_reward.model import GROUNDING, KNOWN, PhraseLocations
 from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
 
@@ -61,8 +63,8 @@ class GroundingCore:
         image, size = await timer.decode(asyncio.to_thread(decode))
         found = await self._locate(model, image, request.phrases, timer)
         groundings = await asyncio.to_thread(_groundings, found, request.phrases, size)
-        unknown = await asyncio.to_thread(model.grammar.unknown_words, request.phrases)
-        return GroundResponse(groundings, ref, timer.timing(), unknown)
+        unknown = await asyncio.to_thread(_unknown, model.grammar, request.phrases, found.known)
+        return GroundResponse(groundings, ref, timer.timing(), *unknown)
 
     async def describe(self, request: DescribeRequest) -> DescribeResponse:
         """Returns captions of the spatial relations that images show (table 4.1).
@@ -75,14 +77,16 @@ class GroundingCore:
         ref, model = await self._resolve(request.model)
         await timer.decode(asyncio.to_thread(inputs.check_pixels, request.images))
         descriptions: list[Description] = []
+        known = np.ones(len(request.phrases), np.float32)
         frames = inputs.EncodedFrames(request.images, range(len(request.images)))
         for start in range(0, len(frames), _IMAGES_AT_ONCE):
             stop = min(start + _IMAGES_AT_ONCE, len(frames))
             decode = partial(inputs.model_inputs, frames, model.preprocess, start=start, stop=stop)
             found = await self._locate(model, await timer.decode(asyncio.to_thread(decode)), request.phrases, timer)
             descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon))
-        unknown = await asyncio.to_thread(model.grammar.unknown_words, request.phrases)
-        return DescribeResponse(tuple(descriptions), ref, timer.timing(), unknown)
+            known = found.known  # alike in all parts
+        unknown = await asyncio.to_thread(_unknown, model.grammar, request.phrases, known)
+        return DescribeResponse(tuple(descriptions), ref, timer.timing(), *unknown)
 
     async def _resolve(self, ref: ModelRef) -> tuple[ModelRef, GroundingModel]:
         ref, model = await self.models.resolve(ModelRef(ref.name or GROUNDING, ref.version))
@@ -114,6 +118,16 @@ def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) 
         )
         for of_image in relations
     ]
+
+
+def _unknown(
+    grammar: Grammar, phrases: Sequence[str], known: npt.NDArray[np.float32]
+) -> tuple[tuple[str, ...], tuple[UnknownPhrase, ...]]:
+    """Returns the unknown words of all phrases, and the phrases that are not known, by the model's score (P,)."""
+    unknown = [phrase for phrase, score in zip(phrases, known, strict=True) if score < KNOWN]
+    return grammar.unknown_words(phrases), tuple(
+        UnknownPhrase(each, grammar.unknown_words((each,))) for each in unknown
+    )
 
 
 def _groundings(found: PhraseLocations, phrases: Sequence[str], size: tuple[int, int]) -> tuple[Grounding, ...]:

@@ -98,7 +98,7 @@ def _scores(
 
 
 def _ground(item: GroundItem) -> InferenceOutput | ServiceError:
-    found = item.model.ground(item.images, item.phrases)
+    found = item.model.locate(item.images, item.phrases)
     expected = (len(item.images), len(item.phrases))
     if not found.heatmaps.shape[:2] == found.x.shape == found.y.shape == found.presence.shape == expected:
         raise ValueError(f"the model returned {found.heatmaps.shape}, expected {expected}")

@@ -60,8 +60,8 @@ class GroundingModel(Protocol):
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the model's input, uint8 (H, W, 3)."""
 
-    def ground(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> PhraseLocations:
-        """Returns the locations of phrases in images uint8 (N, H, W, 3)."""
+    def locate(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> PhraseLocations:
+        """Returns the locations of phrases in images uint8 (N, H, W, 3), and how well it knows them."""
 
 
 def wrong_kind(ref: ModelRef, *, got: str, expected: str) -> InvalidInput:

@@ -1,5 +1,6 @@
 """The method `relation_captions`: a dual encoder trained on captions of the grounding model (section 4.2)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,22 @@ from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
-from freerein_reward.goal_text import bare_words, rival_captions, words
-from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
-from freerein_reward.training import RewardConfig, RewardModelLearner, caption_images, evaluate_reward, network_spec
+from freerein_reward.goal_text import MAX_UNKNOWN_CHARACTERS, bare_words, rival_captions, words
+from freerein_reward.model import KNOWN, DualEncoder, GradCamModel, load_grounding, load_reward_model
+from freerein_reward.training import (
+    RewardConfig,
+    RewardModelLearner,
+    caption_images,
+    caption_warnings,
+    check_shown,
+    evaluate_reward,
+    network_spec,
+)
 
 _MAX_PHRASES = 16  # captions grow with the square, and the memory of their embeddings with the fourth power
 
 
-def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
+def _resolve(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> RewardConfig:
     distinct = {bare_words(words(phrase)) for phrase in config.phrases} - {()}
     if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, config.phrases)):
         raise InvalidInput(
@@ -26,7 +35,23 @@ def _resolve(_source: FitDataset, config: RewardConfig) -> RewardConfig:
             hint="Name every object of the goal texts, "
             'for example: --set \'phrases=["a red block", "a yellow block"]\'.',
         )
+    _check_known(config.phrases, load_grounding(grounding, "cpu"))
     return config
+
+
+def _check_known(phrases: Sequence[str], model: GradCamModel) -> None:
+    """Raises InvalidInput where a grounding model does not know a phrase; captions would name something else."""
+    known = zip(phrases, model.known(phrases), strict=True)
+    unknown = [phrase[:MAX_UNKNOWN_CHARACTERS] for phrase, score in known if score < KNOWN]
+    if unknown:
+        raise InvalidInput(
+            f"`phrases` must name what the grounding model knows; it does not know {', '.join(unknown)}.",
+            field="config.phrases",
+            hint=f"Name each object by a colour and a noun, such as `a {model.names[0]} thing`; it knows "
+            f"{', '.join(model.names)}."
+            if model.names
+            else "Train another grounding model.",
+        )
 
 
 def _prepare(
@@ -44,6 +69,7 @@ def _prepare(
     dataset, model = source.dataset, load_grounding(grounding, str(device))
     spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
     images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
+    check_shown(images.views[0], config.phrases, model)
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
     fingerprint = f"{dataset.fingerprint} {grounding.name}"
     return RewardModelLearner(config, spec, training, validation, model, grounding.name, fingerprint, device)
@@ -55,6 +81,7 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
         "grounding": learner.grounding_version,
         "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
         "supervision": "noun phrases; captions made from pixels by the grounding model",
+        "warnings": caption_warnings(learner.training),
     }
 
 

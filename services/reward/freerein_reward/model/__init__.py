@@ -9,6 +9,10 @@ from freerein_reward.model.dual_encoder_model import preprocess as preprocess
 from freerein_reward.model.grounding import GradCamModel as GradCamModel
 from freerein_reward.model.grounding import PhraseLocations as PhraseLocations
 from freerein_reward.model.grounding import contrast_texts as contrast_texts
+from freerein_reward.model.known_phrases import KNOWN as KNOWN
+from freerein_reward.model.known_phrases import NONSENSE as NONSENSE
+from freerein_reward.model.known_phrases import REFERENCES as REFERENCES
+from freerein_reward.model.known_phrases import KnownPhrases as KnownPhrases
 from freerein_reward.model.loading import GROUNDING as GROUNDING
 from freerein_reward.model.loading import is_grounding as is_grounding
 from freerein_reward.model.loading import load_grounding as load_grounding

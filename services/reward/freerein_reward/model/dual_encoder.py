@@ -15,6 +15,7 @@ from freerein.learning.encoders.clip import ClipImageEncoder
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.types.common import Camera
+from freerein_reward.model.known_phrases import KnownPhrases
 from freerein_reward.model.spec import DualEncoderSpec
 from freerein_reward.model.text_encoder import ClipTextEncoder
 from freerein_reward.model.tokenizer import Tokenizer
@@ -33,6 +34,7 @@ class DualEncoder(nn.Module):
         self.text = ClipTextEncoder(spec, tokens=self.tokenizer.size)
         self.temperature = Temperature()
         self.in_distribution = InDistribution(_statistics_size(spec)) if spec.phrases else None
+        self.known_phrases = None if spec.phrases else KnownPhrases(spec.vocabulary, spec.embedding_dim)
 
     def embed_images(self, views: Tensor) -> Tensor:
         """Returns the embeddings, float32 (N, D), of V camera views, uint8 (N, V, image_size, image_size, 3)."""

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freerein.metrics import majority_accuracy
 from freerein_reward.model import DualEncoder, contrast_texts
 from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
@@ -22,6 +23,8 @@ _THRESHOLDS = 200
 def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, float]:
     """Returns the accuracy of relations against the grounding model's captions, and precision and recall of each.
 
+    `majority_accuracy` is that of always saying the most frequent relation.
+
     Captions come from the grounding model, so that this is agreement with it, not ground truth.
     """
     targets = flatten_pairs(dataset.relations)  # (N, pairs)
@@ -29,6 +32,7 @@ def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, 
     targets, predictions = targets[has_caption], caption_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
     figures = {
         "relation_accuracy": float((predictions == targets)[targets != ABSENT].mean()),
+        "majority_accuracy": majority_accuracy(targets[targets != ABSENT]),
         "absence_accuracy": float(((predictions == ABSENT) == (targets == ABSENT)).mean()),
     }
     for relation in SpatialRelation:

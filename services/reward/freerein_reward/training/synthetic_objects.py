@@ -88,9 +88,17 @@ def caption(shown: Attributes | None, rng: Rng) -> tuple[str, Attributes | None]
         shape=shown.shape if rng.random() < 0.8 else None,
         size=shown.size if rng.random() < 0.3 else None,
     )
-    names = _NAMES[said.shape] if said.shape else ("object", "thing")
+    names = NAMES[said.shape] if said.shape else ("object", "thing")
     words = [word for word in (said.size, said.colour, names[rng.integers(len(names))]) if word]
     return " ".join(("an" if words[0][0] in "aeiou" else "a", *words)), said
+
+
+def names(shown: Attributes | None) -> tuple[str, ...]:
+    """Returns the words of the vocabulary that name an object by its colour, shape or size; none for no object."""
+    if shown is None:
+        return ()
+    shapes = NAMES[shown.shape] if shown.shape else ()
+    return tuple(word for word in (shown.colour, *shapes, shown.size) if word)
 
 
 def _background(side: int, rng: Rng) -> npt.NDArray[np.uint8]:
@@ -223,14 +231,16 @@ _DRAWINGS: Mapping[str, Callable[..., None]] = MappingProxyType(
     }
 )
 SHAPES = tuple(_DRAWINGS)
-_NAMES = MappingProxyType({shape: (shape, *SYNONYMS.get(shape, ())) for shape in SHAPES})
+NAMES = MappingProxyType({shape: (shape, *SYNONYMS.get(shape, ())) for shape in SHAPES})
+"""Words for each shape."""
+
 VOCABULARY = (
     "a",
     "an",
     "small",
     "big",
     *COLOURS,
-    *(name for shape in SHAPES for name in _NAMES[shape]),
+    *(name for shape in SHAPES for name in NAMES[shape]),
     "object",
     "thing",
     NOTHING,

@@ -106,8 +106,7 @@ def report(fit: _Id, as_json: AsJson = False) -> None:
 def _report(fit_id: str, *, as_json: bool) -> None:
     fit = call(FitClient, "segmentation", lambda client: client.get_fit(GetFitRequest(fit_id))).fit
     check_succeeded(f"fit {fit_id[:8]}", fit)
-    models = call(ModelClient, "segmentation", lambda client: client.list_models(ListModelsRequest())).models
-    card = next((dict(model.card) for model in models if model.ref == fit.model), {})
+    card = _card("segmentation", fit)
     root = dataset_root(fit.dataset)
     items = fit_report.labelled_trajectories(root)
     accuracy = None
@@ -136,6 +135,16 @@ def _show_report(card: Mapping[str, Any], accuracy: fit_report.LabelledAccuracy 
         name = f"frame accuracy, {accuracy.trajectories} labelled trajectories"
         rows.append((name, f"{accuracy.frame_accuracy:.3f}", f"{accuracy.random_cls_accuracy:.3f}"))
     show_table(("", "model", "chance"), rows)
+    _show_warnings(card)
+
+
+def _card(service: str, fit: Fit) -> dict[str, Any]:
+    """Returns the card of the model that a fit made; empty without."""
+    models = call(ModelClient, service, lambda client: client.list_models(ListModelsRequest())).models
+    return next((dict(model.card) for model in models if model.ref == fit.model), {})
+
+
+def _show_warnings(card: Mapping[str, Any]) -> None:
     for warning in card.get("warnings", ()):
         typer.echo(f"warning: {warning}")
 
@@ -205,6 +214,8 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
         _show([(service, fit)], as_json=False)
         if service == "segmentation":
             _report(fit.id, as_json=False)
+        else:
+            _show_warnings(_card(service, fit))
 
 
 def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:

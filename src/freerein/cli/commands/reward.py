@@ -18,7 +18,7 @@ from freerein.clients import RewardClient
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
 from freerein.types.common import Image, ModelRef
-from freerein.types.reward import Grounding, GroundRequest, RewardRequest, RewardResponse
+from freerein.types.reward import Grounding, GroundRequest, GroundResponse, RewardRequest, RewardResponse
 
 _IMAGES_PER_REQUEST = 16
 _BYTES_PER_REQUEST = 32 * 2**20
@@ -61,8 +61,7 @@ def reward(
     answer = _joined(call(RewardClient, "reward", lambda client: _ask(client, parts)))
     print_json(wire.to_json(answer)) if as_json else _show(answer)
     if heatmap:
-        groundings = _draw(parts[0], tuple(phrase or ()), heatmap)
-        _show_places(groundings, heatmap, as_json=as_json)
+        _show_places(_draw(parts[0], tuple(phrase or ()), heatmap), heatmap, as_json=as_json)
 
 
 def _check(image: list[str] | None, dataset: str, heatmap: Path | None, phrase: list[str] | None) -> None:
@@ -110,12 +109,12 @@ async def _ask(client: RewardClient, parts: Sequence[RewardRequest]) -> list[Rew
     return [await client.reward(part) for part in parts]
 
 
-def _draw(first: RewardRequest, phrases: tuple[str, ...], path: Path) -> tuple[Grounding, ...]:
-    """Writes the heatmaps of phrases in the first image; returns the groundings."""
+def _draw(first: RewardRequest, phrases: tuple[str, ...], path: Path) -> GroundResponse:
+    """Writes the heatmaps of phrases in the first image; returns where they are."""
     image = first.images[0] if first.images else images.encode(next(iter(first.frames.values()))[0])
-    groundings = call(RewardClient, "reward", lambda client: client.ground(GroundRequest(image, phrases))).groundings
-    path.write_bytes(images.encode(_heatmaps(images.decode(image), groundings)).data)
-    return groundings
+    found = call(RewardClient, "reward", lambda client: client.ground(GroundRequest(image, phrases)))
+    path.write_bytes(images.encode(_heatmaps(images.decode(image), found.groundings)).data)
+    return found
 
 
 def _heatmaps(image: npt.NDArray[np.uint8], groundings: Sequence[Grounding]) -> npt.NDArray[np.uint8]:
@@ -163,11 +162,16 @@ def _show(answer: RewardResponse) -> None:
         typer.echo("A text was too long for the model and was truncated.")
 
 
-def _show_places(groundings: Sequence[Grounding], path: Path, *, as_json: bool) -> None:
-    places = [{"phrase": found.phrase, "x": found.x, "y": found.y, "presence": found.presence} for found in groundings]
+def _show_places(found: GroundResponse, path: Path, *, as_json: bool) -> None:
+    unknown = [each.phrase for each in found.unknown_phrases]
     if as_json:
-        print_json({"heatmap": str(path), "groundings": places})
+        places = [
+            {"phrase": each.phrase, "x": each.x, "y": each.y, "presence": each.presence} for each in found.groundings
+        ]
+        print_json({"heatmap": str(path), "groundings": places, "unknown_phrases": unknown})
         return
-    rows = [(found.phrase, f"{found.x:.1f}", f"{found.y:.1f}", f"{found.presence:.2f}") for found in groundings]
+    rows = [(each.phrase, f"{each.x:.1f}", f"{each.y:.1f}", f"{each.presence:.2f}") for each in found.groundings]
     show_table(("phrase", "x", "y", "presence"), rows)
+    if unknown:
+        typer.echo(f"The model does not know {', '.join(unknown)}: name things by colour, such as `a red block`.")
     typer.echo(f"Heatmaps: {path}")

@@ -224,7 +224,9 @@ class GroundRequest(_message.Message):
 
     @_builtins.property
     def phrases(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """1 to 64 distinct noun phrases, such as `a red block`; they compete with each other."""
+        """1 to 64 distinct noun phrases, such as `a red block`; they compete with each other, and with the names that the model
+        knows and no phrase says.
+        """
 
     def __init__(
         self,
@@ -259,10 +261,10 @@ class Grounding(_message.Message):
     y: _builtins.float
     """Vertical position in pixels from the upper edge."""
     presence: _builtins.float
-    """Probability that the image shows the phrase, in [0, 1]."""
+    """Probability that the image shows the phrase, in [0, 1]; 0 for an unknown phrase. Below 0.5, `x` and `y` mean nothing."""
     @_builtins.property
     def heatmap(self) -> _common_pb2.Tensor:
-        """Grad-CAM, FP32 (H, W) in [0, 1], of the image's size."""
+        """Grad-CAM, FP32 (H, W) in [0, 1], of the image's size; 0 for an unknown phrase."""
 
     def __init__(
         self,
@@ -282,6 +284,36 @@ class Grounding(_message.Message):
 Global___Grounding: _TypeAlias = Grounding  # noqa: Y015
 
 @_typing.final
+class UnknownPhrase(_message.Message):
+    """A phrase that the grounding model does not know."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PHRASE_FIELD_NUMBER: _builtins.int
+    WORDS_FIELD_NUMBER: _builtins.int
+    phrase: _builtins.str
+    """The phrase."""
+    @_builtins.property
+    def words(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Its words that the model does not know, as in `RewardResponse`. Empty where it knows every word, but does not tell
+        what they name from other things better than it does for words without meaning.
+        """
+
+    def __init__(
+        self,
+        *,
+        phrase: _builtins.str = ...,
+        words: _abc.Iterable[_builtins.str] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["phrase", b"phrase", "words", b"words"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___UnknownPhrase: _TypeAlias = UnknownPhrase  # noqa: Y015
+
+@_typing.final
 class GroundResponse(_message.Message):
     """Groundings in the order of the request's phrases."""
 
@@ -291,6 +323,7 @@ class GroundResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     UNKNOWN_FIELD_NUMBER: _builtins.int
+    UNKNOWN_PHRASES_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def groundings(self) -> _containers.RepeatedCompositeFieldContainer[Global___Grounding]:
         """One per phrase."""
@@ -305,7 +338,13 @@ class GroundResponse(_message.Message):
 
     @_builtins.property
     def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+        """Words of the phrases that the model does not know, as in `RewardResponse`."""
+
+    @_builtins.property
+    def unknown_phrases(self) -> _containers.RepeatedCompositeFieldContainer[Global___UnknownPhrase]:
+        """The phrases that the model does not know, in the request's order; their presence is 0. The shipped model knows phrases
+        that name a colour: `a red block`, not `a block`.
+        """
 
     def __init__(
         self,
@@ -314,10 +353,11 @@ class GroundResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         unknown: _abc.Iterable[_builtins.str] | None = ...,
+        unknown_phrases: _abc.Iterable[Global___UnknownPhrase] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["groundings", b"groundings", "model", b"model", "timing", b"timing", "unknown", b"unknown", "unknown_phrases", b"unknown_phrases"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -399,6 +439,7 @@ class DescribeResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     UNKNOWN_FIELD_NUMBER: _builtins.int
+    UNKNOWN_PHRASES_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def descriptions(self) -> _containers.RepeatedCompositeFieldContainer[Global___Description]:
         """One per image."""
@@ -413,7 +454,11 @@ class DescribeResponse(_message.Message):
 
     @_builtins.property
     def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
-        """Words of the phrases that the model does not know, as in `RewardResponse`; what is said of those phrases is unreliable."""
+        """Words of the phrases that the model does not know, as in `RewardResponse`."""
+
+    @_builtins.property
+    def unknown_phrases(self) -> _containers.RepeatedCompositeFieldContainer[Global___UnknownPhrase]:
+        """The phrases that the model does not know, as in `GroundResponse`; no caption mentions them."""
 
     def __init__(
         self,
@@ -422,10 +467,11 @@ class DescribeResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         unknown: _abc.Iterable[_builtins.str] | None = ...,
+        unknown_phrases: _abc.Iterable[Global___UnknownPhrase] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing", "unknown", b"unknown"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["descriptions", b"descriptions", "model", b"model", "timing", b"timing", "unknown", b"unknown", "unknown_phrases", b"unknown_phrases"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

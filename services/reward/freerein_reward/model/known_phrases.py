@@ -1,0 +1,104 @@
+"""Whether the grounding model knows what a phrase names.
+
+A phrase is tried on reference images of which it is known what they show: images that show what its words name should
+be more similar to it than others. A word without meaning, too, tells some things from others by chance. A phrase is
+known as far as it does better than such words do at what they happen to tell best.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from freerein_reward.goal_text import words
+
+KNOWN = 0.8
+"""Score from which a phrase is known: it tells what it names better than four of five words without meaning tell what
+they happen to tell best."""
+
+REFERENCES = 2048
+"""Reference images."""
+
+NONSENSE = 1000
+"""Texts without meaning."""
+
+
+class KnownPhrases(nn.Module):
+    """Scores phrases against words without meaning; it is fitted, not trained. Until `fit` every score is 1.
+
+    Args:
+        vocabulary: W words of the training texts.
+        size: D, dimension of the embeddings.
+    """
+
+    images: Tensor
+    shown: Tensor
+    nonsense: Tensor
+
+    def __init__(self, vocabulary: Sequence[str], size: int) -> None:
+        super().__init__()
+        self._places = {word: place for place, word in enumerate(vocabulary)}
+        self.register_buffer("images", torch.zeros(REFERENCES, size))
+        self.register_buffer("shown", torch.zeros(REFERENCES, len(vocabulary), dtype=torch.bool))
+        self.register_buffer("nonsense", torch.zeros(NONSENSE))
+
+    @torch.no_grad()
+    def fit(self, images: Tensor, shown: Tensor, nonsense: Tensor) -> None:
+        """Sets what scores are relative to.
+
+        Args:
+            images: Embeddings of the reference images, float32 (`REFERENCES`, D).
+            shown: Whether an image shows what a word of the vocabulary names, bool (`REFERENCES`, W); all False for a
+                word that names nothing.
+            nonsense: Embeddings of texts without meaning, float32 (`NONSENSE`, D).
+        """
+        self.images.copy_(images)
+        self.shown.copy_(shown)
+        self.nonsense.copy_(self.best_told(nonsense).sort().values)
+
+    @torch.no_grad()
+    def best_told(self, texts: Tensor) -> Tensor:
+        """Returns how well each text, (K, D), tells what it tells best of what the vocabulary names: AUROC (K,)."""
+        naming = self.shown[:, self.shown.any(dim=0)]  # (N, names)
+        return _aurocs(texts @ self.images.T, naming).amax(dim=1)
+
+    @torch.no_grad()
+    def forward(self, phrases: Sequence[str], texts: Tensor) -> Tensor:
+        """Returns the score of each phrase in [0, 1], float32 (P,); 0 where it names nothing.
+
+        `texts` are the embeddings of the phrases, float32 (P, D).
+        """
+        if not self.shown.any():
+            return texts.new_ones(len(phrases))
+        told = [
+            self._told(phrase, similarities)
+            for phrase, similarities in zip(phrases, texts @ self.images.T, strict=True)
+        ]
+        return self.rank(torch.stack(told))
+
+    def rank(self, told: Tensor) -> Tensor:
+        """Returns the share of texts without meaning that tell less than each AUROC (K,): float32 (K,)."""
+        return torch.searchsorted(self.nonsense, told) / len(self.nonsense)
+
+    def names(self) -> tuple[str, ...]:
+        """Returns the words of the vocabulary that name something which a reference image shows."""
+        return tuple(word for word, place in self._places.items() if self.shown[:, place].any())
+
+    def _told(self, phrase: str, similarities: Tensor) -> Tensor:
+        """Returns how well similarities (N,) tell images that show what all words name from others: AUROC, a scalar."""
+        naming = [place for word in words(phrase) if (place := self._places.get(word)) is not None]
+        named = self.shown[:, [place for place in naming if self.shown[:, place].any()]]  # (N, names)
+        is_shown = named.all(dim=1) if named.shape[1] else named.any(dim=1)
+        return _aurocs(similarities[None], is_shown[:, None])[0, 0]
+
+
+def _aurocs(similarities: Tensor, shown: Tensor) -> Tensor:
+    """Returns the area under the ROC curve of similarities (K, N) for each column of bool (N, W): float32 (K, W).
+
+    It is 0 for a column without a True.
+    """
+    ranks = similarities.argsort(dim=1).argsort(dim=1).float() + 1  # (K, N); ties do not happen
+    positives = shown.sum(dim=0).float()  # (W,)
+    negatives = len(shown) - positives
+    won = ranks @ shown.float() - positives * (positives + 1) / 2  # (K, W)
+    return won / (positives * negatives).clamp(min=1)
