@@ -66,6 +66,7 @@ class EnvSession:
 
     Attributes:
         task: The task.
+        cameras: The cameras that are observed.
         observation_space: Of one environment: Box uint8 (H, W, C), or a Dict of Boxes for several cameras.
         action_space: Of one environment: Box float32 (A,) in [-1, 1], or Discrete.
         metadata: Gymnasium's `render_modes` and `render_fps`.
@@ -112,15 +113,15 @@ class EnvSession:
             self._session = self._lease.created.session
             self.task: Task = self._lease.created.task
             self._step_id = 0
-            self._cameras = tuple(cameras) or (self.task.cameras[0].name,)
-            self.observation_space = _observation_space(self.task, self._cameras, height, width)
+            self.cameras = tuple(cameras) or (self.task.cameras[0].name,)
+            self.observation_space = _observation_space(self.task, self.cameras, height, width)
             self.action_space = _action_space(self.task.action)
             self.metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1.0 / self.task.control_dt_s}
             on_error.pop_all()
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
         """Begins new episodes in `envs`, or in all environments if empty."""
-        reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self._cameras))
+        reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self.cameras))
         return reply
 
     def step(self, actions: npt.ArrayLike) -> StepResponse:
@@ -133,7 +134,7 @@ class EnvSession:
             ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
                 is counted as made; if it was not, later steps are refused.
         """
-        request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self._cameras)
+        request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self.cameras)
         self._step_id += 1
         try:
             reply: StepResponse = self._sim.step(request)
@@ -144,8 +145,8 @@ class EnvSession:
 
     def observation(self, frames: Mapping[str, Pixels]) -> Observation:
         """Returns a copy of frames as an observation, or a batch of observations."""
-        copies = {camera: np.array(frames[camera]) for camera in self._cameras}
-        return copies if len(copies) > 1 else copies[self._cameras[0]]
+        copies = {camera: np.array(frames[camera]) for camera in self.cameras}
+        return copies if len(copies) > 1 else copies[self.cameras[0]]
 
     def rgb_frames(self, frames: Mapping[str, Pixels] | None) -> Pixels:
         """Returns the first camera's frames as RGB (..., H, W, 3).
@@ -155,7 +156,7 @@ class EnvSession:
         """
         if frames is None:
             raise FailedPrecondition("`render` needs an episode; none was begun.", hint="Call reset() first.")
-        pixels = frames[self._cameras[0]]
+        pixels = frames[self.cameras[0]]
         return np.repeat(pixels, 3, axis=-1) if pixels.shape[-1] == 1 else np.array(pixels)
 
     def close(self) -> None:

@@ -42,6 +42,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
     def __init__(self, task: str, address: str = ADDRESS, **options: Unpack[SessionOptions]) -> None:
         self._session = EnvSession(task, address, **options)
         self.task = self._session.task
+        self.cameras = self._session.cameras
         self.render_mode = options.get("render_mode")
         self.metadata = self._session.metadata
         self.observation_space = self._session.observation_space
@@ -104,6 +105,7 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
     def __init__(self, task: str, address: str = ADDRESS, *, num_envs: int, **options: Unpack[SessionOptions]) -> None:
         self._session = EnvSession(task, address, num_envs=num_envs, **options)
         self.task = self._session.task
+        self.cameras = self._session.cameras
         self.num_envs = num_envs
         self.render_mode = options.get("render_mode")
         self.metadata = type(self).metadata | self._session.metadata
