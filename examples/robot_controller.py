@@ -1,11 +1,12 @@
 """A robot follows goal images by control stream: observations out, chunks of actions in.
 
     freerein up
-    python examples/robot_controller.py blocks goal.png
+    python examples/robot_controller.py blocks
 
-The robot is simulated; `Robot` has the two methods of a real one. `Controller` is all that a robot needs: it sends an
-observation every control step, executes the newest valid chunk, holds when there is none, and reconnects with its last
-state when the service is away.
+The goal is what the robot saw on a short path, which it then follows from the start again; image files may be given
+instead. The robot is simulated; `Robot` has the two methods of a real one. `Controller` is all that a robot needs: it
+sends an observation every control step, executes the newest valid chunk, holds when there is none, and reconnects with
+its last state when the service is away.
 """
 
 import argparse
@@ -29,6 +30,9 @@ from freerein.types.sim import CreateSessionRequest, CreateSessionResponse, Rese
 
 _log = logging.getLogger(__name__)
 _RECONNECT_DELAY_S = 0.1
+_PATH = ((0, 0.5), (1, 0.5), (0, -0.5))  # index and value of an action's number, for each part of the path
+_STEPS = 6  # of each part
+_MAX_STEPS_PER_GOAL = 250  # more than the model's own: where a busy machine answers late, the robot holds
 Action = npt.NDArray[np.float32]
 
 
@@ -39,10 +43,12 @@ class Controller:
         robot: The robot.
         policy: Client of the imitation service.
         goal: The goal.
+        max_steps_per_goal: Control steps after which a goal is abandoned for the next one; 0 for the model's own limit.
     """
 
-    def __init__(self, robot: "Robot", policy: ImitationClient, goal: Goal) -> None:
+    def __init__(self, robot: "Robot", policy: ImitationClient, goal: Goal, *, max_steps_per_goal: int = 0) -> None:
         self._robot, self._policy, self._goal = robot, policy, goal
+        self._max_steps_per_goal = max_steps_per_goal
         self._executed: list[Action] = []
         self._newest, self._is_new = Observed(0, Observation()), asyncio.Event()
         self._planned: deque[Action] = deque()  # rest of the last chunk
@@ -88,7 +94,8 @@ class Controller:
 
     async def _requests(self) -> AsyncIterator[ControlRequest]:
         robot, sent, state = self._robot, self._state_step, self.last.state if self.last else b""
-        yield ControlRequest(Hello(self._goal, robot.cameras, robot.action, robot.control_dt_s, self._model, state))
+        hello = Hello(self._goal, robot.cameras, robot.action, robot.control_dt_s, self._model, state)
+        yield ControlRequest(replace(hello, max_steps_per_goal=self._max_steps_per_goal))
         while await self._is_new.wait():
             self._is_new.clear()
             newest = self._newest
@@ -140,11 +147,30 @@ async def start_robot(sim: SimClient, task: str, *, seed: int | None = None) -> 
     return Robot(sim, session, reset.frames[camera][0])
 
 
-async def main(task: str, goals: list[Path], sim_address: str, imitation_address: str) -> None:
-    """Follows goal images one after the other and logs the outcome."""
-    goal = Goal(tuple(Image(images.sniff(path.read_bytes()), 0, 0, path.read_bytes()) for path in goals))
+async def see_goals(robot: Robot) -> Goal:
+    """Moves a robot on a short path; returns what it saw at the end of each part, as goals to reach in order."""
+    seen: list[Image] = []
+    for index, value in _PATH:
+        action = np.zeros(robot.action.size, np.float32)
+        action[index] = value
+        for _ in range(_STEPS):
+            await robot.execute(action)
+        seen += robot.observation().images
+    return Goal(tuple(seen))
+
+
+def read_goals(paths: list[Path]) -> Goal:
+    """Returns image files as goals to reach in order."""
+    files = [path.read_bytes() for path in paths]
+    return Goal(tuple(Image(images.sniff(data), 0, 0, data) for data in files))
+
+
+async def main(task: str, seed: int, goals: list[Path], sim_address: str, imitation_address: str) -> None:
+    """Reaches goal images one after the other and logs the outcome."""
     async with SimClient(Channel(sim_address)) as sim, ImitationClient(Channel(imitation_address)) as policy:
-        controller = Controller(await start_robot(sim, task), policy, goal)
+        goal = read_goals(goals) if goals else await see_goals(await start_robot(sim, task, seed=seed))
+        robot = await start_robot(sim, task, seed=seed)
+        controller = Controller(robot, policy, goal, max_steps_per_goal=_MAX_STEPS_PER_GOAL)
         await controller.run()
         if controller.last is not None:
             _log.info("reached" if controller.last.goal_reached else "abandoned")
@@ -153,9 +179,10 @@ async def main(task: str, goals: list[Path], sim_address: str, imitation_address
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Controls a simulated robot towards goal images.")
     parser.add_argument("task", help="a task of the sim service with continuous actions, such as blocks")
-    parser.add_argument("goals", nargs="+", type=Path, help="image files")
+    parser.add_argument("goals", nargs="*", type=Path, help="image files; none for what it saw on a short path")
+    parser.add_argument("--seed", type=int, default=7, help="seed of the scene")
     parser.add_argument("--sim", default="127.0.0.1:9104", help="gRPC address of the sim service")
     parser.add_argument("--imitation", default="127.0.0.1:9102", help="gRPC address of the imitation service")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO)
-    asyncio.run(main(arguments.task, arguments.goals, arguments.sim, arguments.imitation))
+    asyncio.run(main(arguments.task, arguments.seed, arguments.goals, arguments.sim, arguments.imitation))

@@ -2,6 +2,9 @@
 
 import asyncio
 import importlib.util
+import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +24,7 @@ from freerein.types.imitation import ControlResponse
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(300)]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
 GOAL = Goal((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3)),))
 ACTION = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (0.05, 0.05, 0.02))
@@ -125,6 +128,18 @@ async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tm
         controller = example.Controller(await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
         await asyncio.wait_for(controller.run(), 10)
     assert controller.last.goal_reached
+
+
+async def test_it_runs_as_its_docstring_says_and_reaches_its_goal(
+    sim: str, start: Callable[..., Any], example: Any
+) -> None:
+    services = ["--sim", sim, "--imitation", (await start()).address]  # with the shipped models
+    start_line, command = re.findall(r"^    (\S.*)$", example.__doc__, re.MULTILINE)
+    python, script, *arguments = command.split()
+    assert (start_line, python) == ("freerein up", "python")
+    run = [sys.executable, EXAMPLE.parents[1] / script, *arguments, *services]
+    ran = await asyncio.to_thread(subprocess.run, run, capture_output=True, text=True, check=False, timeout=60)
+    assert (ran.returncode, ran.stderr.splitlines()[-1:]) == (0, ["INFO:__main__:reached"]), ran.stderr
 
 
 async def test_what_another_try_would_not_mend_ends_the_drive(
