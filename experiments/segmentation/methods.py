@@ -34,7 +34,7 @@ def ours(*contexts: str) -> Method:
     settings: dict[str, JSON] = {
         "objective": "lse_per_timestep",
         "final_objective": "self_training",
-        "action_evidence": 0.3,
+        "action_evidence": 1.0,
     }
     return Method(OURS, contexts or (WHOLE,), settings)
 
