@@ -221,3 +221,17 @@ def test_a_number_that_is_not_finite_is_an_error_of_check_and_of_a_fit_in_any_un
     assert [(each.severity, "1 of 8 numbers are not" in each.sentence) for each in errors] == [("error", True)]
     with pytest.raises(InvalidInput, match="Actions must be finite"):
         FitDataset(root, Dataset(root)).trajectories(["image"], any_unit=True)
+
+
+def test_a_trajectory_without_a_timestep_is_an_error_of_check_and_of_a_fit(root: Path) -> None:
+    path = root / "meta/episodes/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.set_column(1, "length", pa.array([2, 3, 0])), path)
+    pq.write_table(
+        pq.read_table(root / "data/chunk-000/file-001.parquet").slice(0, 0), root / "data/chunk-000/file-001.parquet"
+    )
+    assert [(each.where, each.severity) for each in check(root) if "timestep" in each.sentence] == [
+        ("trajectory 2", "error")
+    ]
+    with pytest.raises(InvalidInput, match="1 have none, such as 2"):
+        FitDataset(root, Dataset(root)).trajectories(["image"], any_unit=True)

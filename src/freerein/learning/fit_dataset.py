@@ -43,9 +43,11 @@ class FitDataset:
             any_unit: Whether continuous actions may be in the robot's own unit; otherwise they must be in [-1, 1].
 
         Raises:
-            InvalidInput: The dataset is empty, a file is corrupt, or actions are not finite or not in [-1, 1].
+            InvalidInput: The dataset or a trajectory is empty, a file is corrupt, or actions are not finite or not in
+                [-1, 1].
             FailedPrecondition: The disk is too small for the decoded frames.
         """
+        self._check_lengths()
         self._check_actions(any_unit=any_unit)
         return Trajectories(
             frames={camera: self.dataset.cached_frames(camera) for camera in cameras},
@@ -53,6 +55,16 @@ class FitDataset:
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
         )
+
+    def _check_lengths(self) -> None:
+        """Raises InvalidInput for trajectories without a timestep, which `freerein dataset check` calls an error."""
+        empty = np.flatnonzero(self.dataset.lengths == 0)
+        if len(empty):
+            raise InvalidInput(
+                f"A trajectory must have at least one timestep; {len(empty)} have none, such as {empty[0]}.",
+                field="dataset",
+                hint="Leave them out.",
+            )
 
     def _check_actions(self, *, any_unit: bool) -> None:
         """Raises InvalidInput for actions that `freerein dataset check` calls an error, or in an unexpected unit."""
