@@ -2,29 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.cli.demo.report import Measured
+from freerein.cli.figure_style import BAD, FAINT, GOOD, INK, PAPER, QUIET, draw_legend, figure_style, skill_colours
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Image = npt.NDArray[np.uint8]
 
-_INK, _PAPER, _FAINT, _QUIET = "#1f2430", "#ffffff", "#8b93a3", "#cfd6e4"
-_GOOD, _BAD = "#2f9e58", "#d63a3a"
-_SKILL_COLOURS = {
-    "red": "#d63a3a",
-    "green": "#2f9e58",
-    "yellow": "#e8b50c",
-    "blue": "#2f6fde",
-    "purple": "#8a4fd0",
-    "magenta": "#c2399f",
-    "orange": "#e8772e",
-    "cyan": "#17a3b0",
-}
-_OTHER_COLOURS = ("#4c6a92", "#a06a3f", "#5a8f7b", "#7a5c86", "#b0574f")
+_WIDTH = 14.0  # inches
 _FILM_FRAMES = 9
 _GREATEST_OVERLAY = 0.75
 _SMOOTHING_REACH = 7  # iterations to either side: those in which every environment has ended some episodes
@@ -93,77 +84,89 @@ class RewardExample:
     truth: int
 
 
-def draw_timeline(path: Path, trajectory: LabelledTrajectory, *, task: str) -> None:
-    """Writes a PNG of a labelled trajectory: frames, true skills, predicted skills, confidence."""
+@figure_style()
+def timeline_figure(trajectory: LabelledTrajectory, *, task: str) -> "Figure":
+    """Returns a labelled trajectory: frames, true skills, predicted skills, confidence."""
     figure = _figure(
-        5.4,
-        f"Which skill when: the held-out trajectory of median accuracy, {task}",
+        5.6,
+        f"Skill timeline: the held-out trajectory of median accuracy, {task}",
         f"{trajectory.accuracy:.1%} of {len(trajectory.truth)} timesteps right; "
         "learned from the set of skills per trajectory",
         left=0.085,
         top=0.86,
     )
     rows = figure.subplots(4, 1, gridspec_kw={"height_ratios": [2.3, 0.8, 0.8, 1.2], "hspace": 0.28})
-    figure.subplots_adjust(right=0.985, bottom=0.16)
+    figure.subplots_adjust(right=0.985, bottom=0.21)
     _draw_film(rows[0], trajectory.frames)
-    _draw_labels(rows[1], "truth", trajectory.truth, trajectory.skills)
-    _draw_labels(rows[2], "predicted", trajectory.labels, trajectory.skills)
+    colours = skill_colours(trajectory.skills)
+    _draw_labels(rows[1], "ground truth", trajectory.truth, colours)
+    _draw_labels(rows[2], "predicted", trajectory.labels, colours)
     _draw_confidence(rows[3], trajectory)
-    _draw_legend(figure, trajectory)
-    figure.savefig(path)
+    used = sorted(set(trajectory.truth.tolist()) | set(trajectory.labels.tolist()))
+    draw_legend(figure, [trajectory.skills[index] for index in used], [colours[index] for index in used])
+    return figure
 
 
-def draw_filmstrip(path: Path, goals: Sequence[FilmstripGoal]) -> None:
-    """Writes a PNG with each goal image above what the robot saw when its pursuit ended."""
+@figure_style()
+def filmstrip_figure(goals: Sequence[FilmstripGoal]) -> "Figure":
+    """Returns each goal image above what the robot saw when its pursuit ended, as wide as the figure."""
+    left, right, gap, above, below = 0.06, 0.99, 0.06, 1.0, 0.45  # fractions of the width; then inches
+    height, width = goals[0].goal.shape[:2]
+    side = _WIDTH * (right - left) / (len(goals) + gap * (len(goals) - 1))  # width of an image, inches
+    row = side * height / width
     figure = _figure(
-        4.7,
+        above + 2 * row + gap * side + below,
         "Following goal images never seen",
         "robot of median success: what it saw when it went on to the next goal, and its confidence; "
         "green: truly there; learned from random exploration",
-        left=0.07,
-        top=0.80,
+        left=left,
+        top=1.0,
     )
-    rows = figure.subplots(2, len(goals), squeeze=False)
-    figure.subplots_adjust(right=0.99, bottom=0.07, wspace=0.06, hspace=0.06)
+    total = figure.get_figheight()
+    rows = figure.subplots(2, len(goals), squeeze=False, gridspec_kw={"wspace": gap, "hspace": gap * side / row})
+    figure.subplots_adjust(left=left, right=right, top=1 - above / total, bottom=below / total)
     for column, one in enumerate(goals):
         for axes, image, edge in zip(
-            rows[:, column], (one.goal, one.seen), (_FAINT, _GOOD if one.reached else _BAD), strict=True
+            rows[:, column], (one.goal, one.seen), (FAINT, GOOD if one.reached else BAD), strict=True
         ):
-            axes.imshow(image, interpolation="nearest")
+            axes.imshow(image)
             axes.set(xticks=[], yticks=[])
-            axes.spines[:].set(color=edge, linewidth=2.5)
-        rows[1][column].set_xlabel(f"step {one.step} · {one.confidence:.2f}", fontsize=11, color=_INK, labelpad=5)
-    for row, name in zip(rows, ("goal", "seen"), strict=True):
-        row[0].set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, color=_INK, labelpad=8)
-    figure.savefig(path)
+            axes.spines[:].set(visible=True, color=edge, linewidth=2.5)
+        rows[1][column].set_xlabel(f"step {one.step} · {one.confidence:.2f}", labelpad=5)
+    for axes, name in zip(rows[:, 0], ("goal", "seen"), strict=True):
+        axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, labelpad=8)
+    return figure
 
 
-def draw_rewards(path: Path, examples: Sequence[RewardExample]) -> None:
-    """Writes a PNG with a row per image: the image, the heatmap of each phrase, the similarity of each text."""
+@figure_style()
+def rewards_figure(examples: Sequence[RewardExample]) -> "Figure":
+    """Returns a row per image: the image, the heatmap of each phrase, the texts, and the similarity of each."""
     height = 2.5 * len(examples) + 1.1
     figure = _figure(
         height,
         "Where the things are, and which sentence fits best",
-        "first held-out image of each relation, of two blocks and of four; green: the true sentence wins; "
-        "learned from unlabelled images and noun phrases",
+        "first held-out image of each relation, of two blocks and of four; \N{CHECK MARK}: the true sentence; "
+        "green: it wins, red: another does; learned from unlabelled images and noun phrases",
         left=0.02,
         top=1 - 0.95 / height,
     )
-    columns = 1 + len(examples[0].phrases) + 1
-    ratios = [1.0] * (columns - 1) + [2.2]
-    rows = figure.subplots(len(examples), columns, squeeze=False, gridspec_kw={"width_ratios": ratios, "wspace": 0.08})
+    columns = 1 + len(examples[0].phrases) + 2
+    ratios = [1.0] * (columns - 2) + [1.35, 0.95]
+    rows = figure.subplots(len(examples), columns, squeeze=False, gridspec_kw={"width_ratios": ratios, "wspace": 0.06})
     figure.subplots_adjust(right=0.98, bottom=0.25 / height, hspace=0.16)
     for axes, one in zip(rows, examples, strict=True):
         _draw_image(axes[0], one.image, "")
         for column, (phrase, heatmap, pixel) in enumerate(zip(one.phrases, one.heatmaps, one.pixels, strict=True), 1):
             _draw_image(axes[column], _overlaid(one.image, heatmap), phrase)
-            axes[column].plot(*pixel, "+", color=_PAPER, markersize=14, markeredgewidth=2.2)
+            axes[column].plot(*pixel, "+", color=PAPER, markersize=14, markeredgewidth=2.2)
+        _draw_texts(axes[-2], one)
         _draw_similarities(axes[-1], one)
-    figure.savefig(path)
+    return figure
 
 
-def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[str, Mapping[str, Measured]]) -> None:
-    """Writes a PNG of a training: its learned return by iteration, and beside it panels of oracle returns by policy."""
+@figure_style()
+def returns_figure(curve: Sequence[tuple[int, float]], bars: Mapping[str, Mapping[str, Measured]]) -> "Figure":
+    """Returns a training's learned return by iteration, and beside it panels of oracle returns by policy."""
     figure = _figure(
         5.2,
         "PPO from random weights, then distillation into a policy that is told in words what to do",
@@ -179,25 +182,18 @@ def draw_returns(path: Path, curve: Sequence[tuple[int, float]], bars: Mapping[s
     top = 1.1 * max(each.high or each.value for group in bars.values() for each in group.values())
     for panel, (name, group) in zip(panels, bars.items(), strict=True):
         _draw_bars(panel, group, name=name, top=top)
-    figure.savefig(path)
-
-
-def _figure(height: float, title: str, subtitle: str, *, left: float, top: float) -> Any:
-    """Returns a figure with a title and a subtitle above `top`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14, height), dpi=140, facecolor=_PAPER)
-    figure.subplots_adjust(left=left, top=top)
-    figure.text(left, 1 - 0.38 / height, title, fontsize=16, fontweight="bold", color=_INK)
-    figure.text(left, 1 - 0.68 / height, subtitle, fontsize=11, color=_FAINT)
     return figure
 
 
-def _skill_colour(skill: str, index: int) -> str:
-    """Returns the colour that a skill's name mentions, else one by its index."""
-    words = skill.replace("_", "-").split("-")
-    named = (_SKILL_COLOURS[word] for word in words if word in _SKILL_COLOURS)
-    return next(named, _OTHER_COLOURS[index % len(_OTHER_COLOURS)])
+def _figure(height: float, title: str, subtitle: str, *, left: float, top: float) -> "Figure":
+    """Returns a figure with a title and a subtitle above `top`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, height))
+    figure.subplots_adjust(left=left, top=top)
+    figure.text(left, 1 - 0.38 / height, title, fontsize=16, fontweight="bold")
+    figure.text(left, 1 - 0.68 / height, subtitle, color=FAINT)
+    return figure
 
 
 def _draw_film(axes: Any, frames: Image) -> None:
@@ -210,40 +206,30 @@ def _draw_film(axes: Any, frames: Image) -> None:
     _draw_image(axes, strip, "")
 
 
-def _draw_labels(axes: Any, name: str, labels: npt.NDArray[np.int64], skills: tuple[str, ...]) -> None:
+def _draw_labels(axes: Any, name: str, labels: npt.NDArray[np.int64], colours: Sequence[str]) -> None:
     starts = np.flatnonzero(np.diff(labels, prepend=-1))
     lengths = np.diff(np.append(starts, len(labels)))
-    colours = [_skill_colour(skills[skill], skill) for skill in labels[starts].tolist()]
-    axes.barh(0, lengths, left=starts, height=1, color=colours, edgecolor=_PAPER, linewidth=1.5)
+    of_segments = [colours[skill] for skill in labels[starts].tolist()]
+    axes.barh(0, lengths, left=starts, height=1, color=of_segments, edgecolor=PAPER, linewidth=1.5)
     axes.set(xlim=(0, len(labels)), ylim=(-0.5, 0.5), yticks=[], xticks=[])
-    axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, color=_INK)
+    axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12)
     axes.spines[:].set_visible(False)
 
 
 def _draw_confidence(axes: Any, trajectory: LabelledTrajectory) -> None:
     steps = np.arange(len(trajectory.confidence)) + 0.5
-    axes.fill_between(steps, trajectory.confidence, color=_QUIET, linewidth=0)
-    axes.plot(steps, trajectory.confidence, color=_INK, linewidth=1.4)
+    axes.fill_between(steps, trajectory.confidence, color=QUIET, linewidth=0)
+    axes.plot(steps, trajectory.confidence, color=INK, linewidth=1.4)
     wrong = np.flatnonzero(trajectory.labels != trajectory.truth)
-    axes.plot(wrong + 0.5, np.full(len(wrong), 0.04), "|", color=_BAD, markersize=7)
+    axes.plot(wrong + 0.5, np.full(len(wrong), 0.04), "|", color=BAD, markersize=7)
     axes.set(xlim=(0, len(steps)), ylim=(0, 1.05), yticks=[0, 1])
-    axes.set_ylabel("confidence", rotation=0, ha="right", va="center", fontsize=12, color=_INK)
-    axes.set_xlabel("timestep", fontsize=11, color=_FAINT)
-    _style_axes(axes)
-
-
-def _draw_legend(figure: Any, trajectory: LabelledTrajectory) -> None:
-    from matplotlib.patches import Patch
-
-    used = sorted(set(trajectory.truth.tolist()) | set(trajectory.labels.tolist()))
-    skills = trajectory.skills
-    handles = [Patch(color=_skill_colour(skills[index], index), label=skills[index]) for index in used]
-    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=11, labelcolor=_INK)
+    axes.set_ylabel("confidence", rotation=0, ha="right", va="center", fontsize=12)
+    axes.set_xlabel("timestep", color=FAINT)
 
 
 def _draw_image(axes: Any, image: Image, name: str) -> None:
-    axes.imshow(image, interpolation="nearest")
-    axes.set_title(name, fontsize=10.5, color=_INK, pad=4)
+    axes.imshow(image)
+    axes.set_title(name, loc="center", pad=4)
     axes.axis("off")
 
 
@@ -256,46 +242,47 @@ def _overlaid(image: Image, heatmap: npt.NDArray[np.float32]) -> Image:
     return np.asarray(image * (1 - share) * 0.6 + warm * (0.4 * (1 - share) + share), np.uint8)
 
 
-def _draw_similarities(axes: Any, one: RewardExample) -> None:
-    """Draws a bar per text; the winner is green where it is true, else red, and the true text is marked."""
-    winner, places = int(np.argmax(one.similarities)), np.arange(len(one.texts))
-    colours = [_QUIET] * len(one.texts)
-    colours[winner] = _GOOD if winner == one.truth else _BAD
-    axes.barh(places, one.similarities, color=colours, height=0.72)
-    axes.axvline(0, color=_FAINT, linewidth=0.8)
-    left = axes.get_xlim()[0]
+def _draw_texts(axes: Any, one: RewardExample) -> None:
+    """Writes the texts, each level with its bar; the true one is marked."""
     for place, text in enumerate(one.texts):
-        weight = "bold" if place == winner else "normal"
-        mark = " (true)" if place == one.truth != winner else ""
-        axes.text(left, place, f" {text}{mark}", va="center", fontsize=10, color=_INK, fontweight=weight)
-    axes.set(yticks=[], xticks=[])
-    axes.invert_yaxis()
+        is_true = place == one.truth
+        mark, weight = ("\N{CHECK MARK} ", "bold") if is_true else ("", "normal")
+        axes.text(1, place, mark + text, ha="right", va="center", fontsize=9.5, fontweight=weight)
+    axes.set(xlim=(0, 1), ylim=_level(one))
+    axes.axis("off")
+
+
+def _draw_similarities(axes: Any, one: RewardExample) -> None:
+    """Draws a bar per text; the winner is green where it is true, else red."""
+    winner = int(np.argmax(one.similarities))
+    colours = [QUIET] * len(one.texts)
+    colours[winner] = GOOD if winner == one.truth else BAD
+    axes.barh(np.arange(len(one.texts)), one.similarities, color=colours, height=0.72)
+    axes.axvline(0, color=FAINT, linewidth=0.8)
+    axes.set(yticks=[], xticks=[], ylim=_level(one))
     axes.spines[:].set_visible(False)
+
+
+def _level(one: RewardExample) -> tuple[float, float]:
+    """Returns the vertical limits of texts and bars: the first text is above."""
+    return len(one.texts) - 0.5, -0.5
 
 
 def _draw_curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
     """Draws the returns, faint, and their moving average."""
     iterations, returns = np.array(curve).T
     near = np.abs(iterations[:, None] - iterations) <= _SMOOTHING_REACH
-    axes.fill_between(iterations, returns, color=_QUIET, alpha=0.6, linewidth=0)
-    axes.plot(iterations, near @ returns / near.sum(axis=1), color=_INK, linewidth=2.2)
+    axes.fill_between(iterations, returns, color=QUIET, alpha=0.6, linewidth=0)
+    axes.plot(iterations, near @ returns / near.sum(axis=1), color=INK, linewidth=2.2)
     axes.set(xlim=(iterations[0], iterations[-1]), ylim=(0, None))
-    axes.set_xlabel("iterations", fontsize=11, color=_FAINT)
-    axes.set_title("return by the learned reward", fontsize=12, color=_INK, loc="left")
-    _style_axes(axes)
+    axes.set_xlabel("iterations", color=FAINT)
+    axes.set_title("return by the learned reward", fontsize=12)
 
 
 def _draw_bars(axes: Any, bars: Mapping[str, Measured], *, name: str, top: float) -> None:
     means = np.array([each.value for each in bars.values()])
     low, high = np.transpose([each.interval or (each.value, each.value) for each in bars.values()])
-    axes.bar(list(bars), means, yerr=(means - low, high - means), color=_QUIET, width=0.62, ecolor=_INK, capsize=5)
-    axes.set_title(name, fontsize=12, color=_INK, loc="left")
+    axes.bar(list(bars), means, yerr=(means - low, high - means), color=QUIET, width=0.62, ecolor=INK, capsize=5)
+    axes.set_title(name, fontsize=12)
     axes.set(ylim=(0, top))
-    _style_axes(axes)
-    axes.tick_params(axis="x", labelsize=9.5, labelcolor=_INK)
-
-
-def _style_axes(axes: Any) -> None:
-    axes.tick_params(colors=_FAINT, labelsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_FAINT)
+    axes.tick_params(axis="x", labelsize=9.5, labelcolor=INK)

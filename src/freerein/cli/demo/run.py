@@ -87,10 +87,10 @@ async def _run_pipeline(
 async def _draw(out: Path, results: Results, curve: list[tuple[int, float]], reward: RewardClient) -> None:
     for task in ("grid", "blocks"):
         labelled = labelled_trajectory(results, f"{task}-labels")
-        pictures.draw_timeline(out / f"timeline-{task}.png", labelled, task=task)
-    pictures.draw_rewards(out / "rewards.png", await reward_examples(results, reward))
-    pictures.draw_filmstrip(out / "filmstrip.png", filmstrip(results))
-    pictures.draw_returns(out / "ppo.png", curve, _returns_by_panel(results))
+        pictures.timeline_figure(labelled, task=task).savefig(out / f"timeline-{task}.png")
+    pictures.rewards_figure(await reward_examples(results, reward)).savefig(out / "rewards.png")
+    pictures.filmstrip_figure(filmstrip(results)).savefig(out / "filmstrip.png")
+    pictures.returns_figure(curve, _returns_by_panel(results)).savefig(out / "ppo.png")
 
 
 def _returns_by_panel(results: Results) -> dict[str, Mapping[str, Measured]]:

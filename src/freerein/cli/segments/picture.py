@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freerein.cli.figure_style import FAINT, INK, draw_legend, figure_style, skill_colours
 from freerein.cli.segments.timeline import Timeline
 from freerein.types.segmentation import NO_SKILL
 
 FILM_FRAMES = 9
 
-_INK, _FAINT, _NONE = "#1f2430", "#8b93a3", "#eef0f4"
+_NONE = "#eef0f4"
 
 
+@figure_style()
 def draw(path: Path, timeline: Timeline, film: Sequence[npt.NDArray[np.uint8]]) -> None:
     """Writes a PNG: some frames, the skill of each timestep, its confidence, and how familiar it is.
 
@@ -26,50 +28,38 @@ def draw(path: Path, timeline: Timeline, film: Sequence[npt.NDArray[np.uint8]]) 
     from matplotlib.figure import Figure
 
     answer = timeline.answer
-    figure = Figure(figsize=(14, 4.6 if film else 3.0), dpi=140, facecolor="white")
+    figure = Figure(figsize=(14, 5.0 if film else 3.4))
     heights = [2.2, 0.7, 1.1] if film else [0.7, 1.1]
     rows: Any = figure.subplots(len(heights), 1, gridspec_kw={"height_ratios": heights, "hspace": 0.25})
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.2, top=0.97)
+    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.27 if film else 0.35, top=0.92)
+    figure.suptitle("Skill timeline", x=0.085, ha="left", fontweight="bold")
     if film:
         _draw_film(rows[0], film)
     end_s = float(timeline.time_s[-1])
-    colours = _colours(len(answer.skills))
+    colours = skill_colours(answer.skills)
     _draw_skills(rows[-2], timeline, colours)
     middle = (timeline.time_s[:-1] + timeline.time_s[1:]) / 2
-    rows[-1].plot(middle, answer.confidence, color=_INK, linewidth=1.4, label="confidence")
-    rows[-1].plot(middle, answer.in_distribution, color=_FAINT, linewidth=1.0, label="in distribution")
-    rows[-1].set(xlim=(float(timeline.time_s[0]), end_s), ylim=(0, 1.05), yticks=[0, 1], xlabel="seconds")
-    rows[-1].legend(loc="lower right", fontsize=8, frameon=False)
-    _draw_legend(figure, answer.skills, colours, has_none=bool((answer.labels == NO_SKILL).any()))
+    rows[-1].plot(middle, answer.confidence, color=INK, linewidth=1.4, label="confidence")
+    rows[-1].plot(middle, answer.in_distribution, color=FAINT, linewidth=1.0, label="in-distribution score")
+    rows[-1].set(xlim=(float(timeline.time_s[0]), end_s), ylim=(0, 1.05), yticks=[0, 1], xlabel="time (s)")
+    rows[-1].legend(loc="lower right", fontsize=8)
+    has_none = bool((answer.labels == NO_SKILL).any())
+    draw_legend(figure, [*answer.skills, *(["none"] * has_none)], [*colours, *([_NONE] * has_none)])
     figure.savefig(path)
 
 
 def _draw_film(axes: Any, film: Sequence[npt.NDArray[np.uint8]]) -> None:
     colour = [np.broadcast_to(frame, (*frame.shape[:2], 3)) for frame in film]
-    axes.imshow(np.concatenate(colour, axis=1), aspect="auto", interpolation="nearest")
+    axes.imshow(np.concatenate(colour, axis=1), aspect="auto")
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
 
 
-def _draw_skills(axes: Any, timeline: Timeline, colours: Sequence[Any]) -> None:
+def _draw_skills(axes: Any, timeline: Timeline, colours: Sequence[str]) -> None:
     for segment in timeline.answer.segments:
         start, end = timeline.time_s[segment.start], timeline.time_s[segment.end]
         colour = colours[timeline.answer.skills.index(segment.skill)]
         axes.axvspan(start, end, color=colour, linewidth=0)
     axes.set(xlim=(timeline.time_s[0], timeline.time_s[-1]), xticks=[], yticks=[], facecolor=_NONE)
-    axes.set_ylabel("skill", rotation=0, ha="right", va="center", color=_INK)
+    axes.set_ylabel("skill", rotation=0, ha="right", va="center")
     axes.spines[:].set_visible(False)
-
-
-def _draw_legend(figure: Any, skills: Sequence[str], colours: Sequence[Any], *, has_none: bool) -> None:
-    from matplotlib.patches import Patch
-
-    patches = [Patch(color=colour, label=skill) for skill, colour in zip(skills, colours, strict=True)]
-    patches += [Patch(color=_NONE, label="none")] if has_none else []
-    figure.legend(handles=patches, loc="lower center", ncols=min(8, len(patches)), fontsize=9, frameon=False)
-
-
-def _colours(count: int) -> list[Any]:
-    from matplotlib import colormaps
-
-    return [colormaps["tab20" if count > 10 else "tab10"](index % 20) for index in range(count)]
