@@ -29,6 +29,11 @@ def bounds_of(field: FieldDescriptor) -> Bounds:
     return Bounds(options[common_pb2.max_items], options[common_pb2.max_length])
 
 
+def datatypes_of(field: FieldDescriptor) -> tuple[str, ...]:
+    """Returns the datatypes that a field may have, a `Tensor` or a map of them; empty where the contract names none."""
+    return tuple(field.GetOptions().Extensions[common_pb2.datatypes].split())
+
+
 def check_bounds(value: Any, bounds: Bounds, path: str) -> None:
     """Raises InvalidInput when a string, list or map, of the dotted name `path`, is beyond its bounds."""
     if bounds.max_items and len(value) > bounds.max_items:

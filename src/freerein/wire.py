@@ -115,10 +115,16 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
     return cls(**values)
 
 
-def to_json(value: Any) -> dict[str, Any]:
-    """Returns a dataclass as JSON values: dicts, lists, strings, numbers; bytes as base64."""
+def tensor_json(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
+    """Returns an array as the JSON values of a `Tensor`."""
+    datatype, shape, raw = tensors.encode(array)
+    return {"datatype": datatype, "shape": list(shape), "raw": base64.b64encode(raw).decode("ascii")}
+
+
+def to_json(value: Any, *, write_tensor: Callable[["np.ndarray[Any, Any]"], Any] = tensor_json) -> dict[str, Any]:
+    """Returns a dataclass as JSON values: dicts, lists, strings, numbers; bytes as base64, arrays by `write_tensor`."""
     return {
-        field.name: _json(getattr(value, field.name), field.descriptor)
+        field.name: _json(getattr(value, field.name), field.descriptor, write_tensor)
         for field in _layout(type(value))
         if getattr(value, field.name) is not None
     }
@@ -340,19 +346,14 @@ def _number(value: float, path: str) -> float:
 # --- dataclass -> JSON
 
 
-def _json(value: Any, descriptor: FieldDescriptor) -> Any:
+def _json(value: Any, descriptor: FieldDescriptor, write_tensor: _Write) -> Any:
     if isinstance(value, np.ndarray):
-        return value.tolist() if descriptor.message_type is None else _tensor_json(value)
+        return value.tolist() if descriptor.message_type is None else write_tensor(value)
     if isinstance(value, bytes):
         return base64.b64encode(value).decode("ascii")
     if isinstance(value, tuple):
-        return [_json(item, descriptor) for item in value]
+        return [_json(item, descriptor, write_tensor) for item in value]
     if isinstance(value, dict):
         entry = _map_value(descriptor)
-        return {key: _json(item, entry) if entry else item for key, item in value.items()}
-    return to_json(value) if descriptor.message_type is not None else value
-
-
-def _tensor_json(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
-    datatype, shape, raw = tensors.encode(array)
-    return {"datatype": datatype, "shape": list(shape), "raw": base64.b64encode(raw).decode("ascii")}
+        return {key: _json(item, entry, write_tensor) if entry else item for key, item in value.items()}
+    return to_json(value, write_tensor=write_tensor) if descriptor.message_type is not None else value

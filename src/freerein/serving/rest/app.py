@@ -22,7 +22,7 @@ from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest import body
+from freerein.serving.rest import body, pictures, tensor_lists
 from freerein.serving.rest.docs_page import add_docs_page
 from freerein.serving.rest.middleware import RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
@@ -62,7 +62,7 @@ def make_app(
         app.router.add_websocket_route(PATH, endpoint.serve)
     app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
-    app.openapi = cache(lambda: openapi_document(app, served))  # type: ignore[method-assign]  # FastAPI's documented way
+    app.openapi = cache(lambda: openapi_document(app, served, service=name))  # type: ignore[method-assign]  # FastAPI's documented way
     paths = {method.path for method in served}
     app.add_middleware(RequestMiddleware, metrics=metrics, limits=limits, token=token, paths=paths)
     if origins:  # outermost: a browser asks for leave without the token
@@ -82,10 +82,32 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
             message = body.read_query(request, method.request)
         else:
             message = await body.read(request, method.request)
-        response = await _unless_disconnected(request, method.call(message), limits.unary_s)
-        return Response(orjson.dumps(wire.to_json(response)), media_type=MEDIA_TYPES["reply"])
+        write = _writer(request, method)
+        return await write(await _unless_disconnected(request, method.call(message), limits.unary_s))
 
     return answer
+
+
+def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Response]]:
+    """Returns what writes a reply in the form that a request asks for."""
+
+    async def json_reply(response: Any) -> Response:
+        values = tensor_lists.reply_json(response) if form else wire.to_json(response)
+        return Response(orjson.dumps(values), media_type=MEDIA_TYPES["reply"])
+
+    async def png_reply(response: Any) -> Response:
+        return Response(await asyncio.to_thread(pictures.png_of, response.frames), media_type=pictures.MEDIA_TYPE)
+
+    form = "" if method.reads else request.query_params.get(tensor_lists.PARAMETER, "")
+    if form not in ("", tensor_lists.LIST):
+        raise InvalidInput(
+            f"`{tensor_lists.PARAMETER}` must be `{tensor_lists.LIST}`; it is something else.",
+            field=tensor_lists.PARAMETER,
+            hint="Leave it out for tensors in base64.",
+        )
+    if pictures.holds_frames(method.descriptor.output_type) and pictures.wants_png(request.headers.get("accept", "")):
+        return png_reply
+    return json_reply
 
 
 def _stream(method: Method, slots: Slots) -> _Endpoint:

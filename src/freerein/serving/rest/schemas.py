@@ -5,6 +5,7 @@ They check the types of a request; the core checks its values, for REST and gRPC
 
 import binascii
 from base64 import b64decode
+from collections.abc import Sequence
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -13,10 +14,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, Js
 
 from freerein import tensors, wire
 from freerein.api.common.v1 import common_pb2
-from freerein.field_bounds import bounds_of
+from freerein.field_bounds import bounds_of, datatypes_of
 from freerein.serving.rest.comments import comment_of
+from freerein.serving.rest.tensor_lists import OrList
 
 STRUCT = "google.protobuf.Struct"
+_DATATYPES = ("FP32", "INT64")
+"""Of a tensor whose field names none: one of a reply."""
+
 _INTEGERS = {
     FieldDescriptor.TYPE_UINT32: (0, 2**32 - 1),
     FieldDescriptor.TYPE_UINT64: (0, 2**64 - 1),
@@ -84,7 +89,7 @@ def _field(field: FieldDescriptor) -> Any:
     message = field.message_type
     max_items, max_length = bounds_of(field)
     if message is not None and message.GetOptions().map_entry:
-        value = _type(message.fields_by_name["value"])
+        value = _type(message.fields_by_name["value"], datatypes_of(field))
         return Annotated[dict[_text(max_length), value], _shown(maxProperties=max_items)], {}  # type: ignore[misc]  # made at run time
     if field.is_repeated:
         each = _text(max_length) if field.type == FieldDescriptor.TYPE_STRING else _type(field)
@@ -107,7 +112,10 @@ def _shown(**bound: int) -> Any:
     return Field(json_schema_extra={key: most for key, most in bound.items() if most})
 
 
-def _type(field: FieldDescriptor) -> Any:
+def _type(field: FieldDescriptor, datatypes: Sequence[str] = ()) -> Any:
+    """Returns the type of one value; `datatypes` are those of a map's tensors."""
+    if field.message_type is common_pb2.Tensor.DESCRIPTOR:
+        return Annotated[schema_of(field.message_type), OrList(datatypes or datatypes_of(field) or _DATATYPES)]
     if field.message_type is not None:
         return dict[str, JsonValue] if field.message_type.full_name == STRUCT else schema_of(field.message_type)
     if field.enum_type is not None:

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import descriptor_pb2 as google_dot_protobuf_dot_descriptor__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/common/v1/common.proto\x12\x16\x66reerein.api.common.v1\x1a google/protobuf/descriptor.proto\"B\n\x06Tensor\x12\x16\n\x08\x64\x61tatype\x18\x01 \x01(\tB\x04\x88\xb5\x18\x08\x12\x13\n\x05shape\x18\x02 \x03(\x03\x42\x04\x90\xb5\x18\x08\x12\x0b\n\x03raw\x18\x03 \x01(\x0c\"\x92\x02\n\x05Image\x12\x38\n\x08\x65ncoding\x18\x01 \x01(\x0e\x32&.freerein.api.common.v1.Image.Encoding\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0c\n\x04\x64\x61ta\x18\x04 \x01(\x0c\x12\x14\n\x06\x63\x61mera\x18\x05 \x01(\tB\x04\x88\xb5\x18@\"\x8b\x01\n\x08\x45ncoding\x12\x18\n\x14\x45NCODING_UNSPECIFIED\x10\x00\x12\x15\n\x11\x45NCODING_RAW_RGB8\x10\x01\x12\x16\n\x12\x45NCODING_RAW_GRAY8\x10\x02\x12\x10\n\x0c\x45NCODING_PNG\x10\x03\x12\x11\n\rENCODING_JPEG\x10\x04\x12\x11\n\rENCODING_WEBP\x10\x05\"\xa3\x02\n\nTrajectory\x12>\n\x06\x66rames\x18\x01 \x03(\x0b\x32..freerein.api.common.v1.Trajectory.FramesEntry\x12/\n\x07\x61\x63tions\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x0e\n\x06skills\x18\x03 \x03(\t\x12\x11\n\tgoal_text\x18\x04 \x01(\t\x12\x32\n\nterminated\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\"M\n\x06\x43\x61mera\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\"o\n\nActionSpec\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x0f\n\x07\x63hoices\x18\x02 \x01(\r\x12\x18\n\x05names\x18\x03 \x03(\tB\t\x88\xb5\x18@\x90\xb5\x18\x80 \x12\x12\n\x04unit\x18\x04 \x01(\tB\x04\x88\xb5\x18@\x12\x14\n\x05scale\x18\x05 \x03(\x01\x42\x05\x90\xb5\x18\x80\x02\"B\n\x0bObservation\x12\x33\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x04\x90\xb5\x18\x10\"l\n\x04Goal\x12\x34\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80 \x12\x19\n\x06recipe\x18\x02 \x03(\tB\t\x88\xb5\x18@\x90\xb5\x18\x80\x02\x12\x13\n\x04text\x18\x03 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"5\n\x08ModelRef\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"x\n\x06Timing\x12\x10\n\x08queue_ns\x18\x01 \x01(\x04\x12\x11\n\tdecode_ns\x18\x02 \x01(\x04\x12\x10\n\x08infer_ns\x18\x03 \x01(\x04\x12\x11\n\tencode_ns\x18\x04 \x01(\x04\x12\x10\n\x08total_ns\x18\x05 \x01(\x04\x12\x12\n\nbatch_size\x18\x06 \x01(\r\"Y\n\x05\x45rror\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x0c\n\x04hint\x18\x04 \x01(\t\x12\x15\n\rretry_after_s\x18\x05 \x01(\x01\"\x1e\n\x08\x44raining\x12\x12\n\ndeadline_s\x18\x01 \x01(\x01:3\n\nmax_length\x12\x1d.google.protobuf.FieldOptions\x18\xd1\x86\x03 \x01(\r:2\n\tmax_items\x12\x1d.google.protobuf.FieldOptions\x18\xd2\x86\x03 \x01(\rb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/common/v1/common.proto\x12\x16\x66reerein.api.common.v1\x1a google/protobuf/descriptor.proto\"B\n\x06Tensor\x12\x16\n\x08\x64\x61tatype\x18\x01 \x01(\tB\x04\x88\xb5\x18\x08\x12\x13\n\x05shape\x18\x02 \x03(\x03\x42\x04\x90\xb5\x18\x08\x12\x0b\n\x03raw\x18\x03 \x01(\x0c\"\x92\x02\n\x05Image\x12\x38\n\x08\x65ncoding\x18\x01 \x01(\x0e\x32&.freerein.api.common.v1.Image.Encoding\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0c\n\x04\x64\x61ta\x18\x04 \x01(\x0c\x12\x14\n\x06\x63\x61mera\x18\x05 \x01(\tB\x04\x88\xb5\x18@\"\x8b\x01\n\x08\x45ncoding\x12\x18\n\x14\x45NCODING_UNSPECIFIED\x10\x00\x12\x15\n\x11\x45NCODING_RAW_RGB8\x10\x01\x12\x16\n\x12\x45NCODING_RAW_GRAY8\x10\x02\x12\x10\n\x0c\x45NCODING_PNG\x10\x03\x12\x11\n\rENCODING_JPEG\x10\x04\x12\x11\n\rENCODING_WEBP\x10\x05\"\xc8\x02\n\nTrajectory\x12I\n\x06\x66rames\x18\x01 \x03(\x0b\x32..freerein.api.common.v1.Trajectory.FramesEntryB\t\x9a\xb5\x18\x05UINT8\x12?\n\x07\x61\x63tions\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12\x0e\n\x06skills\x18\x03 \x03(\t\x12\x11\n\tgoal_text\x18\x04 \x01(\t\x12<\n\nterminated\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x08\x9a\xb5\x18\x04\x42OOL\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\"M\n\x06\x43\x61mera\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x0e\n\x06height\x18\x02 \x01(\r\x12\r\n\x05width\x18\x03 \x01(\r\x12\x10\n\x08\x63hannels\x18\x04 \x01(\r\"o\n\nActionSpec\x12\x0c\n\x04size\x18\x01 \x01(\r\x12\x0f\n\x07\x63hoices\x18\x02 \x01(\r\x12\x18\n\x05names\x18\x03 \x03(\tB\t\x88\xb5\x18@\x90\xb5\x18\x80 \x12\x12\n\x04unit\x18\x04 \x01(\tB\x04\x88\xb5\x18@\x12\x14\n\x05scale\x18\x05 \x03(\x01\x42\x05\x90\xb5\x18\x80\x02\"B\n\x0bObservation\x12\x33\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x04\x90\xb5\x18\x10\"l\n\x04Goal\x12\x34\n\x06images\x18\x01 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80 \x12\x19\n\x06recipe\x18\x02 \x03(\tB\t\x88\xb5\x18@\x90\xb5\x18\x80\x02\x12\x13\n\x04text\x18\x03 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"5\n\x08ModelRef\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"x\n\x06Timing\x12\x10\n\x08queue_ns\x18\x01 \x01(\x04\x12\x11\n\tdecode_ns\x18\x02 \x01(\x04\x12\x10\n\x08infer_ns\x18\x03 \x01(\x04\x12\x11\n\tencode_ns\x18\x04 \x01(\x04\x12\x10\n\x08total_ns\x18\x05 \x01(\x04\x12\x12\n\nbatch_size\x18\x06 \x01(\r\"Y\n\x05\x45rror\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12\r\n\x05\x66ield\x18\x03 \x01(\t\x12\x0c\n\x04hint\x18\x04 \x01(\t\x12\x15\n\rretry_after_s\x18\x05 \x01(\x01\"\x1e\n\x08\x44raining\x12\x12\n\ndeadline_s\x18\x01 \x01(\x01:3\n\nmax_length\x12\x1d.google.protobuf.FieldOptions\x18\xd1\x86\x03 \x01(\r:2\n\tmax_items\x12\x1d.google.protobuf.FieldOptions\x18\xd2\x86\x03 \x01(\r:2\n\tdatatypes\x12\x1d.google.protobuf.FieldOptions\x18\xd3\x86\x03 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -40,6 +40,12 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_IMAGE'].fields_by_name['camera']._serialized_options = b'\210\265\030@'
   _globals['_TRAJECTORY_FRAMESENTRY']._loaded_options = None
   _globals['_TRAJECTORY_FRAMESENTRY']._serialized_options = b'8\001'
+  _globals['_TRAJECTORY'].fields_by_name['frames']._loaded_options = None
+  _globals['_TRAJECTORY'].fields_by_name['frames']._serialized_options = b'\232\265\030\005UINT8'
+  _globals['_TRAJECTORY'].fields_by_name['actions']._loaded_options = None
+  _globals['_TRAJECTORY'].fields_by_name['actions']._serialized_options = b'\232\265\030\nFP32 INT64'
+  _globals['_TRAJECTORY'].fields_by_name['terminated']._loaded_options = None
+  _globals['_TRAJECTORY'].fields_by_name['terminated']._serialized_options = b'\232\265\030\004BOOL'
   _globals['_CAMERA'].fields_by_name['name']._loaded_options = None
   _globals['_CAMERA'].fields_by_name['name']._serialized_options = b'\210\265\030@'
   _globals['_ACTIONSPEC'].fields_by_name['names']._loaded_options = None
@@ -67,23 +73,23 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_IMAGE_ENCODING']._serialized_start=301
   _globals['_IMAGE_ENCODING']._serialized_end=440
   _globals['_TRAJECTORY']._serialized_start=443
-  _globals['_TRAJECTORY']._serialized_end=734
-  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_start=657
-  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_end=734
-  _globals['_CAMERA']._serialized_start=736
-  _globals['_CAMERA']._serialized_end=813
-  _globals['_ACTIONSPEC']._serialized_start=815
-  _globals['_ACTIONSPEC']._serialized_end=926
-  _globals['_OBSERVATION']._serialized_start=928
-  _globals['_OBSERVATION']._serialized_end=994
-  _globals['_GOAL']._serialized_start=996
-  _globals['_GOAL']._serialized_end=1104
-  _globals['_MODELREF']._serialized_start=1106
-  _globals['_MODELREF']._serialized_end=1159
-  _globals['_TIMING']._serialized_start=1161
-  _globals['_TIMING']._serialized_end=1281
-  _globals['_ERROR']._serialized_start=1283
-  _globals['_ERROR']._serialized_end=1372
-  _globals['_DRAINING']._serialized_start=1374
-  _globals['_DRAINING']._serialized_end=1404
+  _globals['_TRAJECTORY']._serialized_end=771
+  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_start=694
+  _globals['_TRAJECTORY_FRAMESENTRY']._serialized_end=771
+  _globals['_CAMERA']._serialized_start=773
+  _globals['_CAMERA']._serialized_end=850
+  _globals['_ACTIONSPEC']._serialized_start=852
+  _globals['_ACTIONSPEC']._serialized_end=963
+  _globals['_OBSERVATION']._serialized_start=965
+  _globals['_OBSERVATION']._serialized_end=1031
+  _globals['_GOAL']._serialized_start=1033
+  _globals['_GOAL']._serialized_end=1141
+  _globals['_MODELREF']._serialized_start=1143
+  _globals['_MODELREF']._serialized_end=1196
+  _globals['_TIMING']._serialized_start=1198
+  _globals['_TIMING']._serialized_end=1318
+  _globals['_ERROR']._serialized_start=1320
+  _globals['_ERROR']._serialized_end=1409
+  _globals['_DRAINING']._serialized_start=1411
+  _globals['_DRAINING']._serialized_end=1441
 # @@protoc_insertion_point(module_scope)

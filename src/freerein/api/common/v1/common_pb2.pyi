@@ -23,7 +23,9 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class Tensor(_message.Message):
-    """An array."""
+    """An array. Over REST, a plain list of numbers may stand for it, nested by axis: `[[0.1, -0.2]]` has the shape (1, 2) and
+    the datatype that the field says.
+    """
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -459,9 +461,14 @@ Global___Draining: _TypeAlias = Draining  # noqa: Y015
 
 MAX_LENGTH_FIELD_NUMBER: _builtins.int
 MAX_ITEMS_FIELD_NUMBER: _builtins.int
+DATATYPES_FIELD_NUMBER: _builtins.int
 max_length: _extension_dict._ExtensionFieldDescriptor[_descriptor_pb2.FieldOptions, _builtins.int]
 """Greatest number of characters of a string, of each string of a list, or of each key of a map; of a Struct, the
 greatest number of bytes of its JSON.
 """
 max_items: _extension_dict._ExtensionFieldDescriptor[_descriptor_pb2.FieldOptions, _builtins.int]
 """Greatest number of elements of a list or of entries of a map."""
+datatypes: _extension_dict._ExtensionFieldDescriptor[_descriptor_pb2.FieldOptions, _builtins.str]
+"""Datatypes that a Tensor may have, such as `FP32 INT64`. Where it is a list of numbers over REST, whole numbers are
+INT64 where the field may be that; else its datatype is the first.
+"""

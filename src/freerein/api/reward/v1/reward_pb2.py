@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xcd\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12K\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x08\x88\xb5\x18@\x90\xb5\x18\x10\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\x8a\x02\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\t \x03(\t\x12\x17\n\x0fin_distribution\x18\n \x03(\x02J\x04\x08\x06\x10\x07R\runknown_words\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\".\n\rUnknownPhrase\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12\r\n\x05words\x18\x02 \x03(\t\"\xf9\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xff\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xe0\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x06 \x03(\tJ\x04\x08\x03\x10\x04R\runknown_words2\x82\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xd6\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12T\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x11\x88\xb5\x18@\x90\xb5\x18\x10\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\x8a\x02\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\t \x03(\t\x12\x17\n\x0fin_distribution\x18\n \x03(\x02J\x04\x08\x06\x10\x07R\runknown_words\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\".\n\rUnknownPhrase\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12\r\n\x05words\x18\x02 \x03(\t\"\xf9\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xff\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xe0\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x06 \x03(\tJ\x04\x08\x03\x10\x04R\runknown_words2\x82\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,7 +35,7 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REWARDREQUEST_FRAMESENTRY']._loaded_options = None
   _globals['_REWARDREQUEST_FRAMESENTRY']._serialized_options = b'8\001'
   _globals['_REWARDREQUEST'].fields_by_name['frames']._loaded_options = None
-  _globals['_REWARDREQUEST'].fields_by_name['frames']._serialized_options = b'\210\265\030@\220\265\030\020'
+  _globals['_REWARDREQUEST'].fields_by_name['frames']._serialized_options = b'\210\265\030@\220\265\030\020\232\265\030\005UINT8'
   _globals['_REWARDREQUEST'].fields_by_name['images']._loaded_options = None
   _globals['_REWARDREQUEST'].fields_by_name['images']._serialized_options = b'\220\265\030\240\234\001'
   _globals['_REWARDREQUEST'].fields_by_name['goal_text']._loaded_options = None
@@ -51,31 +51,31 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_EMBEDGOALREQUEST'].fields_by_name['goal_text']._loaded_options = None
   _globals['_EMBEDGOALREQUEST'].fields_by_name['goal_text']._serialized_options = b'\210\265\030\320\017'
   _globals['_REWARDREQUEST']._serialized_start=101
-  _globals['_REWARDREQUEST']._serialized_end=562
-  _globals['_REWARDREQUEST_FRAMESENTRY']._serialized_start=415
-  _globals['_REWARDREQUEST_FRAMESENTRY']._serialized_end=492
-  _globals['_REWARDREQUEST_MODE']._serialized_start=494
-  _globals['_REWARDREQUEST_MODE']._serialized_end=553
-  _globals['_REWARDRESPONSE']._serialized_start=565
-  _globals['_REWARDRESPONSE']._serialized_end=831
-  _globals['_GROUNDREQUEST']._serialized_start=834
-  _globals['_GROUNDREQUEST']._serialized_end=972
-  _globals['_GROUNDING']._serialized_start=974
-  _globals['_GROUNDING']._serialized_end=1090
-  _globals['_UNKNOWNPHRASE']._serialized_start=1092
-  _globals['_UNKNOWNPHRASE']._serialized_end=1138
-  _globals['_GROUNDRESPONSE']._serialized_start=1141
-  _globals['_GROUNDRESPONSE']._serialized_end=1390
-  _globals['_DESCRIBEREQUEST']._serialized_start=1393
-  _globals['_DESCRIBEREQUEST']._serialized_end=1575
-  _globals['_DESCRIPTION']._serialized_start=1577
-  _globals['_DESCRIPTION']._serialized_end=1608
-  _globals['_DESCRIBERESPONSE']._serialized_start=1611
-  _globals['_DESCRIBERESPONSE']._serialized_end=1866
-  _globals['_EMBEDGOALREQUEST']._serialized_start=1868
-  _globals['_EMBEDGOALREQUEST']._serialized_end=1961
-  _globals['_EMBEDGOALRESPONSE']._serialized_start=1964
-  _globals['_EMBEDGOALRESPONSE']._serialized_end=2188
-  _globals['_REWARDSERVICE']._serialized_start=2191
-  _globals['_REWARDSERVICE']._serialized_end=2577
+  _globals['_REWARDREQUEST']._serialized_end=571
+  _globals['_REWARDREQUEST_FRAMESENTRY']._serialized_start=424
+  _globals['_REWARDREQUEST_FRAMESENTRY']._serialized_end=501
+  _globals['_REWARDREQUEST_MODE']._serialized_start=503
+  _globals['_REWARDREQUEST_MODE']._serialized_end=562
+  _globals['_REWARDRESPONSE']._serialized_start=574
+  _globals['_REWARDRESPONSE']._serialized_end=840
+  _globals['_GROUNDREQUEST']._serialized_start=843
+  _globals['_GROUNDREQUEST']._serialized_end=981
+  _globals['_GROUNDING']._serialized_start=983
+  _globals['_GROUNDING']._serialized_end=1099
+  _globals['_UNKNOWNPHRASE']._serialized_start=1101
+  _globals['_UNKNOWNPHRASE']._serialized_end=1147
+  _globals['_GROUNDRESPONSE']._serialized_start=1150
+  _globals['_GROUNDRESPONSE']._serialized_end=1399
+  _globals['_DESCRIBEREQUEST']._serialized_start=1402
+  _globals['_DESCRIBEREQUEST']._serialized_end=1584
+  _globals['_DESCRIPTION']._serialized_start=1586
+  _globals['_DESCRIPTION']._serialized_end=1617
+  _globals['_DESCRIBERESPONSE']._serialized_start=1620
+  _globals['_DESCRIBERESPONSE']._serialized_end=1875
+  _globals['_EMBEDGOALREQUEST']._serialized_start=1877
+  _globals['_EMBEDGOALREQUEST']._serialized_end=1970
+  _globals['_EMBEDGOALRESPONSE']._serialized_start=1973
+  _globals['_EMBEDGOALRESPONSE']._serialized_end=2197
+  _globals['_REWARDSERVICE']._serialized_start=2200
+  _globals['_REWARDSERVICE']._serialized_end=2586
 # @@protoc_insertion_point(module_scope)
