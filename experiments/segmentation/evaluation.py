@@ -17,6 +17,7 @@ Labels = npt.NDArray[np.int64]
 Probabilities = npt.NDArray[np.float32]
 
 FRAME_ACCURACY, DECODED_ACCURACY, KEPT_ACCURACY = "frame_accuracy", "decoded_accuracy", "kept_accuracy"
+CONFIDENT_ACCURACY = "confident_kept_accuracy"
 ACTION_LOSS = "action_loss"
 """Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
 see `freerein_segmentation.training.held_out_action_loss`."""
@@ -24,6 +25,9 @@ see `freerein_segmentation.training.held_out_action_loss`."""
 SMOOTHING, LEAST_SEGMENT = 2.0, 5
 """What is decoded: the Gaussian's standard deviation and the shortest segment, in timesteps. Chapter 2 rejects segments
 under 5 timesteps and does not tell its Gaussian."""
+
+LEAST_CONFIDENCE = 0.8
+"""Smoothed probability under which a timestep is rejected where uncertain ones are, too; chosen in `blocks`."""
 
 _BATCH = 128
 _REJECTED = -1
@@ -60,6 +64,11 @@ def reject_short(labels: Labels) -> Labels:
     return np.where(np.repeat(lengths < LEAST_SEGMENT, lengths), _REJECTED, labels)
 
 
+def reject_uncertain(smoothed: Probabilities) -> Labels:
+    """Returns the most probable skills of smoothed probabilities (T, K), with -1 where none is probable enough."""
+    return np.where(smoothed.max(axis=1) < LEAST_CONFIDENCE, _REJECTED, smoothed.argmax(axis=1))
+
+
 def score_guess(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: str) -> Outcome:
     """Returns the figures of labels, int64 (T,) per trajectory; names begin with the split's.
 
@@ -75,20 +84,23 @@ def score(predicted: Sequence[Probabilities], truth: Sequence[Labels], *, split:
     """Returns the figures of probabilities, float32 (T, K) per trajectory.
 
     They are of the most probable skills, as in `score_guess`, of decoded labels, and of what is kept when short
-    segments are rejected, after smoothing and without.
+    segments are rejected, after smoothing and without, and when uncertain timesteps are rejected first.
     """
     raw = [each.argmax(axis=1) for each in predicted]
     found = score_guess(raw, truth, split=split)
     decoded = [decode(each) for each in predicted]
     accuracy = _accuracy(decoded, truth)
     segments = {f"decoded_{name}": value for name, value in _segment_figures(decoded, truth).items()}
-    smoothed = [reject_short(smooth(each, sigma=SMOOTHING).argmax(axis=1)) for each in predicted]
-    kept, kept_figures = _kept(smoothed, truth)
+    smoothed = [smooth(each, sigma=SMOOTHING) for each in predicted]
+    kept, kept_figures = _kept([reject_short(each.argmax(axis=1)) for each in smoothed], truth)
+    confident, confident_figures = _kept([reject_short(reject_uncertain(each)) for each in smoothed], truth)
     unsmoothed, unsmoothed_figures = _kept([reject_short(each) for each in raw], truth)
     figures = {DECODED_ACCURACY: accuracy.mean, **segments, KEPT_ACCURACY: kept.mean, **kept_figures}
+    figures |= {CONFIDENT_ACCURACY: confident.mean}
+    figures |= {f"confident_{name}": value for name, value in confident_figures.items()}
     figures |= {f"unsmoothed_{KEPT_ACCURACY}": unsmoothed.mean}
     figures |= {f"unsmoothed_{name}": value for name, value in unsmoothed_figures.items()}
-    more = _named(split, figures, {DECODED_ACCURACY: accuracy, KEPT_ACCURACY: kept})
+    more = _named(split, figures, {DECODED_ACCURACY: accuracy, KEPT_ACCURACY: kept, CONFIDENT_ACCURACY: confident})
     return Outcome({**found.figures, **more.figures}, {**found.samples, **more.samples})
 
 

@@ -134,6 +134,18 @@ def test_short_segments_are_rejected_and_what_is_kept_is_scored() -> None:
     assert outcome.figures["validation.unsmoothed_least_kept_share"] == pytest.approx(1 / 5)
 
 
+def test_uncertain_timesteps_are_rejected_too() -> None:
+    first = np.repeat([0.95, 0.6], 20)  # of skill 0, which is wrong from timestep 20 on
+    probabilities = np.stack([first, 1 - first], axis=1).astype(np.float32)
+    assert evaluation.reject_uncertain(probabilities).tolist() == [0] * 20 + [-1] * 20
+
+    outcome = evaluation.score([probabilities], [np.repeat([0, 1], 20)], split="validation")
+
+    assert outcome.figures["validation.kept_accuracy"] == 0.5
+    assert outcome.figures["validation.confident_kept_accuracy"] == 1
+    assert outcome.figures["validation.confident_kept_share"] == pytest.approx(0.5, abs=0.05)
+
+
 STUDY = Study(
     DATA,
     methods=(Method("lse", ("causal",), {"objective": "lse"}),),
