@@ -22,6 +22,7 @@ from benchmarks.servers import run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein.clients import Channel, RewardClient, SimClient, SyncClient
 from freerein.learning import weights
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import Checkpoint
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
@@ -32,7 +33,6 @@ from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardF
 from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv, open_groups
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
-from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.object_encoder import load_object_encoder
 from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint

@@ -128,6 +128,8 @@ def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
         act_two("invalid_input", goal=(image(7), wrist(7), image(8))),
         act_two("invalid_input", goal=(image(7), image(8), wrist(7), wrist(8))),
         act_two("invalid_input", goal=(image(7), wrist(7), image(8), wrist(camera=""))),
+        ("PublishPolicy", imitation.PublishPolicyRequest("0" * 32), "not_found"),
+        ("PublishPolicy", imitation.PublishPolicyRequest("../run"), "invalid_input"),
         act("model_fault", seen=image(1)),
         act("output_not_finite", seen=image(2)),
     )

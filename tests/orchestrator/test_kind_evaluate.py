@@ -10,8 +10,8 @@ import torch
 
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning import weights
+from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.policy_files import save_policy
 from freerein_orchestrator.rl.state import init_network
 

@@ -7,7 +7,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.policy_files import NetworkPolicy, load_policy, save_policy
 from freerein_orchestrator.rl.state import init_network
 

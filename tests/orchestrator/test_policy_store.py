@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.policy_files import load_policy, save_policy
 from freerein_orchestrator.rl.state import init_network
 

@@ -1,5 +1,6 @@
 """Runs of kind ppo, with the real sim and reward services: what they leave, and that they survive failures."""
 
+import json
 import signal
 import threading
 from collections.abc import Callable, Mapping
@@ -8,8 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from freerein.cli.__main__ import app
+from freerein.clients import Channel, ImitationClient, SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.types.common import Goal, Image, ModelRef, Observation
+from freerein.types.imitation import ActRequest, ActResponse
 from freerein_orchestrator.rl.policy_files import NetworkPolicy, load_policy
 
 pytestmark = pytest.mark.e2e
@@ -79,6 +85,26 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any]) -> No
         ppo("step", init_from="earlier").check()
     assert more.do()
     assert more.artifact("policy.json")["sha256"] != card["sha256"]
+
+
+def test_a_run_s_policy_is_published_and_answers(
+    ppo: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = ppo("0" * 32, iterations=1)
+    assert run.do()
+    service = start_service("freerein_imitation", tmp_path)
+    monkeypatch.setenv("FREEREIN_IMITATION_ADDRESS", service.address)
+    published = CliRunner().invoke(app, ["models", "publish", "0" * 32, "--name", "stack", "--json"])
+    model = json.loads(published.stdout)
+    assert (model["ref"]["name"], model["active"], model["card"]["task"]) == ("stack", True, TASK)
+    seen = Observation((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3), "front"),))
+    with SyncClient(ImitationClient(Channel(service.address))) as client:
+        goal = Goal(text=model["card"]["goal_text"])
+        reply: ActResponse = client.act(ActRequest(seen, goal, model=ModelRef("stack")))
+    expected = NetworkPolicy(load_policy(run.folder / "artifacts", device="cpu").network)
+    black = np.zeros((1, 64, 64, 3), np.uint8)
+    np.testing.assert_allclose(reply.actions, expected.act(black, np.ones(1, np.bool_)), atol=1e-5)
+    assert reply.in_distribution == 0
 
 
 class Killer:

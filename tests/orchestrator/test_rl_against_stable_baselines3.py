@@ -20,9 +20,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import configure
 
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl import ppo
 from freerein_orchestrator.rl.config import PPOConfig
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.ppo import Batch
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import init_network, init_state, network_spec

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
+from freerein.learning.actor_critic.eye import GoalEye
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
-from freerein_orchestrator.rl.body import BodyEncoder, Exploration, fit_body
-from freerein_orchestrator.rl.eye import GoalEye
 from freerein_orchestrator.rl.object_encoder import load_object_encoder
 
 STEP = 10.0

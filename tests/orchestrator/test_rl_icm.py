@@ -13,6 +13,7 @@ from torch import Tensor
 
 from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints, tensor_files
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.kinds.collect.curiosity import trajectories
 from freerein_orchestrator.rl.config import PPOConfig
@@ -26,7 +27,6 @@ from freerein_orchestrator.rl.icm import (
     intrinsic_rewards,
     update_icm,
 )
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer

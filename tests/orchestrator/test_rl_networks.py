@@ -5,8 +5,8 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein_orchestrator.rl.distributions import Categorical, Gaussian
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.distributions import Categorical, Gaussian
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 
 
 def make(**values: Any) -> ActorCritic:

@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.config import parse
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.ppo import generalised_advantages, training_batch
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect

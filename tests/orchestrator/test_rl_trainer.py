@@ -12,10 +12,10 @@ import torch
 
 from freerein.errors import FailedPrecondition, InvalidInput, OutOfStorage
 from freerein.learning import checkpoints, tensor_files
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.errors import Stopped
-from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer

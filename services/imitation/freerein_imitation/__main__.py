@@ -14,7 +14,7 @@ from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein_imitation.core import ActService, ControlService, PolicyRunner
+from freerein_imitation.core import ActService, ControlService, PolicyRunner, PublishService
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import Policy
 from freerein_imitation.openpi import OpenpiService
@@ -41,6 +41,7 @@ def build(
         lambda models: (
             ActService(models, batcher, timeout_s=limits.unary_s),
             ControlService(models, batcher, health=health, drain_s=limits.drain_s),
+            PublishService(models, settings.data_dir),
         ),
         make_websocket=lambda models: OpenpiService(models, batcher, timeout_s=limits.unary_s).open,
         settings=settings,

@@ -45,6 +45,7 @@ class ImitationClient(Client):
     control = StreamRpc(imitation.ControlRequest, imitation.ControlResponse)
     """First the spec; then a chunk or an error for each observation that no newer one overtook. Never retried; a reply
     with `draining` is unsolicited."""
+    publish_policy = UnaryRpc(imitation.PublishPolicyRequest, imitation.PublishPolicyResponse)
 
 
 class RewardClient(Client):

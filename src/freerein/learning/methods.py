@@ -7,7 +7,7 @@ A method is one `Method`, registered by its name in the service's `Methods`. A f
 import json
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -63,10 +63,12 @@ class Methods(Generic[M_co]):
     Attributes:
         service: Name of the service.
         by_name: The methods; the first is the default.
+        made_elsewhere: As `Method.load`, of models that no fit makes, by the method that their cards name.
     """
 
     service: str
     by_name: Mapping[str, Method[Any, Any, Any, M_co]]
+    made_elsewhere: Mapping[str, Callable[[Path, str], M_co]] = field(default_factory=dict)
 
     def resolve(
         self, data_dir: Path, dataset: str, values: Mapping[str, Any], *, threads: int, **resources: Path
@@ -115,13 +117,14 @@ class Methods(Generic[M_co]):
         Raises:
             InvalidInput: A file is missing or malformed.
         """
-        method = self.by_name.get(str(read_card(folder).get("method")))
-        if method is None:
+        loads = {**{name: method.load for name, method in self.by_name.items()}, **self.made_elsewhere}
+        name = str(read_card(folder).get("method"))
+        if name not in loads:
             raise InvalidInput(
-                f"A model's card must have `method` {' or '.join(self.by_name)}; got another or none.",
+                f"A model's card must have `method` {' or '.join(loads)}; got another or none.",
                 hint="Fit the model again, or restore its folder from a copy.",
             )
-        return method.load(folder, device)
+        return loads[name](folder, device)
 
     def _choose(self, values: Mapping[str, Any]) -> tuple[str, Method[Any, Any, Any, M_co], dict[str, Any]]:
         """Returns the method that a configuration names, and the configuration's other keys."""

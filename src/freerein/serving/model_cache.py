@@ -76,6 +76,18 @@ class ModelCache(Generic[M]):
         full_ref = ModelRef(name, version)
         return full_ref, await self._get(full_ref)
 
+    async def publish(self, name: str, folder: Path) -> ModelRef:
+        """Publishes a folder of files as a version, loads it and makes it the active one.
+
+        Args:
+            name: The model's name.
+            folder: The files, among them `card.json`; moved or removed.
+        """
+        ref = await asyncio.to_thread(self._store.publish, name, folder)
+        await self._get(ref)
+        await asyncio.to_thread(self._store.activate, ref)
+        return ref
+
     async def list_models(self, _request: ListModelsRequest) -> ListModelsResponse:
         """Returns every version of every model."""
         return ListModelsResponse(await asyncio.to_thread(self._store.models))

@@ -4,6 +4,7 @@ The manifest holds the sha256 of every file, and a version is the first 12 hexad
 so a version is immutable. Models are published by one rename, and their files are checked before they are loaded.
 """
 
+import errno
 import hashlib
 import json
 import shutil
@@ -46,12 +47,14 @@ class ModelStore:
         version = hashlib.sha256(manifest).hexdigest()[:12]
         write_atomic(folder / MANIFEST, manifest)
         target = self._root / name / version
-        if target.exists():
-            shutil.rmtree(folder)
-        else:
-            make_folder(target.parent)
+        make_folder(target.parent)
+        try:
             folder.rename(target)
-            fsync_folder(target.parent)
+        except OSError as error:
+            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                raise
+            shutil.rmtree(folder)  # the same files are there already
+        fsync_folder(target.parent)
         return ModelRef(name, version)
 
     def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:

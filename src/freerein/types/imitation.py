@@ -27,6 +27,7 @@ class GetSpecResponse:
         control_dt_s: Time between two actions, in seconds.
         goal_form: Form of its goals.
         skills: Skills that a recipe may name; empty for other goal forms.
+        goal_texts: The only texts that a goal may be; empty for any, and for other goal forms.
         max_steps_per_goal: Control steps after which a goal is abandoned, unless the request says otherwise.
         reached_threshold: A goal counts as reached from this `goal_confidence` on; 1 where the policy does not predict
             it.
@@ -41,6 +42,7 @@ class GetSpecResponse:
     skills: tuple[str, ...]
     max_steps_per_goal: int
     reached_threshold: float
+    goal_texts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,26 @@ class ActResponse:
     model: ModelRef
     timing: Timing
     goal_reached: bool | None = None
+
+
+@dataclass(frozen=True)
+class PublishPolicyRequest:
+    """Requests that the policy of a finished ppo run is served by name.
+
+    Attributes:
+        run: The run's id.
+        model_name: Name of the model; empty for that of the run's task.
+    """
+
+    run: str
+    model_name: str = ""
+
+
+@dataclass(frozen=True)
+class PublishPolicyResponse:
+    """The model, which is active now."""
+
+    model: ModelRef
 
 
 @dataclass(frozen=True, eq=False)

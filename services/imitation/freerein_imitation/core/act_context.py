@@ -99,6 +99,7 @@ def spec_response(model: ModelRef, spec: PolicySpec) -> GetSpecResponse:
         control_dt_s=spec.control_dt_s,
         goal_form=spec.goal_form,
         skills=spec.skills,
+        goal_texts=spec.goal_texts,
         max_steps_per_goal=spec.max_steps_per_goal,
         reached_threshold=spec.reached_threshold,
     )

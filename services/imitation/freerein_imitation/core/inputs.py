@@ -62,7 +62,7 @@ async def parse_goal(spec: PolicySpec, goal: Goal) -> tuple[Subgoal, ...]:
     """
     _check_goal_form(spec, goal)
     if spec.goal_form == "text":
-        return (Subgoal(_digest(goal.text.encode()), goal.text),)
+        return (_parse_text(spec, goal.text),)
     if spec.goal_form == "recipe":
         return tuple(_parse_skill(spec, name, f"goal.recipe.{i}") for i, name in enumerate(goal.recipe))
     is_raw = all(image.encoding in _RAW for image in goal.images)
@@ -187,6 +187,22 @@ def _decode(camera: Camera, image: Image, field: str) -> npt.NDArray[np.uint8]:
 
 def _names(spec: PolicySpec) -> str:
     return ", ".join(camera.name for camera in spec.cameras)
+
+
+def _parse_text(spec: PolicySpec, text: str) -> Subgoal:
+    if spec.goal_texts and _plain(text) not in map(_plain, spec.goal_texts):
+        known = "; ".join(spec.goal_texts)
+        raise InvalidInput(
+            f"`goal.text` must be what this policy was trained for: {known}; got another text.",
+            field="goal.text",
+            hint="Send this text, or name a model that follows others.",
+        )
+    return Subgoal(_digest(text.encode()), text)
+
+
+def _plain(text: str) -> str:
+    """Returns a text without what does not change its meaning: capitals, spaces, a full stop."""
+    return " ".join(text.lower().split()).removesuffix(".")
 
 
 def _parse_skill(spec: PolicySpec, name: str, field: str) -> Subgoal:

@@ -4,6 +4,7 @@ from types import MappingProxyType
 
 from freerein.learning.methods import Methods
 from freerein_imitation.methods import goal_cloning, goal_conditioned, inverse_model, language, skill_cloning, skills
+from freerein_imitation.model import ppo
 from freerein_imitation.model.policy import Policy
 
 METHODS: Methods[Policy] = Methods(
@@ -18,4 +19,5 @@ METHODS: Methods[Policy] = Methods(
             "inverse_model": inverse_model.METHOD,
         }
     ),
+    made_elsewhere=MappingProxyType({ppo.METHOD: ppo.PPOPolicy.load}),
 )

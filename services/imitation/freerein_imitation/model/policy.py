@@ -86,6 +86,7 @@ class PolicySpec(ControlSpec):
         goal_form: Form of its goals.
         horizon: K, actions per output.
         skills: Skills that a recipe may name; empty for other goal forms.
+        goal_texts: The only texts that a goal may be; empty for any.
         recurrent_size: R, numbers of recurrent state.
         predicts_reached: Whether it predicts that a goal is reached.
         keeps_state: Whether the recurrent state is kept from one goal to the next, as it tells of the robot and not of
@@ -97,6 +98,7 @@ class PolicySpec(ControlSpec):
     goal_form: GoalForm
     horizon: int = 1
     skills: tuple[str, ...] = ()
+    goal_texts: tuple[str, ...] = ()
     recurrent_size: int = 0
     predicts_reached: bool = True
     keeps_state: bool = False

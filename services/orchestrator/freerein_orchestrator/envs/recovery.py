@@ -6,10 +6,10 @@ rollout started and it is collected again, to the same bits.
 
 from collections.abc import Callable, Sequence
 
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.envs.retry import Retry
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
-from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer
 
 

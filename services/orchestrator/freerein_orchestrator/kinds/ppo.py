@@ -13,10 +13,15 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 
+import torch
+
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import save_in_distribution
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, parse
+from freerein.learning.in_distribution import InDistribution
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardResponse
@@ -29,15 +34,16 @@ from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
-from freerein_orchestrator.rl.networks import ActorCriticSpec
 from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
 from freerein_orchestrator.rl.policy_files import StoredPolicy, save_policy
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
 from freerein_orchestrator.rl.trainer import Trainer
+from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames
 
 RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
 
 _GROUNDING = "grounding"
+_VISITED_ROLLOUTS = 2  # as many timesteps as in two iterations
 _FIELD = "config.init_from"
 _SUPERVISION: Mapping[RewardForm, str] = {
     "learned": "goal text; the reward model saw images, noun phrases and captions made from pixels",
@@ -111,7 +117,9 @@ def run(context: RunContext, config: PPORunConfig) -> None:
         threads=config.threads,
     )
     state = trainer.train()
-    save_policy(state.network, context.artifacts, card=_card(config, state))
+    save_in_distribution(training.retry.call(lambda: training.in_distribution(state)), context.artifacts)
+    task = training.retry.call(lambda: find_task(training.sims[0], config.task))
+    save_policy(state.network, context.artifacts, card=_card(config, state, task))
 
 
 def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
@@ -188,6 +196,14 @@ class _Training:
         open_envs = partial(self._open_envs, reward_fn, inputs["camera"])
         return RecoveringCollector(open_envs, num_steps=self._config.num_steps, retry=self.retry)
 
+    def in_distribution(self, state: PPOState) -> InDistribution:
+        """Returns how familiar frames are to the trained policy: relative to those that it visits itself."""
+        config, generator = self._config, torch.Generator().manual_seed(self._config.seed)
+        camera = cast(str, state.inputs["camera"])
+        with closing(self._open_envs(zero_reward, camera, ())) as envs:
+            steps = _VISITED_ROLLOUTS * config.num_steps
+            return fit_in_distribution(visited_frames(state.network, envs, generator, num_steps=steps))
+
     def _initial_policy(self, spec: ActorCriticSpec) -> StoredPolicy | None:
         if not self._config.init_from:
             return None
@@ -250,11 +266,14 @@ class _Training:
         )
 
 
-def _card(config: PPORunConfig, state: PPOState) -> dict[str, JSON]:
+def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
     init = cast(Mapping[str, JSON], state.inputs["init"])
     before = f"; the initial policy had this supervision: {init['supervision']}" if init else ""
     return {
         "task": config.task,
+        "action": asdict(task.action),
+        "control_dt_s": task.control_dt_s,
+        "max_episode_steps": task.max_episode_steps,
         **state.inputs,
         "reward": config.reward,
         "supervision": _SUPERVISION[config.reward] + before,

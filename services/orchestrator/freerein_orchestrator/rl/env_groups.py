@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freerein_orchestrator.rl.networks import ActorCritic
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecEnv, VecStep
 

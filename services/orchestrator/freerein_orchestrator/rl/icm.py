@@ -21,13 +21,13 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
 _FORWARD_BATCH = 1024

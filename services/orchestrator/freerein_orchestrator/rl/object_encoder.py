@@ -9,10 +9,10 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files
+from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.config import parse
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
-from freerein_orchestrator.rl.eye import EyeSpec
 
 _PREFIX = "image."
 _HINT = "Choose a reward model that was fitted to frames of this camera, or the encoder `spatial`."

@@ -1,71 +1,17 @@
-"""A trained policy on disk, and acting with it.
+"""Acting with the policy of a ppo run; `freerein.learning.actor_critic` has its files and its network."""
 
-<folder>/policy.safetensors   weights
-         policy.json          card: `spec`, task, reward, supervision, figures
-"""
-
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.errors import InvalidInput
-from freerein.learning import model_files, weights
-from freerein.learning.checkpoints import JSON
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy, save_policy
 from freerein_orchestrator.rl.vec_env import Actions, Observations, env_actions, observation_tensor
 
-KIND = "ppo"
-NAMES = model_files.ModelFileNames("policy.safetensors", "policy.json")
-
-
-@dataclass(frozen=True, eq=False)
-class StoredPolicy:
-    """A trained policy and its card.
-
-    Attributes:
-        network: In evaluation mode.
-        card: Task, reward, supervision, figures.
-    """
-
-    network: ActorCritic
-    card: Mapping[str, Any]
-
-
-def save_policy(network: ActorCritic, folder: Path, *, card: Mapping[str, JSON]) -> None:
-    """Writes a policy as a folder; the card gets the sha256 of the weights.
-
-    Args:
-        network: Trained.
-        folder: Made when missing; its files are overwritten.
-        card: Besides kind and spec.
-    """
-    model_files.save_model(network, folder, card={"kind": KIND, **card, "sha256": weights.sha256(network)}, names=NAMES)
-
-
-def load_policy(folder: Path, *, device: str) -> StoredPolicy:
-    """Returns the policy in a folder.
-
-    Args:
-        folder: Written by `save_policy`; read as untrusted.
-        device: `auto`, `cpu` or `cuda:N`.
-
-    Raises:
-        InvalidInput: A file is missing or malformed, or the card is of other weights.
-    """
-    network = model_files.load_model(folder, ActorCriticSpec, ActorCritic, device=device, names=NAMES)
-    card = model_files.read_card(folder, names=NAMES)
-    if card.get("kind") != KIND or card.get("sha256") != weights.sha256(network):
-        raise InvalidInput(
-            "A policy's card must be of kind ppo and hold the sha256 of its weights; it does not.",
-            hint="Run ppo again, or restore its folder from a copy.",
-        )
-    return StoredPolicy(network, card)
+__all__ = ["NAMES", "NetworkPolicy", "StoredPolicy", "load_policy", "save_policy"]
 
 
 class NetworkPolicy:

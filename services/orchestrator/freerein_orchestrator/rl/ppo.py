@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from freerein.learning.actor_critic.distributions import Distribution
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.rl.config import PPOConfig
-from freerein_orchestrator.rl.distributions import Distribution
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
 _EPSILON = 1e-8

@@ -6,7 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from freerein_orchestrator.rl.networks import ActorCritic
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.rl.vec_env import (
     VecEnv,
     env_actions,

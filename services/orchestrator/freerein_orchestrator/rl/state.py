@@ -14,14 +14,14 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import train_state, weights
+from freerein.learning.actor_critic.body import Exploration
+from freerein.learning.actor_critic.eye import EyeSpec
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
-from freerein_orchestrator.rl.body import Exploration
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
-from freerein_orchestrator.rl.eye import EyeSpec
-from freerein_orchestrator.rl.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rewards import EnvRewards, RewardLearner
 from freerein_orchestrator.rl.rollout import CollectorState

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.networks import ActorCriticSpec
 
 Observations: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 """Frames uint8 (N, H, W, C), or vectors float32 (N, D)."""

@@ -8,15 +8,15 @@ import typer
 from freerein import wire
 from freerein.cli.connection import call, call_each, check_only_unavailable
 from freerein.cli.output import AsJson, command, show_all
-from freerein.clients import ModelClient
+from freerein.clients import ImitationClient, ModelClient
+from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest, Model
 
 _LEARNED = ("segmentation", "imitation", "reward")
 _FINGERPRINT_DIGITS = 12
 
 app = typer.Typer(
-    help="Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their runs: "
-    "see `freerein runs artifacts`.",
+    help="Models of the segmentation, imitation and reward services.",
     no_args_is_help=True,
     add_completion=False,
 )
@@ -48,6 +48,20 @@ def activate(
     request = ActivateModelRequest(name, version, expected_current)
     active = call(ModelClient, service, lambda client: client.activate_model(request)).model
     _show([(service, active)], as_json=as_json)
+
+
+@app.command()
+@command
+def publish(
+    run: Annotated[str, typer.Argument(help="Id of a ppo run that succeeded; see `freerein runs list`.")],
+    name: Annotated[str, typer.Option(help="Model name; that of the run's task when empty.")] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Serve the policy of a ppo run by name, beside the other models of the imitation service."""
+    request = PublishPolicyRequest(run, name)
+    ref = call(ImitationClient, "imitation", lambda client: client.publish_policy(request)).model
+    found = call(ModelClient, "imitation", lambda client: client.list_models(ListModelsRequest())).models
+    _show([("imitation", model) for model in found if model.ref == ref], as_json=as_json)
 
 
 def _show(models: Sequence[tuple[str, Model]], *, as_json: bool) -> None:

@@ -17,6 +17,7 @@ from freerein.clients.dataset_recorder import dataset_spec, open_or_resume
 from freerein.clients.tasks import find_task
 from freerein.data import Writer
 from freerein.errors import FailedPrecondition
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
@@ -29,7 +30,6 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.icm import ICMConfig, ICMRewards
-from freerein_orchestrator.rl.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
 from freerein_orchestrator.rl.trainer import Trainer

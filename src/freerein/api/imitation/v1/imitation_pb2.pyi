@@ -87,6 +87,7 @@ class GetSpecResponse(_message.Message):
     SKILLS_FIELD_NUMBER: _builtins.int
     MAX_STEPS_PER_GOAL_FIELD_NUMBER: _builtins.int
     REACHED_THRESHOLD_FIELD_NUMBER: _builtins.int
+    GOAL_TEXTS_FIELD_NUMBER: _builtins.int
     horizon: _builtins.int
     """Actions per reply, one for each of the next control steps."""
     control_dt_s: _builtins.float
@@ -113,6 +114,10 @@ class GetSpecResponse(_message.Message):
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Skills that a recipe may name; empty for other goal forms."""
 
+    @_builtins.property
+    def goal_texts(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """The only texts that a goal may be; empty for any, and for other goal forms."""
+
     def __init__(
         self,
         *,
@@ -125,10 +130,11 @@ class GetSpecResponse(_message.Message):
         skills: _abc.Iterable[_builtins.str] | None = ...,
         max_steps_per_goal: _builtins.int = ...,
         reached_threshold: _builtins.float = ...,
+        goal_texts: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_form", b"goal_form", "horizon", b"horizon", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "reached_threshold", b"reached_threshold", "skills", b"skills"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_form", b"goal_form", "goal_texts", b"goal_texts", "horizon", b"horizon", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "reached_threshold", b"reached_threshold", "skills", b"skills"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -249,6 +255,56 @@ class ActResponse(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_reached) -> _WhichOneofReturnType__goal_reached | None: ...
 
 Global___ActResponse: _TypeAlias = ActResponse  # noqa: Y015
+
+@_typing.final
+class PublishPolicyRequest(_message.Message):
+    """The policy of a ppo run, and its name as a model."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RUN_FIELD_NUMBER: _builtins.int
+    MODEL_NAME_FIELD_NUMBER: _builtins.int
+    run: _builtins.str
+    """Id of the run, which has succeeded."""
+    model_name: _builtins.str
+    """Name of the model; empty for that of the run's task."""
+    def __init__(
+        self,
+        *,
+        run: _builtins.str = ...,
+        model_name: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["model_name", b"model_name", "run", b"run"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PublishPolicyRequest: _TypeAlias = PublishPolicyRequest  # noqa: Y015
+
+@_typing.final
+class PublishPolicyResponse(_message.Message):
+    """The published model."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MODEL_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def model(self) -> _common_pb2.ModelRef:
+        """The model, which is active now."""
+
+    def __init__(
+        self,
+        *,
+        model: _common_pb2.ModelRef | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PublishPolicyResponse: _TypeAlias = PublishPolicyResponse  # noqa: Y015
 
 @_typing.final
 class ControlRequest(_message.Message):

@@ -50,6 +50,11 @@ class ImitationServiceStub:
                 request_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlResponse.FromString,
                 _registered_method=True)
+        self.PublishPolicy = channel.unary_unary(
+                '/freerein.api.imitation.v1.ImitationService/PublishPolicy',
+                request_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyResponse.FromString,
+                _registered_method=True)
 
 
 class ImitationServiceServicer:
@@ -79,6 +84,14 @@ class ImitationServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def PublishPolicy(self, request, context):
+        """Publishes the policy of a finished ppo run as a model that is served by name, and activates it. Repeating it
+        changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_ImitationServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -96,6 +109,11 @@ def add_ImitationServiceServicer_to_server(servicer, server):
                     servicer.Control,
                     request_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlRequest.FromString,
                     response_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlResponse.SerializeToString,
+            ),
+            'PublishPolicy': grpc.unary_unary_rpc_method_handler(
+                    servicer.PublishPolicy,
+                    request_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -180,6 +198,33 @@ class ImitationService:
             '/freerein.api.imitation.v1.ImitationService/Control',
             freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlRequest.SerializeToString,
             freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def PublishPolicy(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.imitation.v1.ImitationService/PublishPolicy',
+            freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyRequest.SerializeToString,
+            freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.PublishPolicyResponse.FromString,
             options,
             channel_credentials,
             insecure,

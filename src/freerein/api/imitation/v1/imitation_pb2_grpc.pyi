@@ -43,6 +43,10 @@ class ImitationServiceStub:
     """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
     replaced ones are counted. An invalid observation is answered by an error, and the stream continues.
     """
+    PublishPolicy: _grpc.UnaryUnaryMultiCallable[_imitation_pb2.PublishPolicyRequest, _imitation_pb2.PublishPolicyResponse]
+    """Publishes the policy of a finished ppo run as a model that is served by name, and activates it. Repeating it
+    changes nothing.
+    """
 
 @_typing.type_check_only
 class ImitationServiceAsyncStub(ImitationServiceStub):
@@ -58,6 +62,10 @@ class ImitationServiceAsyncStub(ImitationServiceStub):
     Control: _aio.StreamStreamMultiCallable[_imitation_pb2.ControlRequest, _imitation_pb2.ControlResponse]  # type: ignore[assignment]
     """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
     replaced ones are counted. An invalid observation is answered by an error, and the stream continues.
+    """
+    PublishPolicy: _aio.UnaryUnaryMultiCallable[_imitation_pb2.PublishPolicyRequest, _imitation_pb2.PublishPolicyResponse]  # type: ignore[assignment]
+    """Publishes the policy of a finished ppo run as a model that is served by name, and activates it. Repeating it
+    changes nothing.
     """
 
 class ImitationServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -89,6 +97,16 @@ class ImitationServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_imitation_pb2.ControlResponse], _abc.AsyncIterator[_imitation_pb2.ControlResponse]]:
         """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
         replaced ones are counted. An invalid observation is answered by an error, and the stream continues.
+        """
+
+    @_abc_1.abstractmethod
+    def PublishPolicy(
+        self,
+        request: _imitation_pb2.PublishPolicyRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_imitation_pb2.PublishPolicyResponse, _abc.Awaitable[_imitation_pb2.PublishPolicyResponse]]:
+        """Publishes the policy of a finished ppo run as a model that is served by name, and activates it. Repeating it
+        changes nothing.
         """
 
 def add_ImitationServiceServicer_to_server(servicer: ImitationServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -8,10 +8,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.distributions import Categorical, Distribution, Gaussian
+from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
-from freerein_orchestrator.rl.distributions import Categorical, Distribution, Gaussian
-from freerein_orchestrator.rl.eye import EyeSpec, GoalEye
 
 _HIDDEN_GAIN = 2**0.5
 _ACTOR_GAIN, _CRITIC_GAIN = 0.01, 1.0

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.config import bounded
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
-from freerein_orchestrator.rl.body import BodyEncoder, Exploration, fit_body
 
 _OBJECT_WIDTH = 0.2
 """Width of an object in a frame that is 2 wide: eps of table 4.1."""

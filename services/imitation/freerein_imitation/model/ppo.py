@@ -1,0 +1,131 @@
+"""Policies of ppo runs, as they were trained: one goal each, given by its text."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from freerein.errors import InvalidInput
+from freerein.learning import model_files
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.in_distribution import InDistribution
+from freerein.learning.inputs import InputSpec
+from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
+
+METHOD = "ppo"
+NEVER_REACHED = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOPolicySpec(InputSpec):
+    """Camera, actions and network of a policy.
+
+    Attributes:
+        network: The network that was trained.
+        goal_text: The goal that it was trained for.
+
+    Raises:
+        InvalidInput: The network is not of one camera and of these actions.
+    """
+
+    network: ActorCriticSpec
+    goal_text: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        network, shapes = self.network, [(each.height, each.width, each.channels) for each in self.cameras]
+        actions = (network.action_size, network.action_choices)
+        if network.vector_size or shapes != [network.observation_shape]:
+            raise InvalidInput("The network of a ppo policy must see one camera's frames; this one does not.")
+        if actions != (self.action.size, self.action.choices):
+            raise InvalidInput("The network of a ppo policy must have the actions of its task; this one has others.")
+
+
+class PPOPolicyNetwork(nn.Module):
+    """The trained network, and the score of how familiar frames are to it."""
+
+    def __init__(self, spec: PPOPolicySpec) -> None:
+        super().__init__()
+        self.spec = spec
+        self.actor_critic = ActorCritic(spec.network)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+
+
+class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
+    """Takes the most likely action, and holds it for as many control steps as in training.
+
+    Its recurrent state is that of the LSTM, the action that is held, and for how many control steps it has been.
+
+    Args:
+        network: Trained.
+        control: Rate and limits.
+    """
+
+    def __init__(self, network: PPOPolicyNetwork, control: ControlSpec) -> None:
+        spec = network.spec
+        size = spec.network.recurrent_size + spec.action.size + 1
+        super().__init__(
+            network,
+            spec,
+            control,
+            goal_form="text",
+            goal_texts=(spec.goal_text,),
+            recurrent_size=size,
+            predicts_reached=False,
+        )
+
+    @classmethod
+    def load(cls, folder: Path, device: str) -> "PPOPolicy":
+        """Returns the policy in a folder; see `freerein.learning.methods.Methods`.
+
+        Raises:
+            InvalidInput: A file is missing or malformed.
+        """
+        network = model_files.load_model(folder, PPOPolicySpec, PPOPolicyNetwork, device=device)
+        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
+
+    def encode_goals(self, goals: tuple[str, ...]) -> npt.NDArray[np.float32]:
+        """Returns nothing of goals, float32 (N, 0): there is only one."""
+        return np.zeros((len(goals), 0), np.float32)
+
+    @torch.inference_mode()
+    def step(
+        self,
+        frames: CameraFrames,
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+    ) -> PolicyOutput:
+        """Returns the output for B observations; arguments as in `Policy.step`. `goals` is not used."""
+        spec, score = self._network.spec, self._network.in_distribution
+        seen = self._tensors(frames)
+        sizes = [spec.network.recurrent_size, spec.action.size, 1]
+        memory, holding, held = torch.split(self._tensor(recurrent), sizes, dim=1)  # (B, R), (B, A), (B, 1)
+        actions, after = self._choose(next(iter(seen.values())), self._tensor(previous), memory)
+        is_due = held == 0  # (B, 1)
+        actions, after = torch.where(is_due, actions, holding), torch.where(is_due, after, memory)
+        state = torch.cat([after, actions, (held + 1) % spec.network.action_repeat], dim=1)
+        familiarity = score.distance(image_statistics(seen))
+        return PolicyOutput(
+            actions=actions[:, None].to(_dtype(spec)).cpu().numpy(),
+            reached=np.zeros(len(previous), np.float32),
+            recurrent=state.cpu().numpy(),
+            in_distribution=score(familiarity, torch.ones_like(familiarity)).cpu().numpy(),
+        )
+
+    def _choose(self, frames: Tensor, previous: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the most likely actions, float32 (B, A), and the LSTM's state after them, float32 (B, R)."""
+        network = self._network.actor_critic
+        observed = network.observe(frames, previous.cpu()).to(self._device)
+        no_starts = torch.zeros(1, len(frames), dtype=torch.bool, device=self._device)  # zeros are a start, too
+        outputs = network(observed[None], no_starts, memory)
+        return outputs.actions.mode()[0].float().clamp(*self.spec.action.bounds), outputs.recurrent_state
+
+
+def _dtype(spec: PPOPolicySpec) -> torch.dtype:
+    return torch.int64 if spec.action.choices else torch.float32

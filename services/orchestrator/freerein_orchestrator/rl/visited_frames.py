@@ -1,0 +1,48 @@
+"""The frames that a policy visits, for the score of how familiar others are to it."""
+
+import torch
+from torch import Tensor
+
+from freerein.learning.actor_critic.networks import ActorCritic
+from freerein.learning.image_statistics import image_statistics
+from freerein.learning.in_distribution import InDistribution
+from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, observation_tensor
+
+
+@torch.no_grad()
+def visited_frames(network: ActorCritic, envs: VecEnv, generator: torch.Generator, *, num_steps: int) -> Tensor:
+    """Returns the frames of `num_steps` timesteps of N environments, uint8 (num_steps * N, H, W, C), step after step.
+
+    Args:
+        network: The policy; its actions are sampled.
+        envs: Frames; they are reset.
+        generator: Samples the actions, on the CPU.
+        num_steps: Timesteps.
+
+    Raises:
+        InvalidInput: The observations are not what the network takes.
+    """
+    spec, num_envs, device = network.spec, envs.num_envs, next(network.parameters()).device
+    seen, frames = observation_tensor(envs.reset(), spec, num_envs), []
+    starts, state = torch.ones(num_envs, dtype=torch.bool), torch.zeros(num_envs, spec.recurrent_size)
+    executed = torch.zeros(num_envs, spec.action_size)
+    for _ in range(num_steps):
+        frames.append(seen)
+        observed = network.observe(seen, executed)
+        outputs = network(observed[None].to(device), starts[None].to(device), state.to(device))
+        actions, state = outputs.actions.sample(generator)[0].cpu(), outputs.recurrent_state.cpu()
+        step = envs.step(env_actions(actions))
+        starts = torch.from_numpy(step.terminated | step.truncated)
+        executed = actions.clamp(-1, 1) * ~starts[:, None]
+        seen = observation_tensor(step.observations, spec, num_envs)
+    envs.rewards()  # unused
+    return torch.cat(frames)
+
+
+def fit_in_distribution(frames: Tensor) -> InDistribution:
+    """Returns the score of how familiar frames are, of frames uint8 (M, H, W, C): the later half counts as held out."""
+    statistics = image_statistics({"": frames})
+    known, held_out = statistics.tensor_split(2)
+    score = InDistribution(statistics.shape[1])
+    score.fit(known, held_out, torch.ones(len(held_out)))
+    return score

@@ -1,0 +1,93 @@
+"""A trained policy of a ppo run on disk.
+
+<folder>/policy.safetensors            weights
+         policy.json                   card: `spec`, task, reward, supervision, figures; written last
+         in_distribution.safetensors   what tells how familiar a frame is, `freerein.learning.in_distribution`
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from freerein.atomic_files import write_atomic
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.learning import model_files, tensor_files, weights
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.checkpoints import JSON
+from freerein.learning.image_statistics import statistics_size
+from freerein.learning.in_distribution import InDistribution
+from freerein.types.common import Camera
+
+KIND = "ppo"
+_MISSING = "Train the policy again: earlier versions of freerein did not keep it."
+NAMES = model_files.ModelFileNames("policy.safetensors", "policy.json")
+IN_DISTRIBUTION_FILE = "in_distribution.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPolicy:
+    """A trained policy and its card.
+
+    Attributes:
+        network: In evaluation mode.
+        card: Task, reward, supervision, figures.
+    """
+
+    network: ActorCritic
+    card: Mapping[str, Any]
+
+
+def save_policy(network: ActorCritic, folder: Path, *, card: Mapping[str, JSON]) -> None:
+    """Writes a policy as a folder; the card gets the sha256 of the weights.
+
+    Args:
+        network: Trained.
+        folder: Made when missing; its files are overwritten.
+        card: Besides kind and spec.
+    """
+    model_files.save_model(network, folder, card={"kind": KIND, **card, "sha256": weights.sha256(network)}, names=NAMES)
+
+
+def load_policy(folder: Path, *, device: str) -> StoredPolicy:
+    """Returns the policy in a folder.
+
+    Args:
+        folder: Written by `save_policy`; read as untrusted.
+        device: `auto`, `cpu` or `cuda:N`.
+
+    Raises:
+        InvalidInput: A file is missing or malformed, or the card is of other weights.
+    """
+    network = model_files.load_model(folder, ActorCriticSpec, ActorCritic, device=device, names=NAMES)
+    card = model_files.read_card(folder, names=NAMES)
+    if card.get("kind") != KIND or card.get("sha256") != weights.sha256(network):
+        raise InvalidInput(
+            "A policy's card must be of kind ppo and hold the sha256 of its weights; it does not.",
+            hint="Run ppo again, or restore its folder from a copy.",
+        )
+    return StoredPolicy(network, card)
+
+
+def save_in_distribution(score: InDistribution, folder: Path) -> None:
+    """Writes what tells how familiar a frame is, fitted, beside a policy."""
+    write_atomic(folder / IN_DISTRIBUTION_FILE, tensor_files.dump(score.state_dict()))
+
+
+def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistribution:
+    """Returns what tells how familiar frames of some cameras are.
+
+    Raises:
+        FailedPrecondition: There is none beside the policy.
+        InvalidInput: The file is malformed.
+    """
+    path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(statistics_size(cameras))
+    if not path.is_file():
+        raise FailedPrecondition(
+            "The policy must have been stored with a score of how familiar a frame is; it was not.", hint=_MISSING
+        )
+    try:
+        score.load_state_dict(tensor_files.parse(path.read_bytes()))
+    except RuntimeError as error:
+        raise InvalidInput("A policy's in-distribution score must be of its camera; it is not.") from error
+    return score
