@@ -85,6 +85,7 @@ def _scene() -> Image:
 
 _REQUESTS: Mapping[type, Callable[[], object]] = {
     imitation.ActRequest: lambda: imitation.ActRequest(Observation((_scene(),)), Goal((_scene(),))),
+    imitation.PublishPolicyRequest: lambda: imitation.PublishPolicyRequest(ID, "left-of"),
     learning.StartFitRequest: lambda: learning.StartFitRequest("demos", config={"seed": 1}),
     learning.GetFitRequest: lambda: learning.GetFitRequest(ID),
     learning.GetFitMetricsRequest: lambda: learning.GetFitMetricsRequest(ID),
