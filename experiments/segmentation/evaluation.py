@@ -9,7 +9,9 @@ import torch
 from experiments.workbench.results import Outcome, Sample
 from freerein import metrics
 from freerein.learning.trajectories import Trajectories
-from freerein_segmentation.core.decoding import merge_short, smooth
+from freerein.types.segmentation import NO_SKILL
+from freerein_segmentation.core import decoding
+from freerein_segmentation.core.decoding import smooth
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import gather
 
@@ -30,7 +32,6 @@ LEAST_CONFIDENCE = 0.8
 """Smoothed probability under which a timestep is rejected where uncertain ones are, too; chosen in `blocks`."""
 
 _BATCH = 128
-_REJECTED = -1
 
 
 @torch.inference_mode()
@@ -54,19 +55,18 @@ def predict(network: SegmentationNetwork, seen: Trajectories, *, count: int) -> 
 def decode(probabilities: Probabilities) -> Labels:
     """Returns labels int64 (T,) as the service decodes them: smoothed, short segments merged."""
     smoothed = smooth(probabilities, sigma=SMOOTHING)
-    return merge_short(smoothed.argmax(axis=1), smoothed, min_segment=LEAST_SEGMENT)
+    return decoding.merge_short(smoothed.argmax(axis=1), smoothed, min_segment=LEAST_SEGMENT)
 
 
 def reject_short(labels: Labels) -> Labels:
     """Returns labels (T,) with -1 in place of segments that are too short."""
-    starts = metrics.run_starts(labels)
-    lengths = np.diff(np.append(starts, len(labels)))
-    return np.where(np.repeat(lengths < LEAST_SEGMENT, lengths), _REJECTED, labels)
+    return decoding.reject_short(labels, min_kept=LEAST_SEGMENT)
 
 
 def reject_uncertain(smoothed: Probabilities) -> Labels:
     """Returns the most probable skills of smoothed probabilities (T, K), with -1 where none is probable enough."""
-    return np.where(smoothed.max(axis=1) < LEAST_CONFIDENCE, _REJECTED, smoothed.argmax(axis=1))
+    confidence = smoothed.max(axis=1)
+    return decoding.reject_uncertain(smoothed.argmax(axis=1), confidence, min_confidence=LEAST_CONFIDENCE)
 
 
 def score_guess(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: str) -> Outcome:
@@ -123,10 +123,10 @@ def _kept(labels: Sequence[Labels], truth: Sequence[Labels]) -> tuple[Sample, di
     These are the shares of all timesteps, and of those of the skill that loses most.
     """
     pairs = list(zip(labels, truth, strict=True))
-    some = [(ours, theirs) for ours, theirs in pairs if (ours != _REJECTED).any()]
+    some = [(ours, theirs) for ours, theirs in pairs if (ours != NO_SKILL).any()]
     correct = [int((ours == theirs).sum()) for ours, theirs in some]
-    sample = Sample(correct or [0], [int((ours != _REJECTED).sum()) for ours, _ in some] or [1])
-    all_kept, all_truth = np.concatenate(labels) != _REJECTED, np.concatenate(truth)
+    sample = Sample(correct or [0], [int((ours != NO_SKILL).sum()) for ours, _ in some] or [1])
+    all_kept, all_truth = np.concatenate(labels) != NO_SKILL, np.concatenate(truth)
     by_skill = [float(all_kept[all_truth == skill].mean()) for skill in np.unique(all_truth)]
     return sample, {"kept_share": float(all_kept.mean()), "least_kept_share": min(by_skill)}
 

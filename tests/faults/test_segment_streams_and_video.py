@@ -146,8 +146,9 @@ async def test_an_invalid_message_is_answered_by_an_error_and_the_stream_goes_on
         ([SegmentStreamRequest()], FailedPrecondition),
         ([hello(smoothing=-1.0)], InvalidInput),
         ([hello(min_kept=1001)], InvalidInput),
+        ([hello(min_confidence=1.1)], InvalidInput),
     ],
-    ids=["no hello", "two hellos", "empty", "smoothing", "min_kept"],
+    ids=["no hello", "two hellos", "empty", "smoothing", "min_kept", "min_confidence"],
 )
 async def test_what_breaks_the_protocol_ends_the_stream(client: Any, requests: Any, error: type[Exception]) -> None:
     with pytest.raises(error):

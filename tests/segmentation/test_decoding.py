@@ -1,4 +1,5 @@
 import itertools
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +19,9 @@ def certain(labels: list[int], *, skills: int = 3, confidence: float = 0.8) -> P
     return np.where(np.eye(skills, dtype=bool)[labels], confidence, rest).astype(np.float32)
 
 
-def decode(given: Probabilities, *, smoothing: float = 0.0, min_segment: int = 0, min_kept: int = 0) -> Decoded:
-    return decoding.decode(given, skills=SKILLS, smoothing=smoothing, min_segment=min_segment, min_kept=min_kept)
+def decode(given: Probabilities, **options: Any) -> Decoded:
+    given_none = {"smoothing": 0.0, "min_segment": 0, "min_confidence": 0.0, "min_kept": 0}
+    return decoding.decode(given, skills=SKILLS, **(given_none | options))
 
 
 @st.composite
@@ -97,6 +99,16 @@ def test_short_segments_are_rejected_after_merging() -> None:
     assert [(each.start, each.end, each.skill) for each in rejected.segments] == [(0, 4, "a"), (9, 14, "a")]
     assert rejected.confidence.tolist() == decode(flicker).confidence.tolist()
     assert decode(flicker, min_segment=4, min_kept=4).labels.tolist() == decode(flicker, min_segment=4).labels.tolist()
+
+
+def test_uncertain_timesteps_are_rejected_before_short_segments() -> None:
+    sure, unsure = certain([0] * 5 + [1] * 4), certain([0, 0, 1, 1, 1], confidence=0.5)
+    likely = np.concatenate([sure[:5], unsure, sure[5:]])
+    rejected = decode(likely, min_confidence=0.6)
+    assert rejected.labels.tolist() == [0] * 5 + [-1] * 5 + [1] * 4
+    assert [(each.start, each.end, each.skill) for each in rejected.segments] == [(0, 5, "a"), (10, 14, "b")]
+    assert rejected.confidence.tolist() == decode(likely).confidence.tolist()
+    assert decode(likely, min_confidence=0.6, min_kept=5).labels.tolist() == [0] * 5 + [-1] * 9
 
 
 def test_a_trajectory_may_be_rejected_as_a_whole() -> None:

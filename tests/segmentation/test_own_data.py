@@ -96,6 +96,7 @@ def test_the_card_says_how_well_tags_of_held_out_trajectories_are_told(fitted: F
     assert card["figures"]["tag_average_precision"] == pytest.approx(mean)
 
 
+@pytest.mark.timeout(300)
 def test_a_fit_is_the_same_to_the_bit_whatever_its_true_labels_say(tmp_path: Path) -> None:
     root = record(tmp_path, scaled=True)
     _, without = fit(tmp_path, tmp_path / "without")

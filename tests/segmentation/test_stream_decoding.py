@@ -1,5 +1,7 @@
 """A trajectory that arrives bit by bit is decoded as the whole."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -29,15 +31,17 @@ def runs(rng: np.random.Generator, timesteps: int) -> npt.NDArray[np.float32]:
     st.integers(0, 10_000),
     st.lists(st.integers(0, 12), min_size=1, max_size=12),
     st.sampled_from([0.0, 0.7, 1.0, 3.0]),
+    st.sampled_from([0.0, 0.75]),
     st.integers(0, 9),
 )
 def test_labels_are_those_of_the_whole_and_final_once_the_lag_has_passed(
-    seed: int, sizes: list[int], smoothing: float, min_kept: int
+    seed: int, sizes: list[int], smoothing: float, min_confidence: float, min_kept: int
 ) -> None:
     stops = np.cumsum([*sizes, 1])
     likely = runs(np.random.default_rng(seed), int(stops[-1]))
-    whole = decode(likely, skills=SKILLS, smoothing=smoothing, min_segment=0, min_kept=min_kept)
-    decoder = StreamDecoder(skills=SKILLS, smoothing=smoothing, min_kept=min_kept)
+    options: dict[str, Any] = {"smoothing": smoothing, "min_confidence": min_confidence, "min_kept": min_kept}
+    whole = decode(likely, skills=SKILLS, min_segment=0, **options)
+    decoder = StreamDecoder(skills=SKILLS, **options)
     parts: list[Finished] = []
     for start, stop in zip([0, *stops[:-2]], stops[:-1], strict=True):
         parts.append(decoder.push(prediction(likely[start:stop])))
@@ -60,8 +64,8 @@ def test_labels_are_those_of_the_whole_and_final_once_the_lag_has_passed(
 
 def test_provisional_labels_are_those_of_a_trajectory_that_ends_there() -> None:
     likely = runs(np.random.default_rng(1), 60)
-    decoder = StreamDecoder(skills=SKILLS, smoothing=1.0, min_kept=0)
+    decoder = StreamDecoder(skills=SKILLS, smoothing=1.0, min_confidence=0.0, min_kept=0)
     final = decoder.push(prediction(likely[:30]))
     provisional = decoder.provisional(prediction(likely[30:40]))
-    ended = decode(likely[:40], skills=SKILLS, smoothing=1.0, min_segment=0, min_kept=0)
+    ended = decode(likely[:40], skills=SKILLS, smoothing=1.0, min_segment=0, min_confidence=0.0, min_kept=0)
     assert [*final.timeline.labels, *provisional] == ended.labels.tolist()

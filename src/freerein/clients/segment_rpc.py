@@ -87,7 +87,8 @@ def _image_pixels(request: SegmentRequest) -> int:
 
 async def _messages(request: SegmentRequest, is_open: asyncio.Event) -> AsyncIterator[SegmentStreamRequest]:
     """Yields the Hello; then the timesteps, once it is answered: the reason of a refusal is lost while writing."""
-    yield SegmentStreamRequest(SegmentHello(request.model, request.smoothing, request.min_kept))
+    hello = SegmentHello(request.model, request.smoothing, request.min_kept, request.min_confidence)
+    yield SegmentStreamRequest(hello)
     await is_open.wait()
     for seq, at in enumerate(_parts(request)):
         yield SegmentStreamRequest(

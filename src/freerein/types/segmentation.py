@@ -9,7 +9,7 @@ import numpy.typing as npt
 from freerein.types.common import Draining, Error, Image, ModelRef, Timing
 
 NO_SKILL = -1
-"""Label of a timestep whose segment was rejected."""
+"""Label of a timestep that was rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +26,8 @@ class SegmentRequest:
             rejected: they have no skill. 0 and 1 keep all.
         video: An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set.
         resize: Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio.
+        min_confidence: Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it
+            have no skill. 0 keeps all.
     """
 
     model: ModelRef = ModelRef()
@@ -37,6 +39,7 @@ class SegmentRequest:
     min_kept: int = 0
     video: bytes = b""
     resize: bool = False
+    min_confidence: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ class SegmentHello:
     model: ModelRef = ModelRef()
     smoothing: float = 0.0
     min_kept: int = 0
+    min_confidence: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

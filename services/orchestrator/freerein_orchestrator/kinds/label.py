@@ -37,6 +37,8 @@ class LabelConfig:
         camera: The camera of the frames; empty for the dataset's first.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+        min_confidence: Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it
+            have no skill. 0 keeps all.
         min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
             rejected: they have no skill. 0 and 1 keep all.
 
@@ -50,6 +52,7 @@ class LabelConfig:
     camera: str = ""
     smoothing: float = bounded(0.0, least=0.0, most=100.0)
     min_segment: int = bounded(0, least=0, most=1000)
+    min_confidence: float = bounded(0.0, least=0.0, most=1.0)
     min_kept: int = bounded(0, least=0, most=1000)
 
     def __post_init__(self) -> None:
@@ -102,6 +105,7 @@ def _request(config: LabelConfig, model: ListSkillsResponse, trajectory: Traject
         min_segment=config.min_segment,
         smoothing=config.smoothing,
         min_kept=config.min_kept,
+        min_confidence=config.min_confidence,
     )
 
 

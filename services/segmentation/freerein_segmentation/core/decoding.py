@@ -1,4 +1,4 @@
-"""Decodes skill probabilities into labels and segments: smoothing, argmax, merging and rejection of short segments."""
+"""Decodes skill probabilities into labels and segments: smoothing, argmax, merging, and rejection."""
 
 import heapq
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ class Decoded(NamedTuple):
     """The labels of one trajectory.
 
     Attributes:
-        labels: int64 (T,), skill index of each timestep; `NO_SKILL` where its segment was rejected.
+        labels: int64 (T,), skill index of each timestep; `NO_SKILL` where it was rejected.
         confidence: float32 (T,), smoothed probability of that skill, in [0, 1]; of the rejected one, where it was.
         segments: In order, without overlap; between them lie the rejected timesteps.
     """
@@ -32,16 +32,22 @@ class Decoded(NamedTuple):
 
 
 def decode(
-    probabilities: Probabilities, *, skills: Sequence[str], smoothing: float, min_segment: int, min_kept: int
+    probabilities: Probabilities,
+    *,
+    skills: Sequence[str],
+    smoothing: float,
+    min_segment: int,
+    min_confidence: float,
+    min_kept: int,
 ) -> Decoded:
     """Returns the labels and segments of a trajectory with probabilities float32 (T, K), T at least 1.
 
-    `smoothing`, `min_segment` and `min_kept` are those of `SegmentRequest`.
+    `smoothing`, `min_segment`, `min_confidence` and `min_kept` are those of `SegmentRequest`.
     """
     smoothed = smooth(probabilities, sigma=smoothing)
     labels = merge_short(smoothed.argmax(axis=1).astype(np.int64), smoothed, min_segment=min_segment)
     confidence = np.take_along_axis(smoothed, labels[:, None], axis=1)[:, 0].clip(max=1.0)  # rounding
-    labels = reject_short(labels, min_kept=min_kept)
+    labels = reject_short(reject_uncertain(labels, confidence, min_confidence=min_confidence), min_kept=min_kept)
     return Decoded(labels, confidence, _segments(labels, confidence, skills))
 
 
@@ -85,6 +91,11 @@ def merge_short(labels: Labels, probabilities: Probabilities, *, min_segment: in
         if runs.length(joined) < min_segment:
             heapq.heappush(short, (runs.length(joined), joined))
     return runs.labels()
+
+
+def reject_uncertain(labels: Labels, confidence: npt.NDArray[np.float32], *, min_confidence: float) -> Labels:
+    """Returns labels (T,) with `NO_SKILL` in place of those whose confidence, float32 (T,), is below the least."""
+    return np.where(confidence >= min_confidence, labels, NO_SKILL)
 
 
 def reject_short(labels: Labels, *, min_kept: int) -> Labels:

@@ -16,8 +16,8 @@ MAX_MIN_SEGMENT = 1_000
 MAX_SMOOTHING = 100.0
 
 
-def check_options(smoothing: float, **lengths: int) -> None:
-    """Raises InvalidInput when `smoothing`, or a length of segments of the name given, is out of bounds."""
+def check_options(smoothing: float, min_confidence: float, **lengths: int) -> None:
+    """Raises InvalidInput when an option, or a length of segments of the name given, is out of bounds."""
     for name, length in lengths.items():
         if length > MAX_MIN_SEGMENT:
             raise InvalidInput(
@@ -30,6 +30,12 @@ def check_options(smoothing: float, **lengths: int) -> None:
             f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {smoothing:g}.",
             field="smoothing",
             hint="One or two timesteps are usual.",
+        )
+    if not 0.0 <= min_confidence <= 1.0:
+        raise InvalidInput(
+            f"`min_confidence` must be in [0, 1]; got {min_confidence:g}.",
+            field="min_confidence",
+            hint="0.8 rejects what is often wrong, such as the beginnings of skills.",
         )
 
 

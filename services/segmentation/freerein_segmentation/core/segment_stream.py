@@ -77,7 +77,7 @@ class SegmentStreamService:
                 field="hello",
                 hint="Send a Hello first: model and options.",
             )
-        check_options(request.hello.smoothing, min_kept=request.hello.min_kept)
+        check_options(request.hello.smoothing, request.hello.min_confidence, min_kept=request.hello.min_kept)
         ref, model = await self.models.resolve(request.hello.model)
         return _Session(ref, model, request.hello, self.batcher, self.timeout_s)
 
@@ -94,7 +94,12 @@ class _Session:
     ) -> None:
         self._model = model
         self._predictions = model.stream()
-        self._decoder = StreamDecoder(skills=model.skills, smoothing=hello.smoothing, min_kept=hello.min_kept)
+        self._decoder = StreamDecoder(
+            skills=model.skills,
+            smoothing=hello.smoothing,
+            min_confidence=hello.min_confidence,
+            min_kept=hello.min_kept,
+        )
         self._batcher = batcher
         self._timeout_s = timeout_s
         self._last_seq = -1

@@ -61,7 +61,9 @@ class Segmenter:
             NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
-        check_options(request.smoothing, min_segment=request.min_segment, min_kept=request.min_kept)
+        check_options(
+            request.smoothing, request.min_confidence, min_segment=request.min_segment, min_kept=request.min_kept
+        )
         ref, model = await self.models.resolve(request.model)
         time_s = np.empty(0, np.float32)
         if request.video:
@@ -75,6 +77,7 @@ class Segmenter:
             skills=model.skills,
             smoothing=request.smoothing,
             min_segment=request.min_segment,
+            min_confidence=request.min_confidence,
             min_kept=request.min_kept,
         )
         return SegmentResponse(

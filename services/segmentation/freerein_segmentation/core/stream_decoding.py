@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from freerein.metrics import run_starts
 from freerein.types.segmentation import NO_SKILL, Segment
-from freerein_segmentation.core.decoding import Labels, smooth, smoothing_reach
+from freerein_segmentation.core.decoding import Labels, reject_uncertain, smooth, smoothing_reach
 from freerein_segmentation.model import Prediction
 
 Floats = npt.NDArray[np.float32]
@@ -64,12 +64,13 @@ class StreamDecoder:
     Args:
         skills: The skills.
         smoothing: As of `SegmentRequest`.
+        min_confidence: As of `SegmentRequest`.
         min_kept: As of `SegmentRequest`.
     """
 
-    def __init__(self, *, skills: Sequence[str], smoothing: float, min_kept: int) -> None:
+    def __init__(self, *, skills: Sequence[str], smoothing: float, min_confidence: float, min_kept: int) -> None:
         self.lag = smoothing_reach(smoothing) + max(0, min_kept - 1)
-        self._smoother = _Smoother(len(skills), sigma=smoothing)
+        self._smoother = _Smoother(len(skills), sigma=smoothing, min_confidence=min_confidence)
         self._runs = _OpenRuns(skills, min_kept=min_kept)
 
     def push(self, prediction: Prediction) -> Finished:
@@ -88,10 +89,11 @@ class StreamDecoder:
 
 
 class _Smoother:
-    """Smooths probabilities that arrive bit by bit."""
+    """Smooths probabilities that arrive bit by bit, and rejects uncertain timesteps."""
 
-    def __init__(self, skills: int, *, sigma: float) -> None:
+    def __init__(self, skills: int, *, sigma: float, min_confidence: float) -> None:
         self._sigma = sigma
+        self._min_confidence = min_confidence
         self._reach = smoothing_reach(sigma)
         self._past = 0  # rows of the window that are smoothed, and only needed by later ones
         self._window = Prediction(np.empty((0, skills), np.float32), np.empty(0, np.float32))
@@ -115,7 +117,10 @@ class _Smoother:
         at = slice(self._past, stop)
         likely = smooth(window.probabilities, sigma=self._sigma)[at]
         confidence = likely.max(axis=1, initial=0.0).clip(max=1.0)  # rounding
-        return Timeline(likely.argmax(axis=1).astype(np.int64), confidence, window.in_distribution[at])
+        labels = reject_uncertain(
+            likely.argmax(axis=1).astype(np.int64), confidence, min_confidence=self._min_confidence
+        )
+        return Timeline(labels, confidence, window.in_distribution[at])
 
 
 @dataclass(frozen=True)
@@ -151,9 +156,9 @@ class _OpenRuns:
                 self._open = replace(self._open, confidence=self._open.confidence + confidence)
             else:
                 segments += self._closed(begin + start)
-                if stop - start >= self._min_kept:
+                if skill != NO_SKILL and stop - start >= self._min_kept:
                     self._open = _OpenRun(begin + start, skill, confidence)
-                elif is_last or stop < len(given):
+                elif skill == NO_SKILL or is_last or stop < len(given):
                     labels[start:stop] = NO_SKILL
                 else:
                     break

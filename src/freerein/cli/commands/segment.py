@@ -47,6 +47,9 @@ def segment(
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
     min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
     min_kept: Annotated[int, typer.Option(min=0, help="Reject segments shorter than this many timesteps.")] = 0,
+    min_confidence: Annotated[
+        float, typer.Option(min=0, max=1, help="Reject timesteps with a smaller confidence; before `--min-kept`.")
+    ] = 0.0,
     resize: Annotated[bool, typer.Option("--resize", help="Resize a video's frames to the model's size.")] = False,
     actions: Annotated[
         Path | None,
@@ -58,7 +61,13 @@ def segment(
     as_json: AsJson = False,
 ) -> None:
     """Label every timestep of a video or a trajectory with a skill; with --save, of a whole dataset."""
-    request = SegmentRequest(ModelRef(model, version), min_segment=min_segment, smoothing=smoothing, min_kept=min_kept)
+    request = SegmentRequest(
+        ModelRef(model, version),
+        min_segment=min_segment,
+        smoothing=smoothing,
+        min_kept=min_kept,
+        min_confidence=min_confidence,
+    )
     if source.lower().endswith(".mp4"):
         _check_not_saved(save)
         labelled, film = _segment_video(

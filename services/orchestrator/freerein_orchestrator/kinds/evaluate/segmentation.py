@@ -33,6 +33,7 @@ class SegmentationConfig(FormConfig):
         version: Its version; empty for the active one.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
+        min_confidence: Least confidence that is kept, before short segments are rejected; 0 keeps all.
         min_kept: Shortest segment in timesteps that is kept, after merging; 0 and 1 keep all. With rejection, the share
             of timesteps that is kept and the accuracy of those are figures, too.
         min_skills: Fewest different skills per demonstration; 0 means the fewest of a recipe of the task.
@@ -44,6 +45,7 @@ class SegmentationConfig(FormConfig):
     version: str = ""
     smoothing: float = bounded(0.0, least=0.0, most=100.0)
     min_segment: int = bounded(0, least=0, most=1000)
+    min_confidence: float = bounded(0.0, least=0.0, most=1.0)
     min_kept: int = bounded(0, least=0, most=1000)
     min_skills: int = bounded(0, least=0, most=1000)
     max_skills: int = bounded(0, least=0, most=1000)
@@ -111,6 +113,7 @@ class SegmentationEvaluation:
             smoothing=self._setup.config.smoothing,
             min_segment=self._setup.config.min_segment,
             min_kept=self._setup.config.min_kept,
+            min_confidence=self._setup.config.min_confidence,
         )
         answer: SegmentResponse = self._service.segment(request)
         labels = self._labels[answer.labels]
@@ -142,7 +145,7 @@ class SegmentationEvaluation:
             "frame_accuracy": ratio_figure(right, lengths, seed=seed, baseline=baseline),
             "balanced_accuracy": ratio_figure(correct, timesteps, seed=seed, baseline=1 / occurring),
         }
-        if self._setup.config.min_kept:
+        if self._setup.config.min_kept or self._setup.config.min_confidence:
             figures["kept"] = ratio_figure(kept, lengths, seed=seed)
             if kept.any():
                 figures["kept_accuracy"] = ratio_figure(right, kept, seed=seed)

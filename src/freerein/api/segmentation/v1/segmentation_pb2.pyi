@@ -34,6 +34,7 @@ class SegmentRequest(_message.Message):
     MIN_KEPT_FIELD_NUMBER: _builtins.int
     VIDEO_FIELD_NUMBER: _builtins.int
     RESIZE_FIELD_NUMBER: _builtins.int
+    MIN_CONFIDENCE_FIELD_NUMBER: _builtins.int
     min_segment: _builtins.int
     """Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all; at most 1000."""
     smoothing: _builtins.float
@@ -46,6 +47,10 @@ class SegmentRequest(_message.Message):
     """An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set."""
     resize: _builtins.bool
     """Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio."""
+    min_confidence: _builtins.float
+    """Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it have no skill. 0
+    keeps all.
+    """
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Which model; unset for the active version of the default one."""
@@ -74,10 +79,11 @@ class SegmentRequest(_message.Message):
         min_kept: _builtins.int = ...,
         video: _builtins.bytes = ...,
         resize: _builtins.bool = ...,
+        min_confidence: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "resize", b"resize", "smoothing", b"smoothing", "video", b"video"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_confidence", b"min_confidence", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "resize", b"resize", "smoothing", b"smoothing", "video", b"video"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -133,7 +139,7 @@ class SegmentResponse(_message.Message):
     TIME_S_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
-        """Index into `skills` of each of T timesteps; -1 for none, where the segment was rejected."""
+        """Index into `skills` of each of T timesteps; -1 for none, where it was rejected."""
 
     @_builtins.property
     def confidence(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
@@ -224,9 +230,12 @@ class SegmentHello(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     SMOOTHING_FIELD_NUMBER: _builtins.int
     MIN_KEPT_FIELD_NUMBER: _builtins.int
+    MIN_CONFIDENCE_FIELD_NUMBER: _builtins.int
     smoothing: _builtins.float
     """As in SegmentRequest."""
     min_kept: _builtins.int
+    """As in SegmentRequest."""
+    min_confidence: _builtins.float
     """As in SegmentRequest."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -238,10 +247,11 @@ class SegmentHello(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         smoothing: _builtins.float = ...,
         min_kept: _builtins.int = ...,
+        min_confidence: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["min_kept", b"min_kept", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["min_confidence", b"min_confidence", "min_kept", b"min_kept", "model", b"model", "smoothing", b"smoothing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
