@@ -32,7 +32,7 @@ SHOWN = {
     "leaving a reply unread (`FREEREIN_WRITE_S`)": f"{LIMITS.write_s:g} s",
     "a unary call (`FREEREIN_UNARY_S`)": f"{LIMITS.unary_s:g} s, or the caller's shorter deadline",
     "items waiting for the model (`FREEREIN_QUEUE`)": f"{LIMITS.queue}",
-    "streams open at once, over REST and over gRPC each": f"{LIMITS.streams}",
+    "streams open at once, over REST and over gRPC each; robots' WebSockets": f"{LIMITS.streams}",
     "from SIGTERM to exit": f"{LIMITS.drain_s + GRACE_S:g} s",
 }
 

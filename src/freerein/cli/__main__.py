@@ -17,8 +17,7 @@ COMMANDS = {
     "fit": "Fits of models.",
     "runs": "Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
     "dataset": "Import, inspect, check and annotate datasets.",
-    "models": "Models of the segmentation, imitation and reward services. Policies of PPO runs are artifacts of their "
-    "runs: see `freerein runs artifacts`.",
+    "models": "Models of the segmentation, imitation and reward services.",
 }
 """The first paragraph of each command's help."""
 
