@@ -102,6 +102,7 @@ def _decode(probabilities: npt.NDArray[np.float32], skills: tuple[str, ...]) -> 
         smoothing=defaults.smoothing,
         min_segment=defaults.min_segment,
         min_kept=defaults.min_kept,
+        min_confidence=defaults.min_confidence,
     )
 
 
