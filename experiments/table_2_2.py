@@ -8,6 +8,7 @@ from experiments.segmentation.methods import (
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
     LEARNING_RATES,
+    LOOKAHEAD,
     OURS,
     WHOLE,
     objectives,
@@ -32,7 +33,8 @@ first {_TRAIN_EVALUATED}.
 All rows share network, loop, batch size ({_BATCH_SIZE} trajectories, stride {_STRIDE}) and optimiser steps
 ({_STEPS}), and differ in
 {HOW_CHOSEN}
-Nothing of ours was chosen on these worlds: it was developed on `blocks`.
+Nothing of ours was chosen on these worlds: it was developed on `blocks`. With the context `lookahead-5` a stream labels
+a timestep 15 timesteps after it was seen.
 
 {GUESSES_AND_INTERVALS}
 """
@@ -48,7 +50,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
         ),
         methods=(
             *objectives("lse", contexts=(CAUSAL,)),
-            ours(),
+            ours(WHOLE, LOOKAHEAD),
             supervised(),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),

@@ -3,7 +3,7 @@
 from experiments.segmentation.study import SUPERVISED, Method
 from freerein.learning.checkpoints import JSON
 
-CAUSAL, WHOLE = "causal", "bidirectional"
+CAUSAL, WHOLE, LOOKAHEAD = "causal", "bidirectional", "lookahead-5"
 OURS = "ours"
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)

@@ -1,0 +1,25 @@
+"""The segmentation models that come with freerein label new demonstrations of their worlds."""
+
+import pytest
+from experiments.segmentation.draw import Part, demonstrations
+
+from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein_segmentation.model.segmentation_model import load
+
+STORE = ModelStore(CLONE_MODELS / "segmentation")
+SKILLS = {"dial": 5}
+"""Skills of each demonstration: as many as in the world's test set."""
+
+
+@pytest.mark.parametrize("name", STORE.names())
+def test_a_shipped_model_labels_new_demonstrations_of_its_world(name: str) -> None:
+    (shipped,) = (model for model in STORE.models() if model.ref.name == name and model.active)
+    model = load(STORE.folder(shipped.ref), "cpu")
+    part = Part(shipped.card["task"], 1, stream=0, least_skills=SKILLS[name], most_skills=SKILLS[name], first=0, stop=3)
+
+    right, timesteps = 0, 0
+    for arrays in demonstrations(part):
+        labels = model.predict(arrays["frames"], arrays["actions"]).probabilities.argmax(axis=1)
+        right += int((labels == arrays["labels"]).sum())
+        timesteps += len(labels)
+    assert right / timesteps == pytest.approx(shipped.card["figures"]["test.frame_accuracy"], abs=0.1)
