@@ -71,7 +71,7 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
             return actions
 
         json = rest_call(rest, "/v1/act", orjson.dumps(wire.to_json(request)), _parse_actions)
-        decoded: dict[str, Act] = {"torch": _torch(scene), "grpc": grpc, "json": json}
+        decoded: dict[str, Act] = {"torch": torch_call(scene), "grpc": grpc, "json": json}
         await _check_same_actions(decoded, observe)
         bare = await _open_bare(opened, scene, address, reply_bytes=wire.pack(await observe()).ByteSize())
         times = await measure_latencies({"control": observe, **decoded, **bare}, effort)
@@ -128,7 +128,7 @@ async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> N
             raise RuntimeError(f"All interfaces must return the same actions; {name} and the stream differ.")
 
 
-def _torch(scene: Scene) -> Act:
+def torch_call(scene: Scene) -> Act:
     """Returns the model call as the service's core makes it, with the memory passed on."""
     policy = METHODS.load(scene.folder, "cpu")
     (camera,) = policy.spec.cameras

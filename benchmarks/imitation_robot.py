@@ -37,12 +37,14 @@ Observe = Callable[[], Awaitable[ControlResponse]]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A published policy, and the images that a robot sends: the observed one and the goal, uint8 (H, W, 3)."""
+    """A published policy, the images that a robot sends (the observed one and the goal, uint8 (H, W, 3)), and the robot."""
 
     ref: ModelRef
     folder: Path
     frame: Frame
     goal: Frame
+    camera: str = _CAMERA
+    action: ActionSpec = _ACTION
 
     def observation(self) -> Observation:
         """Returns the observation."""
