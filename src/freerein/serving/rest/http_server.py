@@ -64,6 +64,8 @@ class DeadlineProtocol(H11Protocol):
     def handle_events(self) -> None:
         """Stops the receive deadline when the whole request has arrived."""
         super().handle_events()
+        if self.transport.get_protocol() is not self:  # a WebSocket has the connection
+            return
         if self.conn.their_state is h11.SEND_BODY:
             self._start_receive_timer()
         elif self.conn.their_state is not h11.IDLE:
