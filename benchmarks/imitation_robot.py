@@ -37,7 +37,7 @@ Observe = Callable[[], Awaitable[ControlResponse]]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A published policy, the images that a robot sends (the observed one and the goal, uint8 (H, W, 3)), and the robot."""
+    """A published policy, the robot, and the images that it sends: the observed one and the goal, uint8 (H, W, 3)."""
 
     ref: ModelRef
     folder: Path

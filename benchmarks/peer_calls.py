@@ -139,7 +139,8 @@ async def _vla_eval(scene: Scene) -> AsyncGenerator[Call, None]:
 @asynccontextmanager
 async def _litserve(scene: Scene, memory: npt.NDArray[np.float32]) -> AsyncGenerator[Call, None]:
     """Yields the call of LitServe."""
-    parts = {"image": scene.frame, "goal": scene.goal, "executed_actions": _executed(scene), "state": memory}
+    parts: dict[str, npt.NDArray[Any]] = {"image": scene.frame, "goal": scene.goal}
+    parts |= {"executed_actions": _executed(scene), "state": memory}
     body = orjson.dumps({name: base64.b64encode(part.tobytes()).decode() for name, part in parts.items()})
     async with (
         run_server("benchmarks.peer_servers", "litserve", str(scene.folder)) as port,

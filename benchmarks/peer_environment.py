@@ -22,7 +22,7 @@ def peers_python() -> Path | None:
         subprocess.run([sys.executable, "-m", "venv", "--clear", _FOLDER], check=True)
         (site,) = (_FOLDER / "lib").glob("python*/site-packages")
         (site / "ours.pth").write_text(f"import site; site.addsitedir({ours!r})\n")
-        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
         subprocess.run([*pip, "--no-deps", *_ALONE], check=True)
         subprocess.run([*pip, *_WHOLE], check=True)
     except subprocess.CalledProcessError:

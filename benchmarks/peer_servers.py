@@ -17,9 +17,9 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TextIO
 
-import anyio
 import httpx
 import litserve
 import numpy as np
@@ -119,10 +119,11 @@ def _array(text: str, dtype: Any) -> npt.NDArray[Any]:
 
 def _serve_vla_eval(folder: Path) -> None:
     async def serve() -> None:
-        async with anyio.create_task_group() as tasks:
-            port = await tasks.start(serve_async, VlaEvalServer(folder), _LOOPBACK, 0)
-            await serve_until_stdin_closes(port)
-            tasks.cancel_scope.cancel()
+        listening: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        status = SimpleNamespace(started=listening.set_result)
+        serving = asyncio.create_task(serve_async(VlaEvalServer(folder), _LOOPBACK, 0, task_status=status))
+        await serve_until_stdin_closes(await listening)
+        serving.cancel()
 
     asyncio.run(serve())
 

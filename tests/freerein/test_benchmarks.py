@@ -20,6 +20,10 @@ PROMISED = {
     "batcher.throughput16_on_vs_off",
     "act.control-bytes_adds_vs_bare_policy.64px",
     "act.control-bytes_adds_vs_bare_policy.224px",
+    "peers.control_vs_vla-eval.64px",
+    "peers.control_vs_vla-eval.224px",
+    "peers.json_vs_litserve.64px",
+    "peers.json_vs_litserve.224px",
     "control.model_batch8_vs_batch1_cost",
     "control.throughput16_on_vs_off",
     "control.p99_vs_bare.32x50hz",
@@ -58,3 +62,21 @@ def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -
     ratios = json.loads(out.read_bytes())["ratios"]
     assert "training.segmentation_33x30x3.glibc_allocator_vs_shipped" in ratios
     assert all(math.isfinite(ratio["value"]) for ratio in ratios.values())
+
+
+@pytest.mark.skipif(not FUZZ, reason="a long test: make fuzz")
+@pytest.mark.e2e
+@pytest.mark.timeout(400)
+def test_the_benchmark_beside_peers_runs_where_they_can_be_installed(tmp_path: Path) -> None:
+    out = tmp_path / "summary.json"
+
+    command = [sys.executable, "-m", "benchmarks", "--quick", "--only", "peers", "--out", out]
+    done = subprocess.run(command, cwd=ROOT, check=True, stderr=subprocess.PIPE, text=True)
+
+    ratios = json.loads(out.read_bytes())["ratios"]
+    if not ratios:
+        assert done.stderr.startswith("peers: skipped.")
+        pytest.skip("the peers could not be installed")
+    assert {name for name, ratio in ratios.items() if ratio["bar"] is not None} == {
+        name for name in PROMISED if name.startswith("peers.")
+    }
