@@ -1,7 +1,5 @@
 """What ours was chosen from: objectives, and what may follow them, in the development world `blocks`."""
 
-from collections.abc import Mapping
-
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
@@ -18,7 +16,6 @@ from experiments.segmentation.study import Method, Study
 from freerein.learning.checkpoints import JSON
 
 _STEPS, _BATCH_SIZE = 1_600, 16
-_HE: Mapping[str, JSON] = {"initialisation": "he"}
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps. `blocks`: an arm moves coloured blocks; training trajectories have 2 or 3
@@ -30,7 +27,7 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 
 After half of the steps, some rows go on from `lse_per_timestep` with another objective: `set_likelihood`, or
 `self_training` on labels within the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps
-and 6 rounds for it. `he` has another initialisation of the encoder.
+and 6 rounds for it.
 
 {GUESSES_AND_INTERVALS}
 """
@@ -55,8 +52,6 @@ EXPERIMENT = SegmentationExperiment(
                 _then("self_training_0.3", "self_training", action_evidence=0.3),
                 _then("self_training_1", "self_training", action_evidence=1.0),
                 _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
-                Method("lse_he", (CAUSAL,), {"objective": "lse", **_HE}),
-                Method("lse_per_timestep_he", (WHOLE,), {"objective": "lse_per_timestep", **_HE}),
             ),
             seeds=1,
             settings={

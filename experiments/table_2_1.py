@@ -18,7 +18,7 @@ from experiments.segmentation.rows import Row
 from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 
-_TRAIN, _STEPS, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 400, 128, 2_000
+_TRAIN, _STEPS, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 3_200, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 
 _TEXT = f"""\
@@ -27,7 +27,9 @@ for validation, 1 000 for test with 5 skills; training accuracy is measured on t
 `{_WITH_INDICATOR}` a cell shows which skill is in progress, as in the dissertation; in `{_WITHOUT}` nothing does.
 
 All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}), and differ in
-{HOW_CHOSEN}
+{HOW_CHOSEN} Its batches
+have 128 trajectories; without the indicator 100 of those left the loss of the tags where it began, and 800 of 16, the
+same number of frames, did not.
 
 {GUESSES_AND_INTERVALS} Many skills are
 shorter than 5 timesteps here: decoding so suits longer ones.
@@ -50,8 +52,8 @@ def _study(task: str) -> Study:
             "steps": _STEPS,
             "batch_size": _BATCH_SIZE,
             "augmentation": 0.0,
-            "evaluate_every": 50,
-            "checkpoint_every": 50,
+            "evaluate_every": 200,
+            "checkpoint_every": 200,
         },
         train_evaluated=_TRAIN_EVALUATED,
         learning_rates=LEARNING_RATES,

@@ -91,16 +91,6 @@ def test_held_out_timesteps_have_every_in_distribution_score_alike_and_other_pic
     assert model.predict(stripes, np.zeros((20, 2), np.float32)).in_distribution.max() < FLAGGED
 
 
-def test_the_encoder_alone_may_be_initialised_by_he() -> None:
-    plain, he = (
-        learner(replace(FAST, initialisation=name)).init(torch.Generator().manual_seed(0)).network.state_dict()
-        for name in ("default", "he")
-    )
-    changed = {name for name in plain if not torch.equal(plain[name], he[name])}
-    assert changed
-    assert all(name.startswith("image.") for name in changed)
-
-
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     def digest(name: str, seed: int) -> str:
         config = replace(FAST, steps=5, seed=seed)

@@ -45,19 +45,6 @@ def initialise(network: nn.Module, *, generator: torch.Generator) -> None:
             raise TypeError(f"{type(layer).__name__} has parameters and no initialisation rule.")
 
 
-def initialise_he(encoder: nn.Module, *, generator: torch.Generator) -> None:
-    """Initialises the Linear and Conv2d layers of a ReLU network by He et al., "Delving deep into rectifiers", 2015.
-
-    Weights are uniform in ±sqrt(6/fan-in), biases zero, so that the scale of activations stays the same from layer to
-    layer; by `initialise` each layer shrinks it, and gradients of early layers are small at first.
-    """
-    for layer in encoder.modules():
-        if isinstance(layer, nn.Linear | nn.Conv2d):
-            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu", generator=generator)
-            if layer.bias is not None:
-                nn.init.zeros_(layer.bias)
-
-
 def sha256(network: nn.Module) -> str:
     """Returns the hexadecimal sha256 over the names, shapes and bits of a network's parameters and buffers."""
     return hashlib.sha256(tensor_files.dump(network.state_dict())).hexdigest()

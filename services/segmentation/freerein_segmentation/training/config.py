@@ -26,7 +26,6 @@ class SegmentationConfig(DatasetFitConfig):
         context: Future timesteps, one stride apart, that scores depend on, or all; 0 is the dissertation's. A finite
             number makes streams possible.
         encoder: Image encoder.
-        initialisation: Of the encoder: `default`, as torch's layers, or `he`, which may leave early plateaus sooner.
         use_actions: Whether executed actions are an input.
         augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
         stride: Temporal stride in timesteps: 1 where skills may be short; more where they are long, to see more
@@ -44,7 +43,6 @@ class SegmentationConfig(DatasetFitConfig):
     action_evidence: float = bounded(0.0, least=0.0, most=10.0)
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     encoder: str = one_of(ENCODERS, "patch")
-    initialisation: Literal["default", "he"] = "default"
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     stride: int = bounded(1, least=1, most=100)

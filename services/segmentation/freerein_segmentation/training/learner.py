@@ -70,8 +70,6 @@ class SegmentationLearner:
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        if self.config.initialisation == "he":
-            weights.initialise_he(network.image, generator=generator)
         sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
         frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
         network.image.fit_normalisation(frames, generator=generator)
