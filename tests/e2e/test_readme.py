@@ -1,4 +1,4 @@
-"""The README's code blocks, run in order as a newcomer would."""
+"""The code blocks of the README and of pages of `docs/`, run in order as a newcomer would."""
 
 import os
 import re
@@ -13,8 +13,12 @@ import httpx
 import pytest
 
 CLONE = Path(__file__).parents[2]
-README = CLONE / "README.md"
-BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
+PAGES = (CLONE / "README.md", CLONE / "docs" / "training-loop.md")
+BLOCKS = [
+    block
+    for page in PAGES
+    for block in re.findall(r"^```(sh|python)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+]
 SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8100, 8101, 8102, 8103, 8104))
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("default-ports")]

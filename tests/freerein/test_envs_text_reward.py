@@ -12,10 +12,14 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor
 
 from freerein import wire
 from freerein.api.reward.v1 import reward_pb2_grpc
 from freerein.envs import TextReward, VectorTextReward
+from freerein.envs.sb3 import SB3VecEnv
 from freerein.errors import InvalidInput, Unauthenticated
 from freerein.types.common import ModelRef, Timing
 from freerein.types.reward import RewardRequest, RewardResponse
@@ -48,6 +52,25 @@ class Brighter(gymnasium.Env[Any, Any]):
         return (
             {"top": frame, "arm": np.zeros(2, np.float32)} if isinstance(self.observation_space, spaces.Dict) else frame
         )
+
+
+class Lamp(gymnasium.Env[Any, Any]):
+    """A lamp that each action turns up or down a little, for ten steps."""
+
+    observation_space = FRAME
+    action_space = spaces.Discrete(2)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.brightness, self.steps = 0, 0
+        return self.observe(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.brightness, self.steps = max(0, self.brightness + 2 * int(action) - 1), self.steps + 1
+        return self.observe(), 0.0, False, self.steps == 10, {}
+
+    def observe(self) -> Any:
+        return np.full(FRAME.shape, self.brightness, np.uint8)
 
 
 @dataclass
@@ -145,3 +168,15 @@ def test_what_cannot_be_rewarded_is_refused_at_once(address: str) -> None:
         VectorTextReward(SyncVectorEnv([lambda: Brighter(is_dict=False)]), BRIGHT, **options)
     with pytest.raises(Unauthenticated):
         TextReward(Brighter(is_dict=False), BRIGHT, address=address)
+
+
+def test_stable_baselines_learns_from_a_sentence(address: str) -> None:
+    vector = SyncVectorEnv([Lamp] * 8, autoreset_mode=AutoresetMode.SAME_STEP)
+    envs = VecMonitor(SB3VecEnv(VectorTextReward(vector, BRIGHT, address=address, token="secret")))
+    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=8, learning_rate=3e-3, seed=0, device="cpu")
+    before, _ = evaluate_policy(model, envs, 32, deterministic=False)
+    model.learn(2048)
+    after, _ = evaluate_policy(model, envs, 32, deterministic=False)
+    assert before < 2
+    assert after > 5  # of 7
+    envs.close()

@@ -80,6 +80,22 @@ def test_a_remote_vector_is_bit_for_bit_the_one_in_process(
     local.close()
 
 
+def test_an_action_is_held_as_in_process(address: str) -> None:
+    local = VectorEnv(TASKS["blocks"], num_envs=2, seed=0)
+    options = {"num_envs": 2, "action_repeat": 4, "max_episode_steps": 6, "address": address, "token": TOKEN}
+    remote = gymnasium.make_vec("freerein/blocks-v0", **options)
+    remote.reset(seed=4)
+    local.reset(seed=4)
+    actions = np.full((2, 3), 0.5, np.float32)
+    observation, *_ = remote.step(actions)
+    expected = local.step(actions, ("front",), action_repeat=4)
+    np.testing.assert_array_equal(observation, expected.frames["front"])
+    assert remote.step(actions)[3].all()
+    assert remote.metadata["render_fps"] == pytest.approx(1 / (4 * TASKS["blocks"].spec.control_dt_s))
+    remote.close()
+    local.close()
+
+
 def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
     with SimEnv("grid", address, token=TOKEN) as env:
         envs = SimVectorEnv("grid", address, num_envs=1, token=TOKEN)

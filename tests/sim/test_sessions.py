@@ -251,7 +251,7 @@ async def test_the_last_step_repeated_is_answered_as_it_was_and_not_made_again(s
 
 
 @pytest.mark.fault("M13")
-@pytest.mark.parametrize("change", [{"actions": DOWN}, {"cameras": TOP}])
+@pytest.mark.parametrize("change", [{"actions": DOWN}, {"cameras": TOP}, {"action_repeat": 2}])
 async def test_the_last_step_repeated_with_something_else_is_refused(
     sessions: SimCore, change: dict[str, object]
 ) -> None:
@@ -259,7 +259,7 @@ async def test_the_last_step_repeated_with_something_else_is_refused(
     step = StepRequest(session, 1, UP)
     await sessions.step(step)
 
-    with pytest.raises(StepOutOfOrder, match="with other actions or cameras") as refusal:
+    with pytest.raises(StepOutOfOrder, match="with other actions, cameras or repeats") as refusal:
         await sessions.step(replace(step, **change))
 
     assert refusal.value.field == "step_id"

@@ -103,6 +103,37 @@ def test_an_episode_is_cut_at_its_longest_and_goes_on_as_a_new_one(begin: MakeEn
     assert not envs.step(up).truncated.any()
 
 
+def test_a_held_action_is_the_same_action_several_times(begin: MakeEnvs) -> None:
+    held, stepped = begin(BLOCKS, num_envs=2, privileged=True), begin(BLOCKS, num_envs=2, privileged=True)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        actions = some_actions(BLOCKS, 2, rng)
+        for _ in range(3):
+            stepped.step(actions)
+        last = stepped.step(actions, ("front",))
+        assert bits(held.step(actions, ("front",), action_repeat=4))[1:] == bits(last)[1:]
+    assert (held.step_id, stepped.step_id) == (3, 12)
+
+
+def test_an_action_is_held_until_the_episode_ends(begin: MakeEnvs) -> None:
+    envs = begin(FRAGILE, max_episode_steps=5)
+    down = np.full((3, 1), 1)
+
+    first = envs.step(np.array([[1], [grid.PICK_UP], [1]]), action_repeat=4)
+    second = envs.step(down, ("top",), action_repeat=4)
+
+    assert first.terminated.tolist() == [False, True, False]
+    assert second.truncated.tolist() == [True, False, True]
+    assert len(second.final_frames["top"]) == 2
+    assert envs.step(down, action_repeat=4).truncated.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("action_repeat", [0, 65])
+def test_an_action_is_held_for_1_to_64_timesteps(begin: MakeEnvs, action_repeat: int) -> None:
+    with pytest.raises(InvalidInput, match="action_repeat"):
+        begin().step(np.zeros((3, 1), np.int64), action_repeat=action_repeat)
+
+
 def test_final_frames_are_of_the_ended_episodes_only_in_order(begin: MakeEnvs) -> None:
     envs = begin(FRAGILE)
     before = envs.render().frames["top"]

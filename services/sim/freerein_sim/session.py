@@ -57,7 +57,7 @@ class Session:
             last, response = self.last_step
             if not _is_repeated(request, last):
                 raise StepOutOfOrder(
-                    f"Step {request.step_id} was made already; got it again with other actions or cameras.",
+                    f"Step {request.step_id} was made already; got it again with other actions, cameras or repeats.",
                     field="step_id",
                     hint="Repeat a step only unchanged. The next step's `step_id` is one more.",
                 )
@@ -102,7 +102,7 @@ def session_not_found() -> SessionNotFound:
 
 def _is_repeated(request: sim.StepRequest, last: sim.StepRequest) -> bool:
     return (
-        request.cameras == last.cameras
+        (request.cameras, request.action_repeat) == (last.cameras, last.action_repeat)
         and request.actions.dtype == last.actions.dtype
         and request.actions.shape == last.actions.shape
         and request.actions.tobytes() == last.actions.tobytes()

@@ -41,7 +41,9 @@ class SessionOptions(TypedDict, total=False):
         privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
             `success` of each step, and of resets that begin an episode.
         conditions: Conditions of the task, named variations; empty for the nominal task.
-        max_episode_steps: Steps after which an episode is truncated; 0 for the task's own.
+        max_episode_steps: Timesteps after which an episode is truncated; 0 for the task's own.
+        action_repeat: Timesteps that each action is held for, or until the episode ends; at most 64. Steps return what
+            the last of them does.
         lease_s: Seconds after which the service ends the session when this process is gone or stopped; at most 3600.
             While it lives, a thread renews the lease.
         render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
@@ -55,6 +57,7 @@ class SessionOptions(TypedDict, total=False):
     privileged: bool
     conditions: Sequence[str]
     max_episode_steps: int
+    action_repeat: int
     lease_s: float
     render_mode: str | None
     token: str
@@ -84,6 +87,7 @@ class EnvSession:
         privileged: bool = False,
         conditions: Sequence[str] = (),
         max_episode_steps: int = 0,
+        action_repeat: int = 1,
         lease_s: float = _LEASE_S,
         render_mode: str | None = None,
         token: str = "",
@@ -112,11 +116,12 @@ class EnvSession:
             on_error.callback(self.close)
             self._session = self._lease.created.session
             self.task: Task = self._lease.created.task
-            self._step_id = 0
+            self._step_id, self._action_repeat = 0, action_repeat
             self.cameras = tuple(cameras) or (self.task.cameras[0].name,)
             self.observation_space = _observation_space(self.task, self.cameras, height, width)
             self.action_space = _action_space(self.task.action)
-            self.metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1.0 / self.task.control_dt_s}
+            step_s = action_repeat * self.task.control_dt_s
+            self.metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1.0 / step_s}
             on_error.pop_all()
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
@@ -134,8 +139,10 @@ class EnvSession:
             ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
                 is counted as made; if it was not, later steps are refused.
         """
-        request = StepRequest(self._session, self._step_id + 1, self._encoded(actions), self.cameras)
         self._step_id += 1
+        request = StepRequest(
+            self._session, self._step_id, self._encoded(actions), self.cameras, action_repeat=self._action_repeat
+        )
         try:
             reply: StepResponse = self._sim.step(request)
         except (InvalidInput, FailedPrecondition, Overloaded):

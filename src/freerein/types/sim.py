@@ -170,12 +170,14 @@ class StepRequest:
         step_id: 1 for the session's first step, then one more each time; the last one repeated returns its reply.
         actions: float32 or int64 (N, size), matching the task's `ActionSpec`.
         cameras: Cameras to render; empty for no frames.
+        action_repeat: Timesteps that each action is held for, or until the episode ends; 0 means 1.
     """
 
     session: str
     step_id: int
     actions: npt.NDArray[Any]
     cameras: tuple[str, ...] = ()
+    action_repeat: int = 1
 
 
 @dataclass(frozen=True, eq=False)

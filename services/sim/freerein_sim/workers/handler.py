@@ -144,7 +144,7 @@ def _answer_in_session(envs: VectorEnv, request: object) -> object:
         case sim.ResetRequest():
             response = envs.reset(request.envs, request.seed, cameras=request.cameras, recipes=request.recipes)
         case sim.StepRequest():
-            response = envs.step(request.actions, request.cameras)
+            response = envs.step(request.actions, request.cameras, action_repeat=request.action_repeat or 1)
         case sim.RenderRequest():
             response = envs.render(request.cameras, height=request.height, width=request.width)
         case sim.SnapshotRequest():

@@ -16,6 +16,7 @@ from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import (
     NO_SKILL,
     ScriptedPolicy,
+    StepResult,
     TaskDefinition,
     check_actions,
     check_saves,
@@ -26,6 +27,7 @@ from freerein_sim.worlds.world import (
 
 MAX_RECIPE = 256
 """Most skills of a recipe."""
+MAX_ACTION_REPEAT = 64
 
 
 class VectorEnv:
@@ -101,19 +103,20 @@ class VectorEnv:
         self._is_reset = True
         return ResetResponse(self._frames(views, range(self.num_envs)), self._truth() if self._privileged else None)
 
-    def step(self, actions: npt.NDArray[Any], cameras: Sequence[str] = ()) -> StepResponse:
+    def step(self, actions: npt.NDArray[Any], cameras: Sequence[str] = (), *, action_repeat: int = 1) -> StepResponse:
         """Steps every environment once; one whose episode ends is reset in the same call.
 
         Args:
             actions: float32 or int64 (N, size), matching the task's action spec.
             cameras: Cameras to render.
+            action_repeat: Timesteps that each action is held for, or until the episode ends.
         """
         self._check_reset("Step")
+        _check_action_repeat(action_repeat)
         check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
         views = self._cameras(cameras)
         self._try_views(views)
-        results = [world.step(action) for world, action in zip(self._worlds, actions, strict=True)]
-        self._steps += 1
+        results = [self._hold(env, action, action_repeat) for env, action in enumerate(actions)]
         self.step_id += 1
         terminated = np.array([result.terminated for result in results])
         truncated = ~terminated & (self._steps >= self._max_steps)
@@ -189,6 +192,15 @@ class VectorEnv:
         """Closes the worlds, on the thread that rendered; may be called twice."""
         for world in self._worlds:
             world.close()
+
+    def _hold(self, env: int, action: npt.NDArray[Any], timesteps: int) -> StepResult:
+        """Takes an action for some timesteps, or until the episode ends; returns the result of the last."""
+        for _ in range(timesteps):
+            result = self._worlds[env].step(action)
+            self._steps[env] += 1
+            if result.terminated or self._steps[env] >= self._max_steps:
+                break
+        return result
 
     def _begin(self, env: int, recipe: Sequence[str] = ()) -> None:
         self._worlds[env].reset(self._rngs[env], recipe=recipe)
@@ -298,6 +310,15 @@ class VectorEnv:
             f"got one {got}.",
             field="snapshot",
             hint="Create a session like the one that the snapshot was taken from.",
+        )
+
+
+def _check_action_repeat(action_repeat: int) -> None:
+    if not 1 <= action_repeat <= MAX_ACTION_REPEAT:
+        raise InvalidInput(
+            f"`action_repeat` must be 0 to {MAX_ACTION_REPEAT} timesteps, 0 for 1; got {action_repeat}.",
+            field="action_repeat",
+            hint="Repeat the step.",
         )
 
 

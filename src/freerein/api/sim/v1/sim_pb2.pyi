@@ -428,10 +428,15 @@ class StepRequest(_message.Message):
     STEP_ID_FIELD_NUMBER: _builtins.int
     ACTIONS_FIELD_NUMBER: _builtins.int
     CAMERAS_FIELD_NUMBER: _builtins.int
+    ACTION_REPEAT_FIELD_NUMBER: _builtins.int
     session: _builtins.str
     """The session."""
     step_id: _builtins.int
     """1 for the session's first step, then one more each time. The last one repeated returns the recorded reply."""
+    action_repeat: _builtins.int
+    """Timesteps that each action is held for; 0 means 1. At most 64. An environment whose episode ends takes no more of
+    them. Frames and `truth` are those after the last.
+    """
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """FP32 or INT64 (num_envs, size), as the task's ActionSpec says. Finite, and within [-1, 1] or [0, choices)."""
@@ -447,10 +452,11 @@ class StepRequest(_message.Message):
         step_id: _builtins.int = ...,
         actions: _common_pb2.Tensor | None = ...,
         cameras: _abc.Iterable[_builtins.str] | None = ...,
+        action_repeat: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "cameras", b"cameras", "session", b"session", "step_id", b"step_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action_repeat", b"action_repeat", "actions", b"actions", "cameras", b"cameras", "session", b"session", "step_id", b"step_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -1,0 +1,37 @@
+"""The example that learns from a sentence, over real services, for some thousand timesteps."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "train_sb3.py"
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_stable_baselines_trains_on_a_sentence(
+    start_service: Callable[..., Any], wait_until: Callable[..., float], tmp_path: Path
+) -> None:
+    services = {name: start_service(f"freerein_{name}", tmp_path / name) for name in ("sim", "reward")}
+    for service in services.values():
+        wait_until(service.is_ready, 60)
+    addresses = [word for name, service in services.items() for word in (f"--{name}", service.address)]
+    policy = tmp_path / "policy.zip"
+
+    command = [sys.executable, EXAMPLE, "--steps", "160", "--envs", "8", "--out", policy, *addresses]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert ran.returncode == 0, ran.stderr
+    returns = re.search(r"return, of 5: ([\d.]+) before, ([\d.]+) after 160 moves", ran.stderr)
+    assert returns is not None, ran.stderr
+    assert all(0 <= float(each) <= 5 for each in returns.groups())
+    move, _ = PPO.load(policy, device="cpu").predict(np.zeros((64, 64, 3), np.uint8))
+    assert move in range(4)
