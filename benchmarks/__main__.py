@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
-_BENCHMARKS = ("render", "sim", "segment", "batcher", "act", "peers", "control", "reward", "ppo")
+_BENCHMARKS = ("render", "sim", "envs", "segment", "batcher", "act", "peers", "control", "reward", "ppo")
 _ON_REQUEST = ("training",)
 """Not run by default: half an hour on two cores."""
 

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FUZZ = os.environ.get("FREEREIN_FUZZ") == "1"
-KINDS = {"render", "sim", "segment", "batcher", "reward", *(("act", "control", "ppo") if FUZZ else ())}
+KINDS = {"render", "sim", "envs", "segment", "batcher", "reward", *(("act", "control", "ppo") if FUZZ else ())}
 PROMISED = {
     "render.blocks_vs_stock",
     "render.blocks_vs_stock_without_shadows",
