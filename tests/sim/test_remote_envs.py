@@ -96,6 +96,13 @@ def test_an_action_is_held_as_in_process(address: str) -> None:
     local.close()
 
 
+@pytest.mark.parametrize("action_repeat", [-1, 0])
+def test_an_action_is_held_for_a_timestep_at_least(address: str, action_repeat: int) -> None:
+    with pytest.raises(InvalidInput, match="at least 1 timestep") as refusal:
+        SimEnv("grid", address, token=TOKEN, action_repeat=action_repeat)
+    assert refusal.value.field == "action_repeat"
+
+
 def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
     with SimEnv("grid", address, token=TOKEN) as env:
         envs = SimVectorEnv("grid", address, num_envs=1, token=TOKEN)

@@ -99,6 +99,12 @@ class EnvSession:
                 field="render_mode",
                 hint="Ask for rgb_array.",
             )
+        if action_repeat < 1:
+            raise InvalidInput(
+                f"`action_repeat` must be at least 1 timestep; got {action_repeat}.",
+                field="action_repeat",
+                hint="Leave it out for 1.",
+            )
         self._sim = SyncClient(SimClient(Channel(address, token=token, root_certificates=root_certificates)))
         request = CreateSessionRequest(
             task,

@@ -316,7 +316,7 @@ class VectorEnv:
 def _check_action_repeat(action_repeat: int) -> None:
     if not 1 <= action_repeat <= MAX_ACTION_REPEAT:
         raise InvalidInput(
-            f"`action_repeat` must be 0 to {MAX_ACTION_REPEAT} timesteps, 0 for 1; got {action_repeat}.",
+            f"`action_repeat` must be 1 to {MAX_ACTION_REPEAT} timesteps; got {action_repeat}.",
             field="action_repeat",
             hint="Repeat the step.",
         )
