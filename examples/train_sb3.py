@@ -26,7 +26,7 @@ from freerein.envs.sb3 import SB3VecEnv
 
 _log = logging.getLogger(__name__)
 _TIMESTEPS, _MOVES = 8, 5
-_EVALUATED_EPISODES = 64
+_EVALUATED_EPISODES = 32
 
 
 class Moves(VectorActionWrapper):

@@ -228,8 +228,7 @@ class RenderRequest:
 
     Attributes:
         cameras: Cameras; empty for all of the task.
-        height: Frame height in pixels; 0 means the session's.
-        width: Frame width in pixels; 0 means the session's.
+        height, width: Frame size in pixels; 0 means the session's.
     """
 
     session: str
@@ -367,8 +366,7 @@ class CheckResponse:
 class ExpertActionsRequest:
     """Asks a privileged session for the scripted expert's next actions; to be called once before each step.
 
-    Attributes:
-        recipes: Recipe of each environment, read by the first call of its episode; empty for the episode's own.
+    `recipes` has one of each environment, read by the first call of its episode; empty for the episode's own.
     """
 
     session: str
