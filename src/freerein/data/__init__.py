@@ -1,6 +1,6 @@
 """Trajectory datasets on disk: LeRobotDataset v3, one parquet file per trajectory, crash-safe.
 
-    <root>/data/           frames, actions, terminations; per trajectory a goal text and the skills that occur
+    <root>/data/           frames, actions, if any, terminations; per trajectory a goal text and the skills that occur
     <root>/meta/           LeRobot's index, rebuilt from data/ where the two differ
     <root>/cache/          decoded frames and actions, rebuilt when data/ changes
     <root>/labels/         per-timestep skills predicted by a segmentation model; see `freerein.data.labels`
@@ -12,6 +12,7 @@
 `label` bring annotations that people made; `import_trajectories` brings datasets of other tools.
 """
 
+from freerein.data.action_table import read_actions as read_actions
 from freerein.data.annotations import label as label
 from freerein.data.annotations import tag as tag
 from freerein.data.cache import StepCache as StepCache
@@ -19,6 +20,8 @@ from freerein.data.checks import DatasetSummary as DatasetSummary
 from freerein.data.checks import check as check
 from freerein.data.checks import inspect as inspect
 from freerein.data.checks import verify as verify
+from freerein.data.folders import FolderSource as FolderSource
+from freerein.data.folders import ImageSource as ImageSource
 from freerein.data.importing import LeRobotSource as LeRobotSource
 from freerein.data.importing import Source as Source
 from freerein.data.importing import import_trajectories as import_trajectories

@@ -9,7 +9,7 @@ A trajectory is named by its index, LeRobot's `episode_index`. Nothing changes u
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ _TAG_COLUMNS = ("trajectory", "skills")
 _LABEL_COLUMNS = ("trajectory", "start", "end", "skill")
 _SEPARATOR = ";"
 _MAX_SKILL = 64
+_NAMED_TWICE = ("name each trajectory once; it names one again", "Join the two lines.")
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,18 @@ class _Line:
         if not (text.isascii() and text.isdigit() and len(text) < 19 and least <= int(text) <= most):
             raise self.error(column, f"be a whole number in [{least}, {most}]; it is not", "Count from 0.")
         return int(text)
+
+    def skills(self) -> tuple[str, ...]:
+        """Returns the skills that the column `skills` names, sorted; empty for an empty cell."""
+        text = self.cells["skills"].strip()
+        names = [name.strip() for name in text.split(_SEPARATOR)] if text else []
+        if not all(0 < len(name) <= _MAX_SKILL and name.isprintable() for name in names):
+            raise self.error(
+                "skills",
+                f"hold names of 1 to {_MAX_SKILL} characters, separated by `{_SEPARATOR}`; it does not",
+                "For example: reach;pour.",
+            )
+        return tuple(sorted(set(names)))
 
     def error(self, column: str, expected: str, hint: str) -> InvalidInput:
         """Returns the error of a cell."""
@@ -105,6 +118,22 @@ def label(root: Path, table: bytes) -> int:
     return len(labels)
 
 
+def read_tags(table: bytes, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Returns the skills of trajectories by name, as `tag` reads those by index.
+
+    Raises InvalidInput where a line is not as there, or names none of the trajectories `names`.
+    """
+    given = dict[str, tuple[str, ...]]()
+    for line in _lines(table, _TAG_COLUMNS):
+        name = line.cells["trajectory"].strip()
+        if name not in names:
+            raise line.error("trajectory", "name a trajectory that is there; it does not", f"The first is {names[0]}.")
+        if name in given:
+            raise line.error("trajectory", *_NAMED_TWICE)
+        given[name] = line.skills()
+    return given
+
+
 def _existing(root: Path) -> Path:
     """Returns the folder of a dataset; raises NotFound where there is none, before a lock is made there."""
     Dataset(root)
@@ -116,17 +145,8 @@ def _tags(table: bytes, *, count: int) -> dict[int, tuple[str, ...]]:
     for line in _lines(table, _TAG_COLUMNS):
         index = line.integer("trajectory", least=0, most=count - 1)
         if index in given:
-            raise line.error("trajectory", "name each trajectory once; it names one again", "Join the two lines.")
-        names = (
-            [name.strip() for name in line.cells["skills"].split(_SEPARATOR)] if line.cells["skills"].strip() else []
-        )
-        if not all(0 < len(name) <= _MAX_SKILL and name.isprintable() for name in names):
-            raise line.error(
-                "skills",
-                f"hold names of 1 to {_MAX_SKILL} characters, separated by `{_SEPARATOR}`; it does not",
-                "For example: reach;pour.",
-            )
-        given[index] = tuple(sorted(set(names)))
+            raise line.error("trajectory", *_NAMED_TWICE)
+        given[index] = line.skills()
     return given
 
 

@@ -18,6 +18,12 @@ from freerein.errors import InvalidInput, ServiceError
 
 _GAP = "The data files must be numbered without a gap; this one is missing."
 _REBUILD = "Open the dataset while no writer is open: `meta/` is rebuilt from the data files."
+_NO_ACTIONS = Problem(
+    "actions",
+    "Timesteps have no actions: skills are learned from images alone, and no policy can be.",
+    "Record the executed actions, too, if you want policies.",
+    "warning",
+)
 _TELLING_AUROC, _SIGNIFICANT = 0.6, 0.01
 _RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
 
@@ -112,7 +118,8 @@ def check(root: Path) -> list[Problem]:
         return [Problem("data", "A dataset must hold trajectories; this one is empty.", "Record demonstrations first.")]
     trajectories = [problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index)]
     first_frames = [] if trajectories else _first_frame_problems(dataset)
-    return [*tag_problems(dataset.spec.skills, dataset.skills), *first_frames, *trajectories]
+    actions = [] if dataset.spec.has_actions else [_NO_ACTIONS]
+    return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *first_frames, *trajectories]
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:

@@ -44,7 +44,7 @@ class DatasetSpec:
     Attributes:
         fps: Timesteps per second, a positive integer as LeRobot requires; see `integer_fps`.
         cameras: Frame size (H, W, C) in pixels by camera name, C = 1 or 3.
-        action: Size of a continuous action, or number of choices of a discrete one.
+        action: Size of a continuous action, or number of choices of a discrete one; of size 0 where there are none.
         robot_type: Name of the robot.
         skills: Skill names; labels are indices into them. May be empty.
         task: Goal text of trajectories without one of their own.
@@ -78,12 +78,17 @@ class DatasetSpec:
             raise InvalidInput(
                 "`skills` must be different, non-empty names; got a repeated or empty one.", field="skills"
             )
-        if self.action.size < 1 or (self.action.choices and self.action.size != 1):
+        if self.action.size < 0 or (self.action.choices and self.action.size != 1):
             raise InvalidInput(
-                "An action must have at least one number, and exactly one when it is discrete; "
+                "An action must have exactly one number when it is discrete, else any number; "
                 f"got {self.action.size} with {self.action.choices} choices.",
                 field="action",
             )
+
+    @property
+    def has_actions(self) -> bool:
+        """Whether timesteps have actions."""
+        return self.action.size > 0
 
     @property
     def action_bounds(self) -> tuple[float, float]:
@@ -204,8 +209,9 @@ def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
         camera_key(camera): {"dtype": "image", "shape": list(size), "names": ["height", "width", "channels"]}
         for camera, size in spec.cameras.items()
     }
-    names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
-    features["action"] = {"dtype": str(spec.action.dtype), "shape": [spec.action.size], "names": names}
+    if spec.has_actions:
+        names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
+        features["action"] = {"dtype": str(spec.action.dtype), "shape": [spec.action.size], "names": names}
     for name, dtype in _number_columns(spec).items():
         features[name] = {"dtype": dtype, "shape": [1], "names": None}
     return features
@@ -234,9 +240,10 @@ def data_schema(spec: DatasetSpec) -> pa.Schema:
     """Returns the schema of a data file; an image is a struct of encoded bytes and an unused path."""
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     number = pa.from_numpy_dtype(spec.action.dtype)
-    action = number if spec.action.size == 1 else pa.list_(number, spec.action.size)
+    action = [("action", number if spec.action.size == 1 else pa.list_(number, spec.action.size))]
     numbers = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _number_columns(spec).items()]
-    return pa.schema([*((camera_key(camera), image) for camera in spec.cameras), ("action", action), *numbers])
+    images = ((camera_key(camera), image) for camera in spec.cameras)
+    return pa.schema([*images, *(action if spec.has_actions else []), *numbers])
 
 
 def _number_columns(spec: DatasetSpec) -> dict[str, str]:

@@ -1,6 +1,6 @@
-"""Reads the metadata of LeRobotDataset v3 datasets of other tools, of images or video, and an action.
+"""Reads the metadata of LeRobotDataset v3 datasets of other tools, of images or video.
 
-Depth cameras are left out. Continuous actions may be in any unit.
+Depth cameras are left out. Continuous actions may be in any unit, or missing.
 
 Terminations are those of `next.terminated`, else of LeRobot's own `next.done`: true at the end of an episode, for most
 tools that write it also where the episode was truncated.
@@ -65,7 +65,7 @@ def read(root: Path) -> LeRobotMeta:
         spec = DatasetSpec(
             fps=int(info["fps"]),
             cameras={camera: _frame_size(info["features"][key]) for camera, key in keys.items()},
-            action=_action(info["features"]["action"], root),
+            action=_action(info["features"].get("action"), root),
             robot_type=str(info.get("robot_type") or ""),
             skills=tuple(sorted({skill for skills in episodes["skills"].to_pylist() for skill in skills})),
             task=_task(root),
@@ -75,7 +75,7 @@ def read(root: Path) -> LeRobotMeta:
         spans = {camera: _spans(root, stored, key, fps=spec.fps) for camera, key in videos.items()}
     except (KeyError, TypeError, ValueError):
         raise InvalidInput(
-            "`info.json` must describe at least one camera and an action as LeRobot v3.0 does; it does not.",
+            "`info.json` must describe at least one camera, and any action, as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
         ) from None
     return LeRobotMeta(spec, episodes, images, spans, terminated_key)
@@ -133,7 +133,9 @@ def _frame_size(feature: dict[str, Any]) -> tuple[int, int, int]:
     return by_axis["h"], by_axis["w"], by_axis["c"]
 
 
-def _action(feature: dict[str, Any], root: Path) -> ActionSpec:
+def _action(feature: dict[str, Any] | None, root: Path) -> ActionSpec:
+    if feature is None:
+        return ActionSpec(size=0, choices=0, names=())
     shape, dtype = feature["shape"], feature["dtype"]
     if dtype == "int64" and shape == [1]:
         return ActionSpec(size=1, choices=_choices(root), names=())

@@ -24,7 +24,7 @@ class Dataset:
     """Read-only sequence of the trajectories that a dataset held when it was opened.
 
     Opening compares `meta/` with `data/` and rewrites it where a crash left it out of date. Also opens any
-    LeRobotDataset v3 of images or video, and an action. Where that has no `next.terminated`, `terminated` is
+    LeRobotDataset v3 of images or video. Where that has no `next.terminated`, `terminated` is
     its `next.done`, which most tools also set where an episode was truncated.
 
     Attributes:
@@ -92,7 +92,8 @@ class Dataset:
         chosen = cameras or tuple(self.spec.cameras)
         frames = {camera: self._frames(items, camera, size=size) for camera in chosen}
         for index in items:
-            rows = self._rows(index, ["action", *([self._terminated_key] if self.spec.has_terminations else [])])
+            terminated = [self._terminated_key] if self.spec.has_terminations else []
+            rows = self._rows(index, [*self._action_columns, *terminated])
             yield Trajectory(
                 frames={camera: next(each) for camera, each in frames.items()},
                 actions=decode_actions(rows, self.spec),
@@ -103,7 +104,7 @@ class Dataset:
 
     def actions(self, index: int) -> Actions:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
-        return decode_actions(self._rows(range(len(self))[index], ["action"]), self.spec)
+        return decode_actions(self._rows(range(len(self))[index], self._action_columns), self.spec)
 
     def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
@@ -150,6 +151,8 @@ class Dataset:
             InvalidInput: The dataset is empty; or as `dataset[i]`.
             OutOfStorage: The disk is full.
         """
+        if not self.spec.has_actions:
+            return StepCache(np.empty((self.lengths.sum(), 0), np.float32), np.append(0, self.lengths.cumsum()))
         parts = (self.actions(index) for index in range(len(self)))
         shape, dtype = (self.spec.action.size,), self.spec.action.dtype
         cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
@@ -167,6 +170,10 @@ class Dataset:
         parts = (self._terminations(self._rows(index, [self._terminated_key])) for index in range(len(self)))
         path = self._cache_file("terminations")
         return open_or_build(path, dtype=np.dtype(np.bool_), shape=(), lengths=self.lengths, parts=parts)
+
+    @property
+    def _action_columns(self) -> list[str]:
+        return ["action"] if self.spec.has_actions else []
 
     def _rows(self, index: int, columns: list[str]) -> pa.Table:
         rows = read_rows(self._path(self._places[index]), index=index, columns=columns)

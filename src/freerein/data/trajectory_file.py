@@ -48,7 +48,8 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
     """Returns a trajectory as a parquet file; it must match the spec. The indices count within the dataset."""
     numbers = _numbers(trajectory, spec, index, first_frame, task_index)
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
-    columns["action"] = _action_column(trajectory.actions)
+    if spec.has_actions:
+        columns["action"] = _action_column(trajectory.actions)
     columns |= {name: pa.array(column[:, 0]) for name, column in numbers.items() if name != "action"}
     footer: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
@@ -123,7 +124,9 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
 
 
 def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
-    """Returns the actions, float32 (T, A) or int64 (T, 1)."""
+    """Returns the actions, float32 (T, A) or int64 (T, 1); float32 (T, 0) of a dataset without."""
+    if not spec.has_actions:
+        return np.empty((len(rows), 0), np.float32)
     flat = _flat(rows["action"])
     if flat.null_count or len(flat) != len(rows) * spec.action.size:
         raise InvalidInput(
@@ -192,7 +195,7 @@ def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
 def _numbers(
     trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int, task_index: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Returns every column but the images: actions (T, A); terminations, and LeRobot's index columns, (T, 1)."""
+    """Returns every column but the images: actions (T, A), if any; terminations and LeRobot's indices, (T, 1)."""
     t = np.arange(len(trajectory.actions))
     terminated = {} if trajectory.terminated is None else {layout.TERMINATED_KEY: trajectory.terminated}
     columns: dict[str, npt.NDArray[Any]] = {
@@ -203,7 +206,8 @@ def _numbers(
         "index": first_frame + t,
         "task_index": np.full_like(t, task_index),
     }
-    return {"action": trajectory.actions, **{name: column[:, None] for name, column in columns.items()}}
+    actions = {"action": trajectory.actions} if spec.has_actions else {}
+    return {**actions, **{name: column[:, None] for name, column in columns.items()}}
 
 
 def _statistics(

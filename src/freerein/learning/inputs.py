@@ -18,7 +18,7 @@ class InputSpec:
 
     Attributes:
         cameras: Cameras whose frames are the input, each with a name of its own.
-        action: The action space.
+        action: The action space; of size 0 for a network that needs none, trained on a dataset without.
 
     Raises:
         InvalidInput: Cameras or actions are out of bounds.
@@ -46,9 +46,9 @@ class InputSpec:
                 )
         action = self.action
         is_discrete = action.size == 1 and 1 <= action.choices <= _MAX_ACTION_CHOICES
-        if not is_discrete and not (1 <= action.size <= _MAX_ACTION_SIZE and action.choices == 0):
+        if not is_discrete and not (0 <= action.size <= _MAX_ACTION_SIZE and action.choices == 0):
             raise InvalidInput(
-                f"An action must have 1 to {_MAX_ACTION_SIZE} numbers, or be one of at most {_MAX_ACTION_CHOICES} "
+                f"An action must have at most {_MAX_ACTION_SIZE} numbers, or be one of at most {_MAX_ACTION_CHOICES} "
                 f"choices; got {action.size} numbers and {action.choices} choices.",
                 field="dataset",
             )

@@ -45,6 +45,8 @@ class Method(Generic[C, L, N, M_co]):
             missing or malformed.
         calibrate: Sets what a trained network takes from held-out data, before it is saved.
         files: Returns files of the model beside weights and card, by name.
+        needs_actions: Whether it learns from executed actions. One whose configuration has `use_actions` does without
+            where the dataset has none.
     """
 
     config: type[C]
@@ -54,6 +56,7 @@ class Method(Generic[C, L, N, M_co]):
     load: Callable[[Path, str], M_co]
     calibrate: Callable[[L, N], None] = lambda _learner, _network: None
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
+    needs_actions: bool = True
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ class Methods(Generic[M_co]):
         source = FitDataset.open(data_dir, dataset)
         config = parse(method.config, {"threads": threads, **given})
         config = replace(config, cameras=choose_cameras(source.dataset, config.cameras))
+        if method.needs_actions and not source.dataset.spec.has_actions:
+            config = _without_actions(config, given)
         config = method.resolve(source, config, **resources)
         return {"method": name, **asdict(config)}
 
@@ -159,3 +164,15 @@ class Methods(Generic[M_co]):
             if value != each.default:
                 given[each.name] = value if isinstance(value, str) else json.dumps(value)
         return "".join(f" --set {shlex.quote(f'{key}={text}')}" for key, text in given.items())
+
+
+def _without_actions(config: C, given: Mapping[str, Any]) -> C:
+    """Returns a configuration that uses no actions; InvalidInput where there is none, or it was asked to."""
+    if "use_actions" in {each.name for each in fields(config)} and not given.get("use_actions", False):
+        without: dict[str, Any] = {"use_actions": False}
+        return replace(config, **without)
+    raise InvalidInput(
+        "This fit learns from executed actions; the timesteps of the dataset have none.",
+        field="dataset",
+        hint="Record them with the images. Without, segmentation and reward models can be fitted.",
+    )

@@ -86,5 +86,11 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
 
 
 RELATION_CAPTIONS = Method(
-    RewardConfig, _resolve, _prepare, _card, load_reward_model, calibrate=RewardModelLearner.calibrate
+    RewardConfig,
+    _resolve,
+    _prepare,
+    _card,
+    load_reward_model,
+    calibrate=RewardModelLearner.calibrate,
+    needs_actions=False,
 )

@@ -13,6 +13,7 @@ from freerein.cli.settings import CliSettings
 from freerein.data import (
     Dataset,
     DatasetSummary,
+    FolderSource,
     LeRobotSource,
     MimeSource,
     Problem,
@@ -46,19 +47,42 @@ def list_datasets(as_json: AsJson = False) -> None:
 @app.command("import")
 @command
 def import_dataset(
-    path: Annotated[Path, typer.Argument(help="Folder of a LeRobotDataset v3, of images or video, or of MIME.")],
+    path: Annotated[
+        Path, typer.Argument(help="Folder of trajectories as images or mp4 files, of a LeRobotDataset v3, or of MIME.")
+    ],
     name: Annotated[str, typer.Argument(help="Name of the new dataset in the data directory.")],
+    *,
     size: Annotated[
         str, typer.Option(metavar="HxW", help="Scale frames, such as 96x128; their own size if empty.")
     ] = "",
-    layout: Annotated[Literal["lerobot", "mime"], typer.Option(help="What the folder holds.")] = "lerobot",
+    layout: Annotated[
+        Literal["auto", "folder", "lerobot", "mime"], typer.Option(help="What the folder holds; auto: by its `meta`.")
+    ] = "auto",
+    fps: Annotated[int, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder.")] = 10,
+    tags: Annotated[
+        Path | None, typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, of layout folder.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Import a dataset of another tool: video is decoded once, actions stay in their own unit."""
-    source: Source = _SOURCES[layout](path, size=_size(size))
-    with progress_bar(f"importing {name}", total=len(source), is_shown=not as_json) as on_count:
-        import_trajectories(source, dataset_root(name), on_count=on_count)
+    """Import trajectories of another tool: video is decoded once, actions stay in their own unit.
+
+    Layout `folder`: `<trajectory>/0.png, 1.png, ...`, or `<trajectory>/<camera>/0.png, ...`, or `<trajectory>.mp4`.
+    Beside them `<trajectory>/actions.csv`, where there are actions, and one `tags.csv`.
+    """
+    kind = layout if layout != "auto" else "lerobot" if (path / "meta").is_dir() else "folder"
+    source: Source
+    if kind == "folder":
+        source = FolderSource(path, size=_size(size), fps=fps, tags=tags.read_bytes() if tags else None)
+    else:
+        source = _SOURCES[kind](path, size=_size(size))
+    import_with_progress(source, name, is_shown=not as_json)
     _show_count(name, "imported", len(source), as_json=as_json)
+
+
+def import_with_progress(source: Source, name: str, *, is_shown: bool) -> None:
+    """Imports trajectories as a dataset of the data directory, with a bar; raises as `import_trajectories`."""
+    with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
+        import_trajectories(source, dataset_root(name), on_count=on_count)
 
 
 def _size(text: str) -> tuple[int, int] | None:

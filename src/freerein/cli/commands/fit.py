@@ -1,13 +1,15 @@
 """`freerein fit`: start, list, watch, report, cancel and resume fits; their metrics."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from freerein import wire
-from freerein.cli.commands.dataset import dataset_root
+from freerein.cli.commands.dataset import dataset_root, import_with_progress
 from freerein.cli.connection import call, call_each, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
@@ -16,6 +18,8 @@ from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
 from freerein.cli.output import AsJson, command, print_json, show_all, show_table
 from freerein.clients import FitClient, ModelClient, SegmentationClient
+from freerein.data import ImageSource
+from freerein.errors import InvalidInput
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
     CancelFitRequest,
@@ -33,14 +37,17 @@ app = typer.Typer(help="Fits of models.", no_args_is_help=True, add_completion=F
 _Service = Annotated[str, typer.Option(help="Service that fits; all when empty.")]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, as listed by `freerein fit list`.")]
 
+_Phrases = Annotated[
+    list[str] | None,
+    typer.Option(help="Noun phrases of the goal texts, such as `a red block`; repeatable, or with commas."),
+]
 _WatchEnd = Annotated[bool, typer.Option("--watch", help="Wait for the end and draw the curves.")]
 
-_SERVICES = {
+_SERVICES = ("segmentation", "imitation", "reward")
+_EXPLANATIONS = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
     "imitation": "Fit a policy to a dataset: goal-conditioned by default, `--set method=inverse_model` for the "
     "baseline without memory, `--set method=skills` for recipes of skills, `--set method=language` for language goals.",
-    "reward": "Fit a vision-language reward model to unlabelled images and noun phrases, which must be given: "
-    '`--set \'phrases=["a red block", "a yellow block"]\'`.',
 }
 
 
@@ -61,8 +68,43 @@ def _add_start(service: str, explanation: str) -> None:
         _show_or_watch(service, fit, watch=watch, as_json=as_json)
 
 
-for _service, _explanation in _SERVICES.items():
+for _service, _explanation in _EXPLANATIONS.items():
     _add_start(_service, _explanation)
+
+
+@app.command()
+@command
+def reward(
+    dataset: Annotated[str, typer.Argument(help="Name of a dataset; with --images of the new one.")] = "",
+    *,
+    images: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Import the images of a folder first, as the dataset.")
+    ] = None,
+    phrases: _Phrases = None,
+    model_name: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
+    settings: Settings = None,
+    watch: _WatchEnd = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit a vision-language reward model to unlabelled images and the noun phrases of the goal texts."""
+    name = dataset or (_dataset_name(images) if images else "")
+    if not name:
+        raise InvalidInput(
+            "A dataset or --images must be given; got neither.",
+            field="dataset",
+            hint="Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'.",
+        )
+    if images:
+        import_with_progress(ImageSource(images), name, is_shown=not as_json)
+    named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
+    config = configuration(settings) | ({"phrases": named} if named else {})
+    fit = call(FitClient, "reward", lambda client: client.start_fit(StartFitRequest(name, model_name, config))).fit
+    _show_or_watch("reward", fit, watch=watch, as_json=as_json)
+
+
+def _dataset_name(folder: Path) -> str:
+    """Returns a valid name of a dataset, like that of a folder."""
+    return re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()).strip("._-")[:64] or "images"
 
 
 @app.command("list")

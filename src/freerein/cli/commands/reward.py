@@ -144,6 +144,7 @@ def _joined(answers: Sequence[RewardResponse]) -> RewardResponse:
         rewards=np.concatenate([answer.rewards for answer in answers]),
         similarities=np.concatenate([answer.similarities for answer in answers]),
         winners=np.concatenate([answer.winners for answer in answers]),
+        in_distribution=np.concatenate([answer.in_distribution for answer in answers]),
     )
 
 

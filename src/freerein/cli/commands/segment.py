@@ -1,6 +1,5 @@
 """`freerein segment`: labels the timesteps of a video, of one trajectory, or of a whole dataset with skills."""
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -20,7 +19,7 @@ from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
 from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
-from freerein.data import Dataset, labels
+from freerein.data import Dataset, labels, read_actions
 from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
@@ -117,17 +116,13 @@ def _segment_video(
 
 
 def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
-    """Returns the actions of a CSV file without a header, (T, A), in the model's dtype."""
-    try:
-        with path.open(newline="") as file:
-            rows = [[float(number) for number in row] for row in csv.reader(file) if row]
-        return np.array(rows, np.int64 if skills.action_choices else np.float32)
-    except (OSError, ValueError):
+    """Returns the actions of a CSV file, (T, A), in the model's dtype."""
+    if not path.is_file():
         raise InvalidInput(
-            f"The actions must be a CSV file of {skills.action_size} numbers a row, without a header; it is not.",
-            field="actions",
-            hint="Write a row for each frame of the video.",
-        ) from None
+            "The actions must be a CSV file; there is none of that name.", field="actions", hint="Name the file."
+        )
+    _, values = read_actions(path.read_bytes(), file=path.name)
+    return values.astype(np.int64 if skills.action_choices else np.float32)
 
 
 def _film_of(path: Path, count: int) -> Film:

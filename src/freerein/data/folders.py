@@ -1,0 +1,285 @@
+"""Trajectories as people keep them: a folder of images, or a video, for each.
+
+    <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers
+             <trajectory>/<camera>/0.png, ...          or of several
+             <trajectory>/<camera>.mp4                 or videos
+             <trajectory>.mp4                          or one video alone
+             <trajectory>/actions.csv                  the action of each image in a line, below a line of names or not
+             tags.csv                                  lines such as `<trajectory>,reach;pour` below `trajectory,skills`
+
+Trajectories are in the order of their names, numbers in them by value. Without any `actions.csv` they have no actions.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from freerein import images
+from freerein.data.action_table import read_actions
+from freerein.data.annotations import read_tags
+from freerein.data.layout import DatasetSpec
+from freerein.data.videos import BOUNDS
+from freerein.errors import InvalidInput, NotFound
+from freerein.types.common import ActionSpec, Image, Trajectory
+from freerein.video import open_video
+
+CAMERA = "camera"
+"""Name of the camera of images or of a video that name none."""
+
+ACTIONS, TAGS = "actions.csv", "tags.csv"
+_IMAGES, _VIDEO = frozenset((".png", ".jpg", ".jpeg", ".webp")), ".mp4"
+_RUNS = 50
+_SIDE = 128
+_LATE = 1e-3
+"""Share of the time between two timesteps by which a frame may be early: times are rounded."""
+
+Pixels = npt.NDArray[np.uint8]
+Files = Path | tuple[Path, ...]
+"""A video, or images in order."""
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """The files of a trajectory: by camera, and of its actions, if any."""
+
+    name: str
+    cameras: Mapping[str, Files]
+    actions: Path | None = None
+
+
+class FolderSource:
+    """Trajectories in folders of images, or in videos.
+
+    Args:
+        folder: Holds them, as above.
+        size: Height and width to scale frames to; None to keep their own, which must then be one.
+        fps: Timesteps per second: of images, and how many of a video are taken.
+        tags: CSV with the skills of trajectories by name, instead of `tags.csv`.
+
+    Raises:
+        NotFound: The folder holds no trajectory.
+        InvalidInput: Trajectories differ in their cameras, or some lack actions; a table names no trajectory; an action
+            is no number.
+    """
+
+    def __init__(
+        self, folder: Path, *, size: tuple[int, int] | None = None, fps: int = 10, tags: bytes | None = None
+    ) -> None:
+        self._recordings = _recordings(folder)
+        self._size = size
+        self.names = tuple(each.name for each in self._recordings)
+        """Names of the trajectories, in their order."""
+        if tags is None and (folder / TAGS).is_file():
+            tags = (folder / TAGS).read_bytes()
+        self._skills = read_tags(tags, self.names) if tags is not None else {}
+        self._actions = [_actions(each) for each in self._recordings]
+        kinds = {(names, values.shape[1]) for names, values in self._actions}
+        if len(kinds) > 1:
+            raise InvalidInput(
+                f"All trajectories must have the same columns in `{ACTIONS}`, or none; they have {len(kinds)} kinds.",
+                hint="Give each trajectory its actions, or none.",
+            )
+        ((names, action_size),) = kinds
+        self._spec = DatasetSpec(
+            fps=fps,
+            cameras={camera: _shape(files, size) for camera, files in self._recordings[0].cameras.items()},
+            action=ActionSpec(size=action_size, choices=0, names=names),
+            robot_type="",
+            skills=tuple(sorted({skill for skills in self._skills.values() for skill in skills})),
+            has_scaled_actions=all(np.abs(values).max(initial=0.0) <= 1 for _, values in self._actions),
+        )
+
+    @property
+    def spec(self) -> DatasetSpec:
+        """Properties that the trajectories share."""
+        return self._spec
+
+    def __len__(self) -> int:
+        return len(self._recordings)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        for recording, (_, values) in zip(self._recordings, self._actions, strict=True):
+            frames = {
+                camera: self._frames(recording, files, self._spec.cameras[camera])
+                for camera, files in recording.cameras.items()
+            }
+            length = _common_length(recording, frames)
+            actions = values if self._spec.has_actions else np.empty((length, 0), np.float32)
+            if len(actions) != length:
+                raise InvalidInput(
+                    f"`{recording.name}/{ACTIONS}` must have a line for each of {length} images; "
+                    f"it has {len(actions)}.",
+                    hint="The action of an image is executed after it; repeat the last one for the last image.",
+                )
+            cut = {camera: each[:length] for camera, each in frames.items()}
+            yield Trajectory(cut, actions, self._skills.get(recording.name, ()))
+
+    def _frames(self, recording: _Recording, files: Files, shape: tuple[int, int, int]) -> Pixels:
+        """Returns the frames of a camera, uint8 (T, H, W, C)."""
+        if isinstance(files, Path):
+            return np.stack(list(_video_frames(files, shape, fps=self._spec.fps)))
+        return np.stack([_pixels(file, self._size, shape) for file in files])
+
+
+class ImageSource:
+    """Unlabelled images of a folder, and of the folders in it, as trajectories without actions or tags.
+
+    A run of images in the order of their names is a trajectory, about 50 in all, so that held-out images are others.
+
+    Args:
+        folder: Holds PNG, JPEG or WebP files.
+        size: Height and width to scale images to.
+
+    Raises:
+        NotFound: There are fewer than two images.
+    """
+
+    def __init__(self, folder: Path, *, size: tuple[int, int] = (_SIDE, _SIDE)) -> None:
+        by_folder: dict[Path, list[Path]] = {}
+        for file in sorted(folder.rglob("*"), key=_natural) if folder.is_dir() else ():
+            if _is_image(file):
+                by_folder.setdefault(file.parent, []).append(file)
+        count = sum(map(len, by_folder.values()))
+        if count < 2:
+            raise NotFound(
+                f"The folder must hold PNG, JPEG or WebP files, at least 2; it holds {count}.",
+                field="images",
+                hint="Name the folder of the images, or one that holds such folders.",
+            )
+        run = max(1, count // _RUNS)
+        self._runs = [files[at : at + run] for files in by_folder.values() for at in range(0, len(files), run)]
+        if len(self._runs) == 1:
+            self._runs = [self._runs[0][:1], self._runs[0][1:]]
+        self._spec = DatasetSpec(1, {CAMERA: (*size, 3)}, ActionSpec(0, 0, ()), robot_type="")
+
+    @property
+    def spec(self) -> DatasetSpec:
+        """Properties that the trajectories share."""
+        return self._spec
+
+    def __len__(self) -> int:
+        return len(self._runs)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        shape = self._spec.cameras[CAMERA]
+        for files in self._runs:
+            frames = np.stack([_pixels(file, shape[:2], shape) for file in files])
+            yield Trajectory({CAMERA: frames}, np.empty((len(files), 0), np.float32))
+
+
+def _recordings(folder: Path) -> list[_Recording]:
+    found = [each for entry in _entries(folder) if (each := _recording(entry)) is not None]
+    if not found:
+        raise NotFound(
+            "The folder must hold a folder of images, or an mp4 file, for each trajectory; it holds neither.",
+            hint="Name the folder that holds the trajectories, or `meta` of a LeRobotDataset; for the MIME dataset add "
+            "--layout mime.",
+        )
+    cameras = set(found[0].cameras)
+    for each in found:
+        if set(each.cameras) != cameras:
+            raise InvalidInput(
+                f"All trajectories must have the same cameras, {', '.join(sorted(cameras))}; `{each.name}` has others.",
+                hint="Name the folders, or videos, of a trajectory alike in all.",
+            )
+    names = [each.name for each in found]
+    if len(set(names)) != len(names):
+        raise InvalidInput(
+            "Trajectories must have different names; a folder and a video share one.", hint="Rename one."
+        )
+    return found
+
+
+def _entries(folder: Path) -> list[Path]:
+    """Returns what is visible in a folder, in the order of names; nothing where there is no folder."""
+    visible = (each for each in folder.iterdir() if each.name[0] != ".") if folder.is_dir() else ()
+    return sorted(visible, key=_natural)
+
+
+def _recording(entry: Path) -> _Recording | None:
+    """Returns what a file or folder records; None for another."""
+    if entry.is_file():
+        return _Recording(entry.stem, {CAMERA: entry}) if entry.suffix.lower() == _VIDEO else None
+    inside = _entries(entry)
+    cameras: dict[str, Files] = {each.stem: each for each in inside if each.suffix.lower() == _VIDEO}
+    for each in filter(Path.is_dir, inside):
+        if files := tuple(filter(_is_image, _entries(each))):
+            cameras[each.name] = files
+    if files := tuple(filter(_is_image, inside)):
+        cameras[CAMERA] = files
+    actions = entry / ACTIONS
+    return _Recording(entry.name, cameras, actions if actions.is_file() else None) if cameras else None
+
+
+def _actions(recording: _Recording) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
+    """Returns the names of an action's numbers, if any, and the actions, float32 (T, A); A is 0 without actions."""
+    if recording.actions is None:
+        return (), np.empty((0, 0), np.float32)
+    names, values = read_actions(recording.actions.read_bytes(), file=f"{recording.name}/{ACTIONS}")
+    return names, values.astype(np.float32)
+
+
+def _shape(files: Files, size: tuple[int, int] | None) -> tuple[int, int, int]:
+    """Returns (H, W, C) of a camera's frames."""
+    if isinstance(files, Path):
+        with open_video(files, bounds=BOUNDS, field=files.name) as video:
+            return (*(size or (video.info.height, video.info.width)), 3)
+    height, width, channels = _decoded(files[0]).shape
+    return (*(size or (height, width)), channels)
+
+
+def _pixels(file: Path, size: tuple[int, int] | None, shape: tuple[int, int, int]) -> Pixels:
+    """Returns an image, uint8 (H, W, C); gray ones become RGB where the first is."""
+    pixels = _decoded(file)
+    if size is not None and pixels.shape[:2] != size:
+        pixels = images.resize(pixels[None], size)[0]
+    if pixels.shape[:2] != shape[:2] or pixels.shape[2] > shape[2]:
+        raise InvalidInput(
+            f"All images of a camera must be {shape[0]} x {shape[1]} with {shape[2]} channels, as the first; "
+            f"`{file.parent.name}/{file.name}` is {' x '.join(map(str, pixels.shape))}.",
+            hint="Scale them: --size HxW.",
+        )
+    return np.ascontiguousarray(np.broadcast_to(pixels, shape))
+
+
+def _decoded(file: Path) -> Pixels:
+    data, name = file.read_bytes(), f"{file.parent.name}/{file.name}"
+    return images.decode(Image(images.sniff(data, field=name), 0, 0, data), field=name)
+
+
+def _video_frames(file: Path, shape: tuple[int, int, int], *, fps: int) -> Iterator[Pixels]:
+    """Yields the frames of a video at a rate, uint8 (H, W, C): the first one at or after each time."""
+    with open_video(file, channels=shape[2], size=shape[:2], bounds=BOUNDS, field=file.name) as video:
+        first_s, taken = None, 0
+        for frame in video:
+            first_s = frame.time_s if first_s is None else first_s
+            if (frame.time_s - first_s) * fps >= taken - _LATE:
+                yield frame.pixels
+                taken += 1
+
+
+def _common_length(recording: _Recording, frames: Mapping[str, Pixels]) -> int:
+    """Returns the timesteps of a trajectory; videos may end a frame apart."""
+    lengths = sorted(map(len, frames.values()))
+    slack = 1 if any(isinstance(files, Path) for files in recording.cameras.values()) else 0
+    if lengths[-1] - lengths[0] > slack:
+        raise InvalidInput(
+            f"All cameras of a trajectory must have as many images; those of `{recording.name}` have {lengths[0]} to "
+            f"{lengths[-1]}.",
+            hint="Leave out what one camera did not see.",
+        )
+    return lengths[0]
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in _IMAGES and path.name[0] != "."
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Returns a key that orders names by the value of the numbers in them: `2.png` before `10.png`."""
+    parts = re.findall(r"\d+|\D+", path.as_posix())
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

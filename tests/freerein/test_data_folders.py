@@ -1,0 +1,133 @@
+"""Trajectories of people's own folders: images, videos, tables of actions and tags."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from freerein.data import Dataset, FolderSource, ImageSource, check, import_trajectories, open_writer, verify
+from freerein.errors import InvalidInput, NotFound, ServiceError
+
+SIZE = (12, 16)
+
+
+def draw(folder: Path, *values: int, size: tuple[int, int] = SIZE, suffix: str = "png", mode: str = "RGB") -> None:
+    """Writes images 0, 1, ... of one brightness each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for index, value in enumerate(values):
+        pixels = np.full((*size, 3), value, np.uint8) if mode == "RGB" else np.full(size, value, np.uint8)
+        PIL.Image.fromarray(pixels).save(folder / f"{index}.{suffix}")
+
+
+def brightness(dataset: Dataset, index: int, camera: str = "camera") -> list[int]:
+    return [int(frame.mean()) for frame in dataset[index].frames[camera]]
+
+
+def imported(source: FolderSource | ImageSource, root: Path) -> Dataset:
+    import_trajectories(source, root)
+    assert verify(root) == []
+    return Dataset(root)
+
+
+def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs"
+    draw(theirs / "take-10", 3, 4)
+    draw(theirs / "take-2", *range(11))
+    draw(theirs / ".hidden", 9)
+    (theirs / "tags.csv").write_text("trajectory,skills\ntake-2,reach;pour\n")
+    source = FolderSource(theirs, fps=5)
+    dataset = imported(source, tmp_path / "ours")
+
+    assert (source.names, dataset.spec.fps, dataset.spec.cameras) == (("take-2", "take-10"), 5, {"camera": (12, 16, 3)})
+    assert (dataset.spec.skills, dataset.skills) == (("pour", "reach"), (("pour", "reach"), ()))
+    assert [brightness(dataset, 0), brightness(dataset, 1)] == [list(range(11)), [3, 4]]
+    assert (dataset[0].actions.shape, dataset.cached_actions()[1].shape) == ((11, 0), (2, 0))
+    assert [each.where for each in check(tmp_path / "ours") if each.where == "actions"] == ["actions"]
+    with open_writer(tmp_path / "ours") as writer:  # which rebuilds what is missing from the data files
+        assert writer.append(dataset[0]) == 2
+
+
+def test_actions_are_those_of_a_table_and_may_be_in_any_unit(tmp_path: Path) -> None:
+    for name, rows in (("a", "x,y\n0.5,-1\n1,0\n"), ("b", "x,y\n0,0\n0,250\n")):
+        draw(tmp_path / "theirs" / name / "front", 1, 2, mode="L")
+        (tmp_path / "theirs" / name / "actions.csv").write_text(rows)
+    dataset = imported(FolderSource(tmp_path / "theirs"), tmp_path / "ours")
+    assert (dataset.spec.action.names, dataset.spec.has_scaled_actions) == (("x", "y"), False)
+    assert dataset.spec.cameras == {"front": (12, 16, 1)}
+    assert dataset[0].actions.tolist() == [[0.5, -1], [1, 0]]
+
+
+def test_a_table_of_actions_may_have_no_header(tmp_path: Path) -> None:
+    draw(tmp_path / "a", 1, 2)
+    (tmp_path / "a" / "actions.csv").write_text("1,-1\n0.5,0\n\n")
+    (only,) = FolderSource(tmp_path)
+    assert only.actions.tolist() == [[1, -1], [0.5, 0]]
+
+
+def test_a_video_is_a_trajectory_at_the_rate_asked_for(tmp_path: Path, encode_video: Callable[..., bytes]) -> None:
+    frames = np.broadcast_to(np.arange(0, 200, 10, dtype=np.uint8)[:, None, None, None], (20, 32, 48, 3))
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "demo.mp4").write_bytes(encode_video(frames))
+    (first,) = imported(FolderSource(tmp_path / "theirs", size=(16, 24), fps=5), tmp_path / "ours")
+    seen = first.frames["camera"]
+    assert seen.shape == (10, 16, 24, 3)
+    assert seen.mean(axis=(1, 2, 3)) == pytest.approx(frames[::2].mean(axis=(1, 2, 3)), abs=4)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda root: draw(root / "b", 1, size=(8, 8)), "12 x 16"),
+        (lambda root: draw(root / "b" / "side", 1), "same cameras"),
+        (lambda root: (root / "a" / "actions.csv").write_text("x\n1\n2\n"), "same columns"),
+        (lambda root: [(root / n / "actions.csv").write_text("x\n1\n") for n in "ab"], "a line for each of 2 images"),
+        (lambda root: [(root / n / "actions.csv").write_text("x\n1\nleft\n") for n in "ab"], "finite numbers"),
+        (lambda root: (root / "tags.csv").write_text("trajectory,skills\nc,pour\n"), "Line 2, column `trajectory`"),
+        (lambda root: (root / "a" / "1.png").write_bytes(b"GIF89a"), "PNG, JPEG or WebP"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_and_nothing_is_left(
+    tmp_path: Path, spoil: Callable[[Path], object], words: str
+) -> None:
+    theirs, ours = tmp_path / "theirs", tmp_path / "data" / "ours"
+    draw(theirs / "a", 1, 2)
+    draw(theirs / "b", 3, 4)
+    spoil(theirs)
+    with pytest.raises(ServiceError) as refused:
+        import_trajectories(FolderSource(theirs), ours)
+    assert words in refused.value.detail
+    assert refused.value.hint
+    assert not list(ours.parent.glob("*"))
+
+
+def test_a_folder_without_trajectories_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("")
+    with pytest.raises(NotFound, match="mp4 file"):
+        FolderSource(tmp_path)
+
+
+def test_loose_images_are_runs_of_about_a_fiftieth(tmp_path: Path) -> None:
+    draw(tmp_path / "theirs", *range(100), suffix="webp")
+    draw(tmp_path / "theirs" / "more", 7, size=(30, 20), mode="L")
+    dataset = imported(ImageSource(tmp_path / "theirs", size=(8, 8)), tmp_path / "ours")
+    assert (len(dataset), dataset.lengths.max(), dataset.lengths.sum()) == (51, 2, 101)
+    assert dataset.spec.cameras == {"camera": (8, 8, 3)}
+    assert not dataset.spec.has_actions
+
+
+def test_two_images_are_held_apart_and_one_is_refused(tmp_path: Path) -> None:
+    draw(tmp_path / "two", 1, 2)
+    assert [len(each.actions) for each in ImageSource(tmp_path / "two")] == [1, 1]
+    draw(tmp_path / "one", 1)
+    with pytest.raises(NotFound, match="at least 2; it holds 1"):
+        ImageSource(tmp_path / "one")
+
+
+def test_a_table_of_numbers_names_its_file(tmp_path: Path) -> None:
+    draw(tmp_path / "a", 1)
+    for table in ("", "x,y\n", "x,y\n1\n", "1,2\n3\n", "1,nan\n", "1\nleft\n", "\xff"):
+        (tmp_path / "a" / "actions.csv").write_text(table, encoding="latin-1")
+        with pytest.raises(InvalidInput, match=r"`a/actions\.csv` must be CSV with the action"):
+            FolderSource(tmp_path)
