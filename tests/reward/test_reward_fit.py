@@ -15,7 +15,14 @@ from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding
 from freerein_reward.relations import SpatialRelation
-from freerein_reward.training import CaptionDataset, RewardConfig, caption_images, caption_warnings, check_shown
+from freerein_reward.training import (
+    CaptionDataset,
+    RewardConfig,
+    accuracy_warnings,
+    caption_images,
+    caption_warnings,
+    check_shown,
+)
 from freerein_reward.training.caption_dataset import NO_CAPTION
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
@@ -101,6 +108,12 @@ def test_captions_of_nearly_one_relation_are_warned_of() -> None:
     (warning,) = caption_warnings(captioned(apart * 19 + left))
     assert warning.startswith("`apart from` makes up 95% of the 20 captions")
     assert caption_warnings(captioned(apart * 18 + left * 2)) == []
+
+
+def test_a_model_that_is_no_better_than_a_guess_is_warned_of() -> None:
+    (warning,) = accuracy_warnings({"relation_accuracy": 0.9, "majority_accuracy": 0.9})
+    assert "tells 90% of the relations, and always saying the most frequent one 90%" in warning
+    assert accuracy_warnings({"relation_accuracy": 0.91, "majority_accuracy": 0.9}) == []
 
 
 def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> None:

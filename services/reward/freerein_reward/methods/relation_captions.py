@@ -15,6 +15,7 @@ from freerein_reward.model import KNOWN, DualEncoder, GradCamModel, load_groundi
 from freerein_reward.training import (
     RewardConfig,
     RewardModelLearner,
+    accuracy_warnings,
     caption_images,
     caption_warnings,
     check_shown,
@@ -76,12 +77,13 @@ def _prepare(
 
 
 def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:
+    figures = evaluate_reward(fitted.network, learner.validation)
     return {
         "data": {"trajectories": len(source.dataset), "fingerprint": source.dataset.fingerprint},
         "grounding": learner.grounding_version,
-        "figures": {**fitted.figures, **evaluate_reward(fitted.network, learner.validation)},
+        "figures": {**fitted.figures, **figures},
         "supervision": "noun phrases; captions made from pixels by the grounding model",
-        "warnings": caption_warnings(learner.training),
+        "warnings": [*caption_warnings(learner.training), *accuracy_warnings(figures)],
     }
 
 

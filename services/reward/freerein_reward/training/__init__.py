@@ -1,5 +1,6 @@
 """Training of the grounding model on synthetic objects, and of reward models on its captions."""
 
+from freerein_reward.training.caption_checks import accuracy_warnings as accuracy_warnings
 from freerein_reward.training.caption_checks import caption_warnings as caption_warnings
 from freerein_reward.training.caption_checks import check_shown as check_shown
 from freerein_reward.training.caption_dataset import CaptionDataset as CaptionDataset

@@ -1,6 +1,6 @@
 """What captions of a dataset can teach: phrases that no image shows, and captions that hardly vary."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -45,4 +45,15 @@ def caption_warnings(images: CaptionDataset) -> list[str]:
     return [
         f"`{CANONICAL_WORDINGS[most]}` makes up {share:.0%} of the {counts.sum()} captions: the model may have learned "
         "nothing else. Add images in which the objects stand otherwise, and check `epsilon`, the object width."
+    ]
+
+
+def accuracy_warnings(figures: Mapping[str, float]) -> list[str]:
+    """Returns a warning where a model tells relations no better than the most frequent one does alone."""
+    accuracy, majority = figures["relation_accuracy"], figures["majority_accuracy"]
+    if accuracy > majority:
+        return []
+    return [
+        f"On held-out images the model tells {accuracy:.0%} of the relations, and always saying the most frequent one "
+        f"{majority:.0%}: it has learned nothing else. Add images, or steps."
     ]
