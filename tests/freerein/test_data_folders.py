@@ -111,6 +111,7 @@ def test_a_folder_without_trajectories_is_refused(tmp_path: Path) -> None:
 def test_loose_images_are_runs_of_about_a_fiftieth(tmp_path: Path) -> None:
     draw(tmp_path / "theirs", *range(100), suffix="webp")
     draw(tmp_path / "theirs" / "more", 7, size=(30, 20), mode="L")
+    draw(tmp_path / "theirs" / ".thumbnails", 7)
     dataset = imported(ImageSource(tmp_path / "theirs", size=(8, 8)), tmp_path / "ours")
     assert (len(dataset), dataset.lengths.max(), dataset.lengths.sum()) == (51, 2, 101)
     assert dataset.spec.cameras == {"camera": (8, 8, 3)}
@@ -127,7 +128,7 @@ def test_two_images_are_held_apart_and_one_is_refused(tmp_path: Path) -> None:
 
 def test_a_table_of_numbers_names_its_file(tmp_path: Path) -> None:
     draw(tmp_path / "a", 1)
-    for table in ("", "x,y\n", "x,y\n1\n", "1,2\n3\n", "1,nan\n", "1\nleft\n", "\xff"):
+    for table in ("", "x,y\n", "x,y\n1\n", "1,2\n3\n", "1,nan\n", "1,1e39\n", "1\nleft\n", "\xff"):
         (tmp_path / "a" / "actions.csv").write_text(table, encoding="latin-1")
         with pytest.raises(InvalidInput, match=r"`a/actions\.csv` must be CSV with the action"):
             FolderSource(tmp_path)

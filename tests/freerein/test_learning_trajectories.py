@@ -1,3 +1,4 @@
+import json
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -5,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from freerein.data import DatasetSpec, create
+from freerein.data import DatasetSpec, check, create
+from freerein.data.layout import SPEC_FILE
 from freerein.errors import InvalidInput
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.trajectories import Trajectories
@@ -77,3 +79,19 @@ def test_a_fit_that_does_not_scale_actions_refuses_a_unit_of_their_own(
         writer.append(Trajectory({"front": frames(4)[0]}, np.full((3, 2), value, np.float32)))
     with pytest.raises(InvalidInput, match="unit of their own") if is_refused else nullcontext():
         FitDataset.open(tmp_path, "own").trajectories(["front"], any_unit=any_unit)
+
+
+def test_a_fit_refuses_actions_that_check_calls_an_error(tmp_path: Path) -> None:
+    """Even where the dataset says that they are scaled: it was edited since."""
+    root = tmp_path / "datasets" / "own"
+    spec = DatasetSpec(10, {"front": (4, 4, 3)}, ActionSpec(2, 0, ("x", "y")), "arm", has_scaled_actions=False)
+    with create(root, spec) as writer:
+        writer.append(Trajectory({"front": frames(4)[0]}, np.full((3, 2), 300, np.float32)))
+    path = root / SPEC_FILE
+    path.write_text(json.dumps({**json.loads(path.read_text()), "has_scaled_actions": True}))
+    (problem,) = (each for each in check(root) if each.where == "trajectory 0")
+    with pytest.raises(InvalidInput) as refused:
+        FitDataset.open(tmp_path, "own").trajectories(["front"], any_unit=True)
+    assert problem.severity == "error"
+    assert "in [-1, 1]" in problem.sentence
+    assert "in [-1, 1]" in refused.value.detail

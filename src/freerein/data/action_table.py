@@ -2,13 +2,14 @@
 
 import csv
 import io
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
+
+_MOST = float(np.finfo(np.float32).max)
 
 
 def read_actions(table: bytes, *, file: str) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
@@ -33,9 +34,9 @@ def read_actions(table: bytes, *, file: str) -> tuple[tuple[str, ...], npt.NDArr
 
 
 def _floats(cells: Sequence[str]) -> list[float]:
-    """Returns the numbers of a line; none where one is no finite number."""
+    """Returns the numbers of a line; none where one is no finite float32."""
     try:
         numbers = [float(text) for text in cells]
     except ValueError:
         return []
-    return numbers if all(map(math.isfinite, numbers)) else []
+    return numbers if all(abs(number) <= _MOST for number in numbers) else []

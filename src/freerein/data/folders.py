@@ -90,7 +90,7 @@ class FolderSource:
             action=ActionSpec(size=action_size, choices=0, names=names),
             robot_type="",
             skills=tuple(sorted({skill for skills in self._skills.values() for skill in skills})),
-            has_scaled_actions=all(np.abs(values).max(initial=0.0) <= 1 for _, values in self._actions),
+            has_scaled_actions=False,
         )
 
     @property
@@ -141,7 +141,7 @@ class ImageSource:
     def __init__(self, folder: Path, *, size: tuple[int, int] = (_SIDE, _SIDE)) -> None:
         by_folder: dict[Path, list[Path]] = {}
         for file in sorted(folder.rglob("*"), key=_natural) if folder.is_dir() else ():
-            if _is_image(file):
+            if _is_image(file) and not any(part[0] == "." for part in file.relative_to(folder).parts):
                 by_folder.setdefault(file.parent, []).append(file)
         count = sum(map(len, by_folder.values()))
         if count < 2:
@@ -241,7 +241,7 @@ def _pixels(file: Path, size: tuple[int, int] | None, shape: tuple[int, int, int
         raise InvalidInput(
             f"All images of a camera must be {shape[0]} x {shape[1]} with {shape[2]} channels, as the first; "
             f"`{file.parent.name}/{file.name}` is {' x '.join(map(str, pixels.shape))}.",
-            hint="Scale them: --size HxW.",
+            hint="Scale them, --size HxW, and save all in colour, or all in gray.",
         )
     return np.ascontiguousarray(np.broadcast_to(pixels, shape))
 
@@ -276,7 +276,7 @@ def _common_length(recording: _Recording, frames: Mapping[str, Pixels]) -> int:
 
 
 def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in _IMAGES and path.name[0] != "."
+    return path.suffix.lower() in _IMAGES
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

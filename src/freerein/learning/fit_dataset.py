@@ -69,8 +69,6 @@ class FitDataset:
     def _check_actions(self, *, any_unit: bool) -> None:
         """Raises InvalidInput for actions that `freerein dataset check` calls an error, or in an unexpected unit."""
         spec = self.dataset.spec
-        if spec.has_scaled_actions:
-            return  # the writer has seen to it
         steps, (low, high) = self.dataset.cached_actions().steps, spec.action_bounds
         if not np.all((steps >= low) & (steps <= high)):
             raise InvalidInput(
