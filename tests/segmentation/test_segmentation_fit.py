@@ -15,15 +15,15 @@ from freerein_segmentation.methods import METHODS
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
-def record(data_dir: Path, name: str, *, width: int = 12) -> Path:
+def record(data_dir: Path, name: str, *, width: int = 12, action: ActionSpec = ACTION) -> Path:
     """Records two demonstrations of two skills; returns the dataset's folder."""
     root = dataset_path(data_dir, name)
     cameras = {"front": (8, width, 3)}
-    spec = DatasetSpec(fps=25, cameras=cameras, action=ACTION, robot_type="test", skills=("pick", "push"))
+    spec = DatasetSpec(fps=25, cameras=cameras, action=action, robot_type="test", skills=("pick", "push"))
     with create(root, spec) as writer:
         for _ in range(2):
             frames = {"front": np.zeros((3, 8, width, 3), np.uint8)}
-            writer.append(Trajectory(frames, np.zeros((3, 2), np.float32), ("pick", "push")))
+            writer.append(Trajectory(frames, np.zeros((3, action.size), np.float32), ("pick", "push")))
     return root
 
 
@@ -58,3 +58,10 @@ def test_a_fit_refuses_what_check_calls_an_error_and_takes_what_it_warns_of(tmp_
     assert problems
     with pytest.raises(InvalidInput, match=re.escape(errors[0])) if errors else nullcontext():
         METHODS.resolve(tmp_path, "demos", {}, threads=1)
+
+
+def test_evidence_of_actions_needs_actions(tmp_path: Path) -> None:
+    record(tmp_path, "seen", action=ActionSpec(0, 0, ()))
+    given = {"final_objective": "self_training", "action_evidence": 1.0}
+    with pytest.raises(InvalidInput, match="`action_evidence` must be 0 for a dataset without actions"):
+        METHODS.resolve(tmp_path, "seen", given, threads=1)

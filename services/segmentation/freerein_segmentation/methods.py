@@ -23,6 +23,7 @@ from freerein_segmentation.training import SegmentationConfig, SegmentationLearn
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
     _check_tags(source.dataset)
+    _check_evidence(source.dataset, config)
     _spec(source, config)  # rejects frames and actions that are out of bounds
     return config
 
@@ -31,6 +32,15 @@ def _check_tags(dataset: Dataset) -> None:
     for problem in tag_problems(dataset.spec.skills, dataset.skills):
         if problem.severity == "error":
             raise InvalidInput(problem.sentence, field="dataset", hint=problem.hint)
+
+
+def _check_evidence(dataset: Dataset, config: SegmentationConfig) -> None:
+    if config.action_evidence and not dataset.spec.has_actions:
+        raise InvalidInput(
+            f"`action_evidence` must be 0 for a dataset without actions; got {config.action_evidence:g}.",
+            field="config.action_evidence",
+            hint="Record the executed actions, or leave it out.",
+        )
 
 
 def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:

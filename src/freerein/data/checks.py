@@ -107,7 +107,7 @@ def verify(root: Path) -> list[Problem]:
 def check(root: Path) -> list[Problem]:
     """Returns what prevents or impairs learning skills from a dataset: its tags, first frames, actions, lengths.
 
-    Fits of skills refuse a dataset with an error, and accept one with warnings.
+    Fits of segmentation refuse a dataset with an error, and accept one with warnings.
 
     Raises:
         NotFound: There is no dataset in `root`.

@@ -95,4 +95,6 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
 
 
 def _taken() -> AlreadyExists:
-    return AlreadyExists("A new dataset needs a name that is not taken; this one is.", hint="Choose another name.")
+    return AlreadyExists(
+        "A new dataset needs a name that is not taken; this one is.", hint="Choose another name, or use that dataset."
+    )
