@@ -24,9 +24,9 @@ BLOCKS = re.findall(r"^```sh\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DO
 PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
 RED, BLUE, GRAY = (215, 30, 30), (30, 70, 220), (120, 124, 130)
 SMALL = {  # so that a fit takes seconds
-    "segmentation": ("steps=150", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0", "evaluate_every=50"),
-    "reward": ("steps=150", "batch_size=32", "augmentation=0", "evaluate_every=50"),
-    "imitation": ("steps=80", "batch_size=8", "features=16", "hidden_size=32", "embedding_size=4"),
+    "segmentation": ("steps=60", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0", "evaluate_every=20"),
+    "reward": ("steps=120", "batch_size=32", "augmentation=0", "evaluate_every=40"),
+    "imitation": ("steps=50", "batch_size=8", "features=16", "hidden_size=32", "embedding_size=4"),
 }
 SIDE, STEPS, SKILLS = 32, 12, ("pour", "reach")
 
