@@ -6,7 +6,7 @@ One robot sends one raw image after the other and waits for the action, from arr
     control    the stream `Control`, by the Python client
     websocket  our WebSocket, by openpi's own client
     vla-eval   vla-eval's server and client, with raw images
-    json       `Act` over REST, from a prepared body to the parsed reply
+    json       `Act` over REST, from a prepared body to the parsed reply, by Python's own HTTP client
     litserve   LitServe with the same content as JSON, in the same way
 
 The peers and openpi's client are installed in an environment of their own, in which everything here runs.
