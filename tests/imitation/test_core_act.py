@@ -55,6 +55,23 @@ async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: 
     assert second.state == again.state
 
 
+async def test_a_goal_image_that_is_sent_again_is_not_encoded_again(
+    core: Any, robots: Any, policies: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encode, encoded_goals = policies.FaultyPolicy.encode_goals, []
+
+    def counted(policy: Any, goals: Any) -> Any:
+        encoded_goals.extend(goals["front"][:, 0, 0, 2].tolist())
+        return encode(policy, goals)
+
+    monkeypatch.setattr(policies.FaultyPolicy, "encode_goals", counted)
+    for request in (robots.asked(1, 3), robots.asked(2, 3), robots.asked(1, 5)):
+        await core.act.act(request)
+        files = tuple(map(encoded, request.goal.images))  # the same pixels in another encoding
+        await core.act.act(replace(request, goal=Goal(files)))
+    assert encoded_goals == [3, 5]
+
+
 async def test_a_state_of_a_version_that_is_no_longer_active_says_what_to_name(core: Any, robots: Any) -> None:
     first = await core.act.act(robots.asked(1, 3))
     await core.models.activate_model(ActivateModelRequest("default", core.versions[1].version))
