@@ -13,6 +13,7 @@ from starlette.requests import Request
 
 from freerein import wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, ServiceError, UnsupportedMedia
+from freerein.serving.limits import FEW_VALUES, MAX_INLINE_IMAGE_BYTES
 from freerein.serving.rest import body
 from freerein.types.common import ModelRef
 from freerein.types.learning import StartFitRequest, WatchFitRequest
@@ -40,6 +41,26 @@ def request(data: bytes = b"", content_type: str | None = JSON, query: str = "",
 
 async def read(data: bytes, cls: type[T], content_type: str | None = JSON) -> T:
     return await body.read(request(data, content_type, chunk=max(1, len(data) // 3)), cls)
+
+
+def is_parsed_at_once(data: bytes, cls: type[object]) -> bool:
+    """Returns whether a body that has arrived is parsed without leaving the event loop."""
+    with contextlib.closing(body.read(request(data, chunk=len(data)), cls)) as reading:
+        try:
+            reading.send(None)
+        except StopIteration:
+            return True
+    return False
+
+
+async def test_images_are_parsed_on_the_event_loop_and_bodies_that_take_long_are_not() -> None:
+    def image_of(size: int) -> bytes:
+        return json.dumps({"images": [{"encoding": "png", "data": "A" * size}]}).encode()
+
+    assert is_parsed_at_once(image_of(224 * 224 * 4), SegmentRequest)
+    assert not is_parsed_at_once(image_of(MAX_INLINE_IMAGE_BYTES), SegmentRequest)
+    many = [{"encoding": "png", "data": "A" * 300}] * FEW_VALUES
+    assert not is_parsed_at_once(json.dumps({"images": many}).encode(), SegmentRequest)
 
 
 async def outcome_of(data: bytes, cls: type[T], content_type: str = JSON) -> T | ServiceError:

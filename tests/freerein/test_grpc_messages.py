@@ -1,7 +1,9 @@
 """The values of a gRPC message are counted before it is parsed; what cannot be parsed is a malformed request."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from contextlib import closing
+from typing import Any
 
 import pytest
 from google.protobuf.message import Message
@@ -14,7 +16,7 @@ from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
 from freerein.errors import InvalidInput, MalformedRequest
 from freerein.serving.grpc_messages import _parse, decode, decode_part
-from freerein.serving.limits import MAX_VALUES
+from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 from freerein.serving.methods import InvalidMessage
 from freerein.types.imitation import ControlRequest
 from freerein.types.learning import StartFitRequest
@@ -130,3 +132,33 @@ async def test_a_message_of_a_stream_that_is_invalid_keeps_its_number() -> None:
     broken = await decode_part(b"\x12\x7f", ControlRequest)
     assert isinstance(broken, InvalidMessage)
     assert broken.seq is None
+
+
+def ends_at_once(work: Coroutine[Any, Any, object]) -> bool:
+    """Returns whether work ends without leaving the event loop."""
+    with closing(work):
+        try:
+            work.send(None)
+        except StopIteration:
+            return True
+    return False
+
+
+def image_of(size: int) -> bytes:
+    image = common_pb2.Image(encoding=common_pb2.Image.ENCODING_PNG, data=bytes(size))
+    return segmentation_pb2.SegmentRequest(images=[image]).SerializeToString()
+
+
+async def test_images_are_decoded_on_the_event_loop_and_messages_that_take_long_are_not() -> None:
+    assert MAX_INLINE_BYTES < 224 * 224 * 3 < MAX_INLINE_IMAGE_BYTES
+    assert ends_at_once(decode(image_of(224 * 224 * 3), SegmentRequest))
+    assert not ends_at_once(decode(image_of(MAX_INLINE_IMAGE_BYTES), SegmentRequest))
+    many = segmentation_pb2.SegmentRequest(images=[common_pb2.Image(data=bytes(300))] * (FEW_VALUES // 2 + 1))
+    assert many.ByteSize() < MAX_INLINE_BYTES
+    many.images[0].data = bytes(MAX_INLINE_BYTES)
+    assert not ends_at_once(decode(many.SerializeToString(), SegmentRequest))
+
+
+async def test_a_long_message_that_cannot_be_read_is_refused_on_the_event_loop() -> None:
+    with pytest.raises(MalformedRequest):
+        ends_at_once(decode(image_of(MAX_INLINE_BYTES)[:-1], SegmentRequest))

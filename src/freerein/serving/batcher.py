@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError, Unavailable
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
+from freerein.serving.thread_results import ThreadResults
 
 _log = logging.getLogger(__name__)
 I = TypeVar("I")  # noqa: E741  # item
@@ -41,7 +42,12 @@ class _QueuedItem(Generic[I, O]):
     key: Hashable
     deadline: float
     future: "asyncio.Future[BatchResult[O]]"
+    results: ThreadResults[BatchResult[O]]
     since_ns: int
+
+    def resolve(self, result: "BatchResult[O] | ServiceError") -> None:
+        self.results.put(self.future, result)
+        self.results.send()
 
 
 class Batcher(Generic[I, O]):
@@ -76,6 +82,7 @@ class Batcher(Generic[I, O]):
         self._wake = threading.Lock()  # released to wake the thread: lower latency than a Condition
         self._closed = False
         self._faults = 0
+        self._results: ThreadResults[BatchResult[O]] | None = None
         metrics.queued.set_function(lambda: len(self._queue))
         metrics.stuck.set_function(lambda: self._in_call_s() > self._call_s)
         self._thread = threading.Thread(target=self._work, name="model", daemon=True)
@@ -106,8 +113,12 @@ class Batcher(Generic[I, O]):
             Unavailable: The batcher is closed.
             ServiceError: Whatever the model returned in place of the item's output.
         """
-        future: asyncio.Future[BatchResult[O]] = asyncio.get_running_loop().create_future()
-        queued = _QueuedItem(item, key, time.monotonic() + timeout_s, future, time.perf_counter_ns())
+        loop = asyncio.get_running_loop()
+        if self._results is None or self._results.loop is not loop:
+            self._results = ThreadResults(loop)
+        future: asyncio.Future[BatchResult[O]] = loop.create_future()
+        deadline = time.monotonic() + timeout_s
+        queued = _QueuedItem(item, key, deadline, future, self._results, time.perf_counter_ns())
         with self._lock:
             if self._closed:
                 raise _closed_error()
@@ -129,7 +140,7 @@ class Batcher(Generic[I, O]):
         with self._lock:
             self._closed = True
             for queued in self._queue:
-                _resolve(queued.future, _closed_error())
+                queued.resolve(_closed_error())
             self._queue.clear()
             self._wake_thread()
         self._thread.join(_CLOSE_TIMEOUT_S)
@@ -157,10 +168,12 @@ class Batcher(Generic[I, O]):
             self._metrics.batches.observe(len(batch))
             for queued, output in zip(batch, outputs, strict=True):
                 if isinstance(output, ServiceError):
-                    _resolve(queued.future, output)
+                    queued.results.put(queued.future, output)
                 else:
                     result = BatchResult(output, started_ns - queued.since_ns, infer_ns, len(batch))
-                    _resolve(queued.future, result)
+                    queued.results.put(queued.future, result)
+            for results in {queued.results for queued in batch}:  # of one event loop, as a rule
+                results.send()
 
     def _next_batch(self) -> list[_QueuedItem[I, O]]:
         """Waits for items and returns the next batch; empty when closed."""
@@ -212,21 +225,6 @@ def _is_live(queued: "_QueuedItem[I, O]") -> bool:
     if queued.future.cancelled():
         return False
     if time.monotonic() > queued.deadline:
-        _resolve(queued.future, DeadlineExceeded("The model could not start in time.", hint="Send less at once."))
+        queued.resolve(DeadlineExceeded("The model could not start in time.", hint="Send less at once."))
         return False
     return True
-
-
-def _resolve(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
-    """Completes a future of another thread's event loop, unless that loop is closed."""
-    if not future.get_loop().is_closed():
-        future.get_loop().call_soon_threadsafe(_set, future, result)
-
-
-def _set(future: "asyncio.Future[BatchResult[O]]", result: "BatchResult[O] | ServiceError") -> None:
-    if future.done():
-        return
-    if isinstance(result, ServiceError):
-        future.set_exception(result)
-    else:
-        future.set_result(result)

@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError, Message
 
 from freerein import wire
 from freerein.errors import InvalidInput, MalformedRequest, ServiceError
-from freerein.serving.limits import MAX_INLINE_BYTES, MAX_VALUES
+from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 from freerein.serving.methods import InvalidMessage
 
 T = TypeVar("T")
@@ -30,7 +30,7 @@ async def decode(message: bytes, cls: type[T]) -> T:
         InvalidInput: It holds more than `MAX_VALUES` values, or as `wire.unpack`.
         MalformedRequest: It cannot be parsed.
     """
-    return await _run(message, lambda: wire.unpack(_parse(message, cls), cls))
+    return await _run(message, cls, lambda: wire.unpack(_parse(message, cls), cls))
 
 
 async def decode_part(message: bytes, cls: type[T]) -> T | InvalidMessage:
@@ -44,11 +44,21 @@ async def decode_part(message: bytes, cls: type[T]) -> T | InvalidMessage:
         except ServiceError as error:
             return InvalidMessage(error, _seq(parsed))
 
-    return await _run(message, work)
+    return await _run(message, cls, work)
 
 
-async def _run(message: bytes, work: Callable[[], T]) -> T:
-    return work() if len(message) <= MAX_INLINE_BYTES else await asyncio.to_thread(work)
+async def _run(message: bytes, cls: type[Any], work: Callable[[], T]) -> T:
+    """Runs what decodes a message; on a thread where it would hold up the event loop."""
+    return work() if _is_quick(message, cls) else await asyncio.to_thread(work)
+
+
+def _is_quick(message: bytes, cls: type[Any]) -> bool:
+    if not MAX_INLINE_BYTES < len(message) <= MAX_INLINE_IMAGE_BYTES:
+        return len(message) <= MAX_INLINE_BYTES
+    try:
+        return not _has_more_values(message, wire.descriptor_of(cls), FEW_VALUES)
+    except (DecodeError, IndexError):  # will be refused at once
+        return True
 
 
 def _seq(message: Message | None) -> int | None:
@@ -61,8 +71,12 @@ def _seq(message: Message | None) -> int | None:
 
 def _parse(message: bytes, cls: type[Any]) -> Message:
     try:
-        if len(message) > MAX_VALUES:  # a value takes at least one byte
-            _check_values(message, wire.descriptor_of(cls))
+        # a value takes at least one byte
+        if len(message) > MAX_VALUES and _has_more_values(message, wire.descriptor_of(cls), MAX_VALUES):
+            raise InvalidInput(
+                f"A message may hold at most {MAX_VALUES} values; got more.",
+                hint="Send arrays as tensors, and less per call.",
+            )
         return wire.message_type(cls).FromString(message)
     except (DecodeError, IndexError):
         raise MalformedRequest(
@@ -71,8 +85,8 @@ def _parse(message: bytes, cls: type[Any]) -> Message:
         ) from None
 
 
-def _check_values(data: bytes, descriptor: Descriptor) -> None:
-    """Raises InvalidInput when a message has too many fields, counting those of its messages and each packed number.
+def _has_more_values(data: bytes, descriptor: Descriptor, most: int) -> bool:
+    """Returns whether a message has more fields, counting those of its messages and each packed number.
 
     Raises IndexError where the bytes end too soon, DecodeError for a part that is longer than the whole, or a wire type
     that no message has.
@@ -101,11 +115,9 @@ def _check_values(data: bytes, descriptor: Descriptor) -> None:
                 position += 8 if key & 7 == _FIXED64 else 4
             else:
                 raise DecodeError
-            if values > MAX_VALUES:
-                raise InvalidInput(
-                    f"A message may hold at most {MAX_VALUES} values; got more.",
-                    hint="Send arrays as tensors, and less per call.",
-                )
+            if values > most:
+                return True
+    return False
 
 
 @cache

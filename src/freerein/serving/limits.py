@@ -11,7 +11,9 @@ MAX_VALUES = 200_000
 COPIES = 3
 """Of a body or message in memory: as received, as parsed, and decoded from base64 or multipart."""
 MAX_INLINE_BYTES = 64 * 1024
-"""Longer bodies and messages are parsed off the event loop."""
+"""Longer bodies and messages are parsed off the event loop, unless they are images: of few values, and not too long."""
+MAX_INLINE_IMAGE_BYTES = 2**20
+FEW_VALUES = 256
 
 
 @dataclass(frozen=True)
