@@ -4,12 +4,12 @@ They check the types of a request; the core checks its values, for REST and gRPC
 """
 
 import binascii
-from base64 import b64decode
 from collections.abc import Sequence
 from functools import cache
 from typing import Annotated, Any, Literal
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from pybase64 import b64decode
 from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, JsonValue, WithJsonSchema, create_model
 
 from freerein import tensors, wire
@@ -44,12 +44,9 @@ def _bytes(value: object) -> object:
     if not isinstance(value, str):
         return value
     try:
-        decoded = b64decode(value, validate=True)
+        return b64decode(value, validate=True)  # 50 times as fast as Python's, and strict about padding
     except (binascii.Error, ValueError):
         raise ValueError(_NOT_BASE64) from None
-    if len(value) != (len(decoded) + 2) // 3 * 4:  # too much padding
-        raise ValueError(_NOT_BASE64)
-    return decoded
 
 
 Base64 = Annotated[bytes, BeforeValidator(_bytes), WithJsonSchema({"type": "string", "format": "byte"})]
