@@ -15,7 +15,9 @@ for root in (images, video):
     assert (dataset.spec.fps, dataset.spec.task, dataset.spec.robot_type) == (scene.FPS, "", "arm")
     assert dataset.goal_texts == scene.TASKS
     assert dataset.spec.action.names == scene.ACTION_NAMES
+    assert dataset.spec.robot_state_names == scene.STATE_NAMES
     for index, trajectory in enumerate(dataset):
+        assert np.array_equal(dataset.robot_state(index), scene.states(index))
         assert np.array_equal(trajectory.actions, scene.actions(index))
         assert np.array_equal(trajectory.terminated, scene.terminations(index))
     assert verify(root) == []
@@ -30,4 +32,5 @@ for root in (video, Path(sys.argv[1]) / "imported"):
         bright = trajectory.frames["front"][:, 32, :, 0] > 135
         assert [int(row.argmax()) for row in bright] == [scene.bar_at(index, t) for t in range(scene.LENGTHS[index])]
 assert Dataset(Path(sys.argv[1]) / "imported").spec == Dataset(video).spec
+assert np.array_equal(Dataset(Path(sys.argv[1]) / "imported").robot_state(2), scene.states(2))
 print(f"freerein opens lerobot datasets of images and of video: {len(scene.LENGTHS)} trajectories equal")  # noqa: T201

@@ -9,6 +9,7 @@ TASKS = tuple(text or TASK for text in GOAL_TEXTS)
 SIZES = {"front": (24, 32, 3), "wrist": (16, 16, 1)}
 VIDEO_SIZE = (64, 96, 3)
 ACTION_NAMES = ("x", "y", "grip")
+STATE_NAMES = ("shoulder", "elbow")
 SKILLS = (("pick",), ("pick", "place"), ())
 LENGTHS = (5, 7, 4)
 CHOICES = 3
@@ -42,6 +43,11 @@ def actions(index: int) -> np.ndarray:
 def terminations(index: int) -> np.ndarray:
     """Returns bool (T,): trajectory 1 ends with a crash."""
     return np.arange(LENGTHS[index]) == (LENGTHS[index] - 1 if index == 1 else -1)
+
+
+def states(index: int) -> np.ndarray:
+    """Returns float32 (T, 2), the robot's own state."""
+    return np.random.default_rng([1, index]).normal(0, 30, (LENGTHS[index], len(STATE_NAMES))).astype(np.float32)
 
 
 def choices(index: int) -> np.ndarray:

@@ -18,6 +18,8 @@ spec = DatasetSpec(
     skills=("pick", "place"),
     task=scene.TASK,
     has_terminations=True,
+    robot_state_size=len(scene.STATE_NAMES),
+    robot_state_names=scene.STATE_NAMES,
 )
 with create(root / "continuous", spec) as writer:
     for index, (skills, text) in enumerate(zip(scene.SKILLS, scene.GOAL_TEXTS, strict=True)):
@@ -29,10 +31,13 @@ with create(root / "continuous", spec) as writer:
                 skills=skills,
                 goal_text=text,
                 terminated=scene.terminations(index),
-            )
+            ),
+            robot_state=scene.states(index),
         )
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
-with create(root / "discrete", replace(spec, action=choice, has_terminations=False)) as writer:
+with create(
+    root / "discrete", replace(spec, action=choice, has_terminations=False, robot_state_size=0, robot_state_names=())
+) as writer:
     frames = {camera: scene.frames(0, camera) for camera in scene.SIZES}
     writer.append(Trajectory(frames=frames, actions=scene.choices(0)))

@@ -6,13 +6,12 @@ Usage: write_theirs.py ROOT.
 import sys
 from pathlib import Path
 
-import numpy as np
 import scene
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 NUMBERS = {
     "next.done": {"dtype": "bool", "shape": (1,), "names": None},
-    "observation.state": {"dtype": "float32", "shape": (2,), "names": None},
+    "observation.state": {"dtype": "float32", "shape": (len(scene.STATE_NAMES),), "names": list(scene.STATE_NAMES)},
     "action": {"dtype": "float32", "shape": (len(scene.ACTION_NAMES),), "names": list(scene.ACTION_NAMES)},
 }
 
@@ -40,7 +39,7 @@ def write(root: Path, *, use_videos: bool) -> None:
                 {
                     "observation.images.front": frames[t],
                     "next.done": scene.terminations(index)[t : t + 1],
-                    "observation.state": np.zeros(2, np.float32),
+                    "observation.state": scene.states(index)[t],
                     "action": scene.actions(index)[t],
                     "task": scene.TASKS[index],
                 }

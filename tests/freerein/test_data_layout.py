@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import Dataset, DatasetSpec, create, open_writer
+from freerein.data import Dataset, DatasetSpec, create, open_writer, verify
+from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Trajectory
 
 COUNTER = {"dtype": "int64", "shape": [1], "names": None}
@@ -166,6 +167,72 @@ def test_terminations_are_a_bool_feature_with_lerobots_statistics(root: Path) ->
     stats = json.loads((meta / "stats.json").read_text())["next.terminated"]
     assert {name: stats[name] for name in ("min", "max", "count")} == {"min": [0.0], "max": [1.0], "count": [7.0]}
     np.testing.assert_allclose([*stats["mean"], *stats["std"]], [1 / 7, np.sqrt(6) / 7])
+
+
+def test_a_state_of_the_robot_is_lerobots_feature(root: Path) -> None:
+    states = np.random.default_rng(0).normal(size=(4, 3)).astype(np.float32)
+    spec = replace(Dataset(root).spec, robot_state_size=3, robot_state_names=("a", "b", "c"))
+    with create(root.parent / "arm", spec) as writer:
+        writer.append(Dataset(root)[1], robot_state=states)
+        for wrong in (None, states[:3], states.astype(float), states * np.nan):
+            with pytest.raises(InvalidInput, match="robot's state"):
+                writer.append(Dataset(root)[1], robot_state=wrong)
+    features = json.loads((root.parent / "arm/meta/info.json").read_text())["features"]
+    assert features.pop("observation.state") == {"dtype": "float32", "shape": [3], "names": ["a", "b", "c"]}
+    assert features == INFO["features"]
+    columns = pq.read_schema(root.parent / "arm/data/chunk-000/file-000.parquet")
+    assert columns.field("observation.state").type == pa.list_(pa.float32(), 3)
+    np.testing.assert_array_equal(Dataset(root.parent / "arm").robot_state(0), states)
+    assert Dataset(root).robot_state(0) is None
+    assert verify(root.parent / "arm") == []
+    with open_writer(root) as writer, pytest.raises(InvalidInput, match="none, as the dataset has none"):
+        writer.append(Dataset(root)[1], robot_state=states)
+
+
+def test_quantiles_are_exact_in_a_trajectory_and_weighted_means_of_many(root: Path) -> None:
+    with open_writer(root) as writer:
+        actions = np.random.default_rng(0).permutation(np.linspace(-1, 1, 70)).repeat(2).reshape(70, 2)
+        frames = np.zeros((70, 6, 8, 3), np.uint8)
+        frames[:7] = 255  # one in ten: the 90 % quantile is still black
+        writer.append(Trajectory(frames={"front": frames}, actions=actions.astype(np.float32)))
+    episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet")
+    expected = {"q01": 0, "q10": 6, "q50": 34, "q90": 62, "q99": 69}
+    for name, rank in expected.items():
+        values = np.array(episodes[f"stats/action/{name}"].to_pylist())
+        np.testing.assert_allclose(values[2], np.linspace(-1, 1, 70)[rank], rtol=1e-6)
+        assert np.ravel(episodes[f"stats/observation.images.front/{name}"][2].as_py()).tolist() == [name == "q99"] * 3
+        stats = json.loads((root / "meta/stats.json").read_text())["action"]
+        np.testing.assert_allclose(stats[name], (values * [[3], [4], [70]]).sum(axis=0) / 77)
+
+
+def test_a_dataset_from_before_there_were_quantiles_is_read_and_continued(root: Path) -> None:
+    remove_quantiles(root)
+    before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    assert len(Dataset(root)) == 2
+    assert {path: path.read_bytes() for path in root.rglob("*") if path.is_file()} == before  # and is left alone
+    with open_writer(root) as writer:
+        writer.append(Dataset(root)[0])
+    assert (len(Dataset(root)), verify(root)) == (3, [])
+    (root / "meta/episodes/chunk-000/file-000.parquet").unlink()
+    assert len(Dataset(root)) == 3  # from the footers of the data files
+    assert set(json.loads((root / "meta/stats.json").read_text())["action"]) == {"min", "max", "mean", "std", "count"}
+
+
+def remove_quantiles(root: Path) -> None:
+    """Makes a dataset what earlier versions wrote."""
+    for path in (root / "data").rglob("*.parquet"):
+        table = pq.read_table(path)
+        footer = json.loads(table.schema.metadata[b"freerein"])
+        footer["statistics"] = {
+            feature: {name: each[name] for name in each if name[0] != "q"}
+            for feature, each in footer["statistics"].items()
+        }
+        pq.write_table(table.replace_schema_metadata({b"freerein": json.dumps(footer).encode()}), path)
+    (root / "meta/episodes/chunk-000/file-000.parquet").unlink()
+    _ = Dataset(root)  # rebuilds `meta/`
+    path = root / "meta/episodes/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.drop([name for name in table.column_names if "/q" in name]), path)
 
 
 def test_statistics_are_of_all_frames_in_lerobots_shapes(root: Path) -> None:

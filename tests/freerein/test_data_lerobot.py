@@ -2,7 +2,8 @@
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import Dataset, check, open_writer, verify
+from freerein.data import Dataset, LeRobotSource, StepCache, check, import_trajectories, open_writer, verify
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.trajectories import Trajectories
 
 LENGTHS = (2, 3, 4)
 PIXELS = np.random.default_rng(0).integers(0, 256, (sum(LENGTHS), 6, 8, 3), dtype=np.uint8)
 ACTIONS = np.random.default_rng(1).uniform(-3, 3, (sum(LENGTHS), 2)).astype(np.float32)
+STATES = np.random.default_rng(2).normal(size=(sum(LENGTHS), 2)).astype(np.float32)
 COUNTER = {"dtype": "int64", "shape": [1], "names": None}
 INFO: dict[str, Any] = {
     "codebase_version": "v3.0",
@@ -30,7 +33,7 @@ INFO: dict[str, Any] = {
     "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
     "features": {
         "observation.image": {"dtype": "image", "shape": [3, 6, 8], "names": ["channel", "height", "width"]},
-        "observation.state": {"dtype": "float32", "shape": [2], "names": None},
+        "observation.state": {"dtype": "float32", "shape": [2], "names": {"motors": ["pan", "lift"]}},
         "action": {"dtype": "float32", "shape": [2], "names": {"motors": ["pan", "lift"]}},
         "episode_index": COUNTER,
     },
@@ -50,7 +53,7 @@ def root(tmp_path: Path) -> Path:
     table = pa.table(
         {
             "observation.image": [{"bytes": png(pixels), "path": None} for pixels in PIXELS],
-            "observation.state": pa.array(np.zeros((9, 2)).tolist(), pa.list_(pa.float32())),
+            "observation.state": pa.array(STATES.tolist(), pa.list_(pa.float32())),
             "action": pa.array(ACTIONS.tolist(), pa.list_(pa.float32())),
             "episode_index": episode_of,
         }
@@ -88,6 +91,48 @@ def test_every_trajectory_of_a_shared_file_is_read(root: Path) -> None:
         np.testing.assert_array_equal(dataset.cached_frames("image")[index], PIXELS[start:end])
         assert dataset[index].skills == ()
     assert verify(root) == []
+
+
+def test_the_robots_own_state_is_kept_beside_what_learners_read(root: Path, tmp_path: Path) -> None:
+    import_trajectories(LeRobotSource(root), tmp_path / "imported")
+    for dataset in (Dataset(root), Dataset(tmp_path / "imported")):
+        assert (dataset.spec.robot_state_size, dataset.spec.robot_state_names) == (2, ("pan", "lift"))
+        np.testing.assert_array_equal(np.concatenate([dataset.robot_state(index) for index in range(3)]), STATES)
+    assert verify(tmp_path / "imported") == []
+
+
+def test_learners_read_the_same_with_and_without_a_state_of_the_robot(root: Path, tmp_path: Path) -> None:
+    import_trajectories(LeRobotSource(root), tmp_path / "with")
+    write_info(root, features={key: each for key, each in INFO["features"].items() if key != "observation.state"})
+    import_trajectories(LeRobotSource(root), tmp_path / "without")
+    read = [
+        FitDataset(path, Dataset(path)).trajectories(["image"], any_unit=True)
+        for path in (tmp_path / "with", tmp_path / "without")
+    ]
+    for name in (field.name for field in fields(Trajectories)):
+        first, second = (getattr(each, name) for each in read)
+        np.testing.assert_equal(unpacked(first), unpacked(second))
+    assert [Dataset(tmp_path / each).spec.robot_state_size for each in ("with", "without")] == [2, 0]
+
+
+def unpacked(values: Any) -> Any:
+    """Returns arrays of trajectories as plain arrays."""
+    if isinstance(values, Mapping):
+        return {name: unpacked(each) for name, each in values.items()}
+    return values.steps if isinstance(values, StepCache) else values
+
+
+@pytest.mark.parametrize("feature", [{"dtype": "int64", "shape": [2]}, {"dtype": "float32", "shape": [2, 2]}])
+def test_a_state_that_is_no_vector_of_floats_is_left_out(root: Path, feature: dict[str, Any]) -> None:
+    write_info(root, features=INFO["features"] | {"observation.state": {**feature, "names": None}})
+    assert Dataset(root).spec.robot_state_size == 0
+    assert Dataset(root).robot_state(0) is None
+
+
+def test_a_state_of_another_size_than_declared_is_found(root: Path) -> None:
+    state = {"dtype": "float32", "shape": [3], "names": None}
+    write_info(root, features=INFO["features"] | {"observation.state": state})
+    assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1", "trajectory 2"]
 
 
 def test_names_of_cameras_become_names_of_ours(root: Path) -> None:

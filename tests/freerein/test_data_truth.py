@@ -1,8 +1,10 @@
 """Ground truth is for evaluation: it has a module of its own, which the learner's reader cannot reach."""
 
 import ast
+import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +101,23 @@ def test_the_learners_reader_opens_nothing_below_truth(root: Path) -> None:
     assert any(path.endswith("data/chunk-000/file-000.parquet") for path in touched)
     assert any(path.endswith("meta/info.json.tmp") for path in touched)
     assert not [path for path in touched if path.startswith(f"{root}/truth")]
+
+
+def test_no_learner_and_no_world_knows_of_a_robots_own_state() -> None:
+    """It is kept for the tools of its owner; in a simulated world it would be privileged."""
+    repository = Path(__file__).parents[2]
+    folders = (
+        "services",
+        "experiments",
+        "proto",
+        *(f"src/freerein/{name}" for name in ("learning", "envs", "serving")),
+    )
+    files = [
+        each for folder in folders for kind in ("py", "proto") for each in (repository / folder).rglob(f"*.{kind}")
+    ]
+    assert len(files) > 100
+    assert [each for each in files if re.search(r"robot_state|STATE_KEY|observation\.state", each.read_text())] == []
+    assert not any("state" in field.name for field in fields(Trajectory))
 
 
 def test_garbage_in_truth_changes_nothing_that_learners_see(root: Path) -> None:

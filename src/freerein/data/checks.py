@@ -206,7 +206,7 @@ def _foreign_problems(root: Path) -> Iterator[Problem]:
         return
     for index in range(len(dataset)):
         try:
-            _ = dataset[index]
+            _ = dataset[index], dataset.robot_state(index)
         except InvalidInput as error:
             yield Problem(f"trajectory {index}", error.detail, error.hint)
 

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
+from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.videos import BOUNDS
 from freerein.errors import InvalidInput, NotFound
@@ -51,7 +52,7 @@ class _Recording:
     actions: Path | None = None
 
 
-class FolderSource:
+class FolderSource(Source):
     """Trajectories in folders of images, or in videos.
 
     Args:
@@ -125,7 +126,7 @@ class FolderSource:
         return np.stack([_pixels(file, self._size, shape) for file in files])
 
 
-class ImageSource:
+class ImageSource(Source):
     """Unlabelled images of a folder, and of the folders in it, as trajectories without actions or tags.
 
     A run of images in the order of their names is a trajectory, about 50 in all, so that held-out images are others.

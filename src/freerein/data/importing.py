@@ -9,6 +9,7 @@ from typing import Protocol
 from freerein.atomic_files import fsync_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.reader import Dataset
+from freerein.data.trajectory_file import State
 from freerein.data.writer import create
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.types.common import Trajectory
@@ -27,9 +28,13 @@ class Source(Protocol):
     def __iter__(self) -> Iterator[Trajectory]:
         """Yields each, decoded; raises InvalidInput where one is missing, corrupt or does not match the spec."""
 
+    def robot_state(self, index: int) -> State | None:
+        """Returns the robot's own state in one of them, float32 (T, S); None where the tool does not record it."""
+        return None
 
-class LeRobotSource:
-    """The trajectories of a LeRobotDataset v3, of images or video; actions stay in their own unit.
+
+class LeRobotSource(Source):
+    """The trajectories of a LeRobotDataset v3, of images or video; actions and `observation.state` stay in their units.
 
     Args:
         folder: Its folder.
@@ -53,7 +58,12 @@ class LeRobotSource:
         cameras = {
             name: (*(size or (height, width)), channels) for name, (height, width, channels) in own.cameras.items()
         }
-        self.spec = replace(own, cameras=cameras)
+        self._spec = replace(own, cameras=cameras)
+
+    @property
+    def spec(self) -> DatasetSpec:
+        """Properties that they share."""
+        return self._spec
 
     def __len__(self) -> int:
         return len(self._dataset)
@@ -61,6 +71,10 @@ class LeRobotSource:
     def __iter__(self) -> Iterator[Trajectory]:
         for trajectory in self._dataset.stream(range(len(self)), size=self._size):
             yield replace(trajectory, skills=tuple(sorted(set(trajectory.skills))))
+
+    def robot_state(self, index: int) -> State | None:
+        """Returns `observation.state` of a trajectory, float32 (T, S); None where there is none."""
+        return self._dataset.robot_state(index)
 
 
 def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None) -> None:
@@ -84,9 +98,9 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
     with tempfile.TemporaryDirectory(prefix=".import-", dir=root.parent) as folder:
         unfinished = Path(folder) / root.name
         with create(unfinished, source.spec) as writer:
-            for count, trajectory in enumerate(source, start=1):
-                writer.append(trajectory)
-                on_count(count)
+            for index, trajectory in enumerate(source):
+                writer.append(trajectory, robot_state=source.robot_state(index))
+                on_count(index + 1)
         try:
             unfinished.rename(root)
         except OSError:

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +22,7 @@ EPISODES_FILE = "meta/episodes/chunk-000/file-000.parquet"
 STATS_FILE = "meta/stats.json"
 INFO_FILE = "meta/info.json"
 TEACHERS_FILE = "teachers.json"
+STATE_KEY = "observation.state"
 CAMERA_PREFIX = "observation.images."
 TERMINATED_KEY = "next.terminated"
 """bool (T,); not LeRobot's `next.done`, which is also true where an episode was truncated."""
@@ -50,6 +52,8 @@ class DatasetSpec:
         task: Goal text of trajectories without one of their own.
         has_terminations: Whether every trajectory has `terminated`; otherwise none has.
         has_scaled_actions: Whether continuous actions are in [-1, 1]; otherwise they are in the robot's own unit.
+        robot_state_size: Numbers of the robot's own state, such as joint positions; 0 where it is not kept.
+        robot_state_names: Meaning of each of them; may be empty.
     """
 
     fps: int
@@ -60,6 +64,8 @@ class DatasetSpec:
     task: str = ""
     has_terminations: bool = False
     has_scaled_actions: bool = True
+    robot_state_size: int = 0
+    robot_state_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where a value is out of range."""
@@ -83,6 +89,12 @@ class DatasetSpec:
                 "An action must have exactly one number when it is discrete, else any number; "
                 f"got {self.action.size} with {self.action.choices} choices.",
                 field="action",
+            )
+        if self.robot_state_size < 0 or len(self.robot_state_names) not in (0, self.robot_state_size):
+            raise InvalidInput(
+                "A robot's state must have a name for each of its numbers, or none; "
+                f"got {len(self.robot_state_names)} names for {self.robot_state_size} numbers.",
+                field="robot_state_names",
             )
 
     @property
@@ -143,6 +155,8 @@ def loads(text: str | bytes) -> DatasetSpec:
             task=str(document["task"]),
             has_terminations=bool(document.get("has_terminations", False)),  # missing before there were any
             has_scaled_actions=bool(document.get("has_scaled_actions", True)),  # likewise
+            robot_state_size=int(document.get("robot_state_size", 0)),
+            robot_state_names=tuple(document.get("robot_state_names", ())),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InvalidInput(
@@ -209,6 +223,9 @@ def features(spec: DatasetSpec) -> dict[str, dict[str, object]]:
         camera_key(camera): {"dtype": "image", "shape": list(size), "names": ["height", "width", "channels"]}
         for camera, size in spec.cameras.items()
     }
+    if spec.robot_state_size:
+        state_names = list(spec.robot_state_names) or None
+        features[STATE_KEY] = {"dtype": "float32", "shape": [spec.robot_state_size], "names": state_names}
     if spec.has_actions:
         names = list(spec.action.names) if len(spec.action.names) == spec.action.size else None
         features["action"] = {"dtype": str(spec.action.dtype), "shape": [spec.action.size], "names": names}
@@ -239,11 +256,17 @@ def info(spec: DatasetSpec, *, trajectories: int, frames: int, tasks: int) -> di
 def data_schema(spec: DatasetSpec) -> pa.Schema:
     """Returns the schema of a data file; an image is a struct of encoded bytes and an unused path."""
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-    number = pa.from_numpy_dtype(spec.action.dtype)
-    action = [("action", number if spec.action.size == 1 else pa.list_(number, spec.action.size))]
+    state = [(STATE_KEY, _vector_type(np.dtype(np.float32), spec.robot_state_size))] if spec.robot_state_size else []
+    action = [("action", _vector_type(spec.action.dtype, spec.action.size))] if spec.has_actions else []
     numbers = [(key, pa.from_numpy_dtype(dtype)) for key, dtype in _number_columns(spec).items()]
     images = ((camera_key(camera), image) for camera in spec.cameras)
-    return pa.schema([*images, *(action if spec.has_actions else []), *numbers])
+    return pa.schema([*images, *state, *action, *numbers])
+
+
+def _vector_type(dtype: np.dtype[Any], size: int) -> pa.DataType:
+    """Returns LeRobot's type of a column of vectors: numbers where their size is 1, else lists."""
+    number = pa.from_numpy_dtype(dtype)
+    return number if size == 1 else pa.list_(number, size)
 
 
 def _number_columns(spec: DatasetSpec) -> dict[str, str]:

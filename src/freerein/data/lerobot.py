@@ -1,6 +1,7 @@
 """Reads the metadata of LeRobotDataset v3 datasets of other tools, of images or video.
 
-Depth cameras are left out. Continuous actions may be in any unit, or missing.
+Depth cameras are left out. Continuous actions may be in any unit, or missing. `observation.state` is read where it is a
+vector of floats; other observations are left out.
 
 Terminations are those of `next.terminated`, else of LeRobot's own `next.done`: true at the end of an episode, for most
 tools that write it also where the episode was truncated.
@@ -62,6 +63,7 @@ def read(root: Path) -> LeRobotMeta:
         keys = images | videos
         terminated_key, stored = _terminated_key(info["features"]), _stored_episodes(root)
         episodes = _with_lists(stored)
+        state_size, state_names = _robot_state(info["features"].get(layout.STATE_KEY))
         spec = DatasetSpec(
             fps=int(info["fps"]),
             cameras={camera: _frame_size(info["features"][key]) for camera, key in keys.items()},
@@ -71,6 +73,8 @@ def read(root: Path) -> LeRobotMeta:
             task=_task(root),
             has_terminations=bool(terminated_key),
             has_scaled_actions=False,
+            robot_state_size=state_size,
+            robot_state_names=state_names,
         )
         spans = {camera: _spans(root, stored, key, fps=spec.fps) for camera, key in videos.items()}
     except (KeyError, TypeError, ValueError):
@@ -145,6 +149,14 @@ def _action(feature: dict[str, Any] | None, root: Path) -> ActionSpec:
             hint="Convert the action before recording.",
         )
     return ActionSpec(size=int(shape[0]), choices=0, names=_flat_names(feature.get("names"), int(shape[0])))
+
+
+def _robot_state(feature: dict[str, Any] | None) -> tuple[int, tuple[str, ...]]:
+    """Returns the size of the robot's own state and the names of its numbers; 0 where it is no vector of floats."""
+    if feature is None or not feature["dtype"].startswith("float") or len(feature["shape"]) != 1:
+        return 0, ()
+    size = int(feature["shape"][0])
+    return size, _flat_names(feature.get("names"), size)
 
 
 def _choices(root: Path) -> int:

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from freerein.atomic_files import write_atomic
 from freerein.data import layout, statistics, tags
 from freerein.data.layout import DatasetSpec, dumps, loads
-from freerein.data.statistics import STATISTICS, FeatureStatistics
+from freerein.data.statistics import QUANTILES, STATISTICS, FeatureStatistics
 from freerein.data.tags import Tags
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -148,6 +148,7 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
         table = pq.ParquetFile(data).read(use_threads=False)
     except (pa.ArrowException, OSError):
         return schema.empty_table()
+    table = _with_quantiles(table, schema)
     return table.cast(schema) if table.schema.equals(schema) else schema.empty_table()
 
 
@@ -231,6 +232,16 @@ def read_teachers(root: Path) -> list[dict[str, Any]]:
     return list(json.loads(path.read_bytes())) if path.is_file() else []
 
 
+def _with_quantiles(stored: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Returns a table of an earlier version, which had no quantiles, in the present columns; any other as it is."""
+    missing = [field for field in schema if field.name not in stored.column_names]
+    if not missing or not all(field.name.rpartition("/")[2] in QUANTILES for field in missing):
+        return stored
+    for field in missing:
+        stored = stored.append_column(field, pa.nulls(len(stored), field.type))
+    return stored.select(schema.names)
+
+
 def _valid_rows(stored: pa.Table, files: list[layout.DataFile]) -> int:
     """Returns the number of leading rows whose file has the recorded size."""
     sizes = stored["data/bytes"].to_numpy()[: len(files)]
@@ -259,12 +270,18 @@ def _parquet(table: pa.Table) -> bytes:
 
 
 def _dataset_statistics(table: pa.Table, spec: DatasetSpec) -> dict[str, FeatureStatistics]:
-    """Returns the statistics over all trajectories, by feature; empty for an empty dataset."""
+    """Returns the statistics over all trajectories, by feature; empty for an empty dataset.
+
+    Quantiles are left out where a trajectory has none.
+    """
     if table.num_rows == 0:
         return {}
+    columns = {
+        feature: {name: table[f"stats/{feature}/{name}"] for name in STATISTICS} for feature in layout.features(spec)
+    }
     return {
-        feature: statistics.combined({name: _stacked(table[f"stats/{feature}/{name}"]) for name in STATISTICS})
-        for feature in layout.features(spec)
+        feature: statistics.combined({name: _stacked(column) for name, column in each.items() if not column.null_count})
+        for feature, each in columns.items()
     }
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.videos import BOUNDS
 from freerein.errors import InvalidInput, NotFound
@@ -32,7 +33,7 @@ _PAIR = r"u?'(\w{1,32})'\s*:\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 _DICTIONARY = re.compile(rf"\{{\s*{_PAIR}(?:\s*,\s*{_PAIR})*\s*\}}")
 
 
-class MimeSource:
+class MimeSource(Source):
     """The robot's demonstrations, in gray at 120 x 320 as in section 2.4 of the dissertation, at 5 timesteps a second.
 
     Each is tagged with `reach` and its task: the folder's name in lower case, without `mime_`. The action of a timestep

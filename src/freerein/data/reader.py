@@ -14,7 +14,15 @@ import pyarrow as pa
 from freerein import images
 from freerein.data import layout, lerobot, meta, tags
 from freerein.data.cache import StepCache, open_or_build
-from freerein.data.trajectory_file import Actions, decode_actions, decode_frames, decode_terminations, read_rows
+from freerein.data.trajectory_file import (
+    Actions,
+    State,
+    decode_actions,
+    decode_frames,
+    decode_state,
+    decode_terminations,
+    read_rows,
+)
 from freerein.data.videos import VideoSpan, video_frames
 from freerein.errors import InvalidInput
 from freerein.types.common import Trajectory
@@ -105,6 +113,15 @@ class Dataset:
     def actions(self, index: int) -> Actions:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
         return decode_actions(self._rows(range(len(self))[index], self._action_columns), self.spec)
+
+    def robot_state(self, index: int) -> State | None:
+        """Returns the robot's own state in one trajectory, float32 (T, S) in its own units; None where it is not kept.
+
+        Neither a `Trajectory` nor what fits learn from has it.
+        """
+        if not self.spec.robot_state_size:
+            return None
+        return decode_state(self._rows(range(len(self))[index], [layout.STATE_KEY]), self.spec)
 
     def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,9 @@ from freerein.types.common import Image, Trajectory
 Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (T, A) in [-1, 1] where continuous, int64 (T, 1) where discrete."""
 
+State: TypeAlias = npt.NDArray[np.float32]
+"""The robot's own state, float32 (T, S), in units of its own. No model reads it."""
+
 _FOOTER_KEY = b"freerein"
 
 
@@ -44,13 +47,22 @@ class TrajectoryFooter:
     statistics: dict[str, FeatureStatistics]
 
 
-def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame: int, task_index: int) -> bytes:
+def encode(
+    trajectory: Trajectory,
+    spec: DatasetSpec,
+    *,
+    index: int,
+    first_frame: int,
+    task_index: int,
+    state: State | None = None,
+) -> bytes:
     """Returns a trajectory as a parquet file; it must match the spec. The indices count within the dataset."""
-    numbers = _numbers(trajectory, spec, index, first_frame, task_index)
+    indices = _index_columns(trajectory, spec, index, first_frame, task_index)
+    vectors: dict[str, npt.NDArray[Any]] = {layout.STATE_KEY: state} if state is not None else {}
+    vectors |= {"action": trajectory.actions} if spec.has_actions else {}
+    numbers = {**vectors, **{name: column[:, None] for name, column in indices.items()}}
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
-    if spec.has_actions:
-        columns["action"] = _action_column(trajectory.actions)
-    columns |= {name: pa.array(column[:, 0]) for name, column in numbers.items() if name != "action"}
+    columns |= {name: _vector_column(values) for name, values in numbers.items()}
     footer: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
@@ -68,7 +80,7 @@ def encode(trajectory: Trajectory, spec: DatasetSpec, *, index: int, first_frame
         sink,
         compression="none",
         use_dictionary=False,
-        write_statistics=[name for name in numbers if name != "action"],
+        write_statistics=list(indices),
         write_page_checksum=True,
     )
     return sink.getvalue()
@@ -127,15 +139,14 @@ def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
     """Returns the actions, float32 (T, A) or int64 (T, 1); float32 (T, 0) of a dataset without."""
     if not spec.has_actions:
         return np.empty((len(rows), 0), np.float32)
-    flat = _flat(rows["action"])
-    if flat.null_count or len(flat) != len(rows) * spec.action.size:
-        raise InvalidInput(
-            f"Every timestep must have an action of {spec.action.size} numbers; the data file holds "
-            f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
-            hint="Record the trajectory again.",
-        )
-    actions: Actions = flat.to_numpy(zero_copy_only=False).astype(spec.action.dtype)
-    return actions.reshape(len(rows), spec.action.size)
+    values = _vectors(rows, "action", spec.action.size, subject="an action")
+    return cast(Actions, values.astype(spec.action.dtype))
+
+
+def decode_state(rows: pa.Table, spec: DatasetSpec) -> State:
+    """Returns the robot's own state, float32 (T, S)."""
+    values = _vectors(rows, layout.STATE_KEY, spec.robot_state_size, subject="a state of the robot")
+    return values.astype(np.float32)
 
 
 def decode_terminations(rows: pa.Table, *, key: str) -> npt.NDArray[np.bool_]:
@@ -185,6 +196,19 @@ def _flat(column: pa.ChunkedArray) -> pa.Array:
     return joined.flatten() if pa.types.is_nested(joined.type) else joined
 
 
+def _vectors(rows: pa.Table, key: str, size: int, *, subject: str) -> npt.NDArray[Any]:
+    """Returns a column of vectors, (T, size); `subject` names one of them in the error."""
+    flat = _flat(rows[key])
+    if flat.null_count or len(flat) != len(rows) * size:
+        raise InvalidInput(
+            f"Every timestep must have {subject} of {size} numbers; the data file holds "
+            f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
+            hint="Record the trajectory again.",
+        )
+    values: npt.NDArray[Any] = flat.to_numpy(zero_copy_only=False).reshape(len(rows), size)
+    return values
+
+
 def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
     """Returns whether a row group may hold rows of a trajectory, by its statistics where it has them."""
     position = parquet.schema.names.index("episode_index")
@@ -192,13 +216,13 @@ def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
     return bounds is None or not bounds.has_min_max or bool(bounds.min <= index <= bounds.max)
 
 
-def _numbers(
+def _index_columns(
     trajectory: Trajectory, spec: DatasetSpec, index: int, first_frame: int, task_index: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Returns every column but the images: actions (T, A), if any; terminations and LeRobot's indices, (T, 1)."""
+    """Returns the columns of one number per timestep, (T,): terminations, if known, and LeRobot's indices."""
     t = np.arange(len(trajectory.actions))
     terminated = {} if trajectory.terminated is None else {layout.TERMINATED_KEY: trajectory.terminated}
-    columns: dict[str, npt.NDArray[Any]] = {
+    return {
         **terminated,
         "timestamp": (t / spec.fps).astype(np.float32),
         "frame_index": t,
@@ -206,8 +230,6 @@ def _numbers(
         "index": first_frame + t,
         "task_index": np.full_like(t, task_index),
     }
-    actions = {"action": trajectory.actions} if spec.has_actions else {}
-    return {**actions, **{name: column[:, None] for name, column in columns.items()}}
 
 
 def _statistics(
@@ -229,6 +251,6 @@ def _png(pixels: npt.NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def _action_column(actions: npt.NDArray[Any]) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(actions).ravel())
-    return flat if actions.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, actions.shape[1])
+def _vector_column(vectors: npt.NDArray[Any]) -> pa.Array:
+    flat = pa.array(np.ascontiguousarray(vectors).ravel())
+    return flat if vectors.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, vectors.shape[1])

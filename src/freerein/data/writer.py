@@ -13,7 +13,7 @@ from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
 from freerein.data import layout, meta, truth
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row, WriterLock
-from freerein.data.trajectory_file import Actions, encode
+from freerein.data.trajectory_file import Actions, State, encode
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import MAX_TEXT, Trajectory
 
@@ -88,27 +88,33 @@ class Writer:
         """Returns the number of trajectories on disk."""
         return len(self._table) + len(self._rows)
 
-    def append(self, trajectory: Trajectory, labels: npt.NDArray[np.int64] | None = None) -> int:
+    def append(
+        self, trajectory: Trajectory, labels: npt.NDArray[np.int64] | None = None, *, robot_state: State | None = None
+    ) -> int:
         """Writes one trajectory durably.
 
         Args:
             trajectory: Matches the spec: every camera, T >= 1 timesteps, `terminated` if the spec has terminations.
             labels: Ground truth for evaluation, int64 (T,), indices into the spec's skills; stored in `truth/`.
+            robot_state: The robot's own state, float32 (T, S), where the spec has one. No model reads it.
 
         Returns:
             Index of the trajectory in the dataset.
 
         Raises:
-            InvalidInput: The trajectory or the labels do not match the spec.
+            InvalidInput: The trajectory, the labels or the state do not match the spec.
             FailedPrecondition: The writer is closed.
         """
         if not self._is_open:
             raise FailedPrecondition("A writer must be open to append; this one is closed.", hint="Use open_writer.")
         _check_trajectory(trajectory, self.spec)
+        _check_robot_state(robot_state, self.spec, length=len(trajectory.actions))
         index = len(self)
         task = trajectory.goal_text or self.spec.task
         number = self._tasks.get(task, len(self._tasks))
-        data = encode(trajectory, self.spec, index=index, first_frame=self._frames, task_index=number)
+        data = encode(
+            trajectory, self.spec, index=index, first_frame=self._frames, task_index=number, state=robot_state
+        )
         truth.discard(self._root, index)  # of an append that failed half-way
         if labels is not None:
             _check_labels(labels, self.spec, length=len(trajectory.actions))
@@ -218,6 +224,22 @@ def _check_terminations(terminated: npt.NDArray[np.bool_] | None, spec: DatasetS
             f"`terminated` must be bool ({length},), one per action; got {terminated.dtype} {terminated.shape}.",
             field="terminated",
             hint="Say for each action whether the episode terminated after it.",
+        )
+
+
+def _check_robot_state(state: State | None, spec: DatasetSpec, *, length: int) -> None:
+    shape = (length, spec.robot_state_size)
+    if state is None and not spec.robot_state_size:
+        return
+    if state is None or not spec.robot_state_size or state.dtype != np.float32 or state.shape != shape:
+        expected = f"float32 {shape}, one per action" if spec.robot_state_size else "none, as the dataset has none"
+        found = "none" if state is None else f"{state.dtype} {state.shape}"
+        raise InvalidInput(f"The robot's state must be {expected}; got {found}.", field="robot_state")
+    if not np.all(np.isfinite(state)):
+        raise InvalidInput(
+            "The robot's state must be finite; some of its numbers are not.",
+            field="robot_state",
+            hint="Leave the feature out, with LeRobot's `lerobot-edit-dataset`, or the broken episodes.",
         )
 
 
