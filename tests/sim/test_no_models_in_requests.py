@@ -18,7 +18,7 @@ BYTES = {"raw", "snapshot"}
 
 NUMBERS = {
     *("num_envs", "envs", "height", "width"),  # the size of a scene is its task's
-    *("seed", "step_id", "lease_s", "privileged"),
+    *("seed", "step_id", "action_repeat", "lease_s", "privileged"),
     *("behaviour", "min_skills", "max_skills", "count", "first", "max_episode_steps"),
     "shape",
 }
