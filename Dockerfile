@@ -14,7 +14,7 @@ FROM python:3.11-slim-bookworm AS python
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
 
 
-# Wheels of the library and of the service.
+# Wheels of the clients, of the library and of the service.
 FROM python AS wheels
 WORKDIR /build
 COPY constraints.txt ./
@@ -23,7 +23,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY src src
 COPY services services
 ARG SERVICE
-RUN pip wheel --no-build-isolation --no-deps --wheel-dir /wheels . $([ "$SERVICE" = cli ] || echo "./services/$SERVICE")
+RUN pip wheel --no-build-isolation --no-deps --wheel-dir /wheels ./src . $([ "$SERVICE" = cli ] || echo "./services/$SERVICE")
 
 
 # Shared by all images: the user, the data directory, and the library's dependencies. Does not depend on code, so that
@@ -34,8 +34,9 @@ RUN groupadd --gid 10001 freerein \
  && install --directory --owner freerein --group freerein /data
 WORKDIR /freerein
 COPY constraints.txt pyproject.toml ./
+COPY src/pyproject.toml src/README.md src/
 RUN mkdir -p src/freerein && touch README.md LICENSE src/freerein/__init__.py \
- && pip install -c constraints.txt '.[serving]' && pip uninstall -y freerein
+ && pip install -c constraints.txt ./src '.[serving]' && pip uninstall -y freerein freerein-client
 
 
 # With torch; its own index is skipped if it does not answer within 3 seconds. Headers and torch's tests, a quarter of
@@ -50,7 +51,7 @@ RUN index=$TORCH_INDEX \
  && pip install -c constraints.txt ${index:+--extra-index-url "$index"} torch \
  && cd "$(python -c 'import importlib.util as u; print(*u.find_spec("torch").submodule_search_locations)')" \
  && rm -rf include test bin/test_*
-RUN pip install -c constraints.txt '.[clients,data,learning]' && pip uninstall -y freerein
+RUN pip install -c constraints.txt ./src '.[data,learning]' && pip uninstall -y freerein freerein-client
 
 
 FROM torch AS segmentation
@@ -70,7 +71,7 @@ ARG ROBOTS=
 RUN [ -z "$ROBOTS" ] || pip install --no-deps -r assets-robots.txt
 
 FROM common AS cli
-RUN pip install -c constraints.txt '.[cli]' && pip uninstall -y freerein
+RUN pip install -c constraints.txt ./src '.[cli]' && pip uninstall -y freerein freerein-client
 
 
 FROM ${SERVICE}

@@ -52,7 +52,7 @@ soak: dev ## All five services under mixed load: MINUTES=20, after a minute with
 mutants: dev ## Change the code in up to 300 places, and expect a test to fail each time
 	$(BIN)/python -m mutants
 
-compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours
+compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours; call a service from its environment
 	PYTHON=$(CURDIR)/$(BIN)/python tests/compat/run
 
 stubs: dev ## Regenerate the Python stubs of proto/

@@ -5,6 +5,7 @@ says what was expected and what was received, `hint` says how to fix it. Neither
 copy of the input.
 """
 
+import sys
 from collections.abc import Iterator
 
 
@@ -28,6 +29,12 @@ class ServiceError(Exception):
         self.field = field
         self.hint = hint
         self.retry_after_s = retry_after_s
+
+    if sys.version_info < (3, 11):  # from then on, all exceptions have it
+
+        def add_note(self, note: str) -> None:
+            """Appends a line to the message."""
+            self.args = (f"{self}\n{note}",)
 
 
 class MalformedRequest(ServiceError):

@@ -14,7 +14,7 @@ SOURCES = [
     for path in sorted((ROOT / folder).rglob("*.py"))
     if "src/freerein/api" not in str(path)
 ]
-MANIFESTS = [ROOT / "pyproject.toml", *sorted(ROOT.glob("services/*/pyproject.toml"))]
+MANIFESTS = [ROOT / "pyproject.toml", ROOT / "src/pyproject.toml", *sorted(ROOT.glob("services/*/pyproject.toml"))]
 NAMED_PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "experiments/README.md")
 PAGES = [ROOT / name for name in NAMED_PAGES] + sorted(ROOT.glob("docs/**/*.md"))
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset, dataset_path
+from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.sim import DemonstrateRequest, ListTasksRequest
 from freerein_orchestrator.kinds import KINDS

@@ -56,7 +56,8 @@ def service_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
 
 def _status(error: aio.AioRpcError) -> status_pb2.Status:
     """Returns the status in the metadata, empty where it is missing or unreadable."""
-    value = dict(error.trailing_metadata() or ()).get(_DETAILS_KEY, b"")
+    pairs = iter(error.trailing_metadata() or ())  # which in an older grpcio is a mapping whose `keys` are pairs, too
+    value = dict(pairs).get(_DETAILS_KEY, b"")
     try:
         return status_pb2.Status.FromString(value)
     except DecodeError:

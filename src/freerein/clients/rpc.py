@@ -13,11 +13,12 @@ from copy import copy
 from dataclasses import replace
 from operator import methodcaller
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from google.protobuf.descriptor import MethodDescriptor
 from google.protobuf.message import Message
 from grpc import aio
+from typing_extensions import Self
 
 from freerein import wire
 from freerein.clients.channel import MAX_MESSAGE_BYTES, Channel

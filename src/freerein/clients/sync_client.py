@@ -13,7 +13,9 @@ import weakref
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import CancelledError, Future
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
+
+from typing_extensions import Self
 
 from freerein.clients.rpc import Client
 from freerein.errors import Cancelled, FailedPrecondition

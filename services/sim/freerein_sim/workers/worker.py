@@ -113,7 +113,7 @@ class Connection(asyncio.BufferedProtocol):
         self._asked += 1
         number = self._asked
         frame = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=number)
-        if self.lost.is_set():
+        if self.lost.is_set() or self._transport.is_closing():  # from Python 3.12 on, writing would raise a TypeError
             raise worker_lost()
         answer: asyncio.Future[bytearray] = asyncio.get_running_loop().create_future()
         self._calls[number] = answer

@@ -13,7 +13,7 @@ from freerein.cli.connection import call
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
 from freerein.clients import SimClient
-from freerein.clients.dataset_recorder import DatasetRecorder
+from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, Task
 
 app = typer.Typer(help="List simulated tasks and record demonstrations.", no_args_is_help=True, add_completion=False)

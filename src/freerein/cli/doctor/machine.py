@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-_PYTHON = (3, 11)
+_PYTHON = ((3, 11), (3, 12), (3, 13))
 _TIMEOUT_S = 60.0
 _NEEDED_BYTES = 1 << 30
 _WANTED_BYTES = 5 << 30
@@ -59,9 +59,9 @@ class CheckResult:
 def check_python() -> CheckResult:
     """Checks the Python version."""
     detail = f"{platform.python_version()}, {os.cpu_count()} cores"
-    if sys.version_info[:2] == _PYTHON:
+    if sys.version_info[:2] in _PYTHON:
         return CheckResult("Python", "ok", detail)
-    return CheckResult("Python", "problem", detail, "Install Python 3.11 and run `make demo` again.")
+    return CheckResult("Python", "problem", detail, "Install Python 3.11, 3.12 or 3.13 and run `make demo` again.")
 
 
 def check_rendering() -> CheckResult:

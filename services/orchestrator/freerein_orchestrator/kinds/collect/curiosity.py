@@ -13,9 +13,9 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from freerein.clients.dataset_recorder import dataset_spec, open_or_resume
 from freerein.clients.tasks import find_task
 from freerein.data import Writer
+from freerein.data.dataset_recorder import dataset_spec, open_or_resume
 from freerein.errors import FailedPrecondition
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import JSON

@@ -6,8 +6,8 @@ from contextlib import closing
 from pathlib import Path
 
 from freerein.clients import SyncClient
-from freerein.clients.dataset_recorder import DatasetRecorder
 from freerein.data import Dataset
+from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.errors import ServiceError
 from freerein.types.sim import Behaviour, DemonstrateRequest, DemonstrateResponse, ListTasksRequest
 from freerein_orchestrator.envs.retry import Retry, is_transient

@@ -5,7 +5,7 @@ import warnings
 
 from freerein.api.imitation.v1 import imitation_pb2 as freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2
 
-GRPC_GENERATED_VERSION = '1.85.1'
+GRPC_GENERATED_VERSION = '1.73.1'
 GRPC_VERSION = grpc.__version__
 _version_not_supported = False
 
@@ -18,14 +18,14 @@ except ImportError:
 if _version_not_supported:
     raise RuntimeError(
         f'The grpc package installed is at version {GRPC_VERSION},'
-        + ' but the generated code in freerein/api/imitation/v1/imitation_pb2_grpc.py depends on'
+        + f' but the generated code in freerein/api/imitation/v1/imitation_pb2_grpc.py depends on'
         + f' grpcio>={GRPC_GENERATED_VERSION}.'
         + f' Please upgrade your grpc module to grpcio>={GRPC_GENERATED_VERSION}'
         + f' or downgrade your generated code using grpcio-tools<={GRPC_VERSION}.'
     )
 
 
-class ImitationServiceStub:
+class ImitationServiceStub(object):
     """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 
@@ -57,7 +57,7 @@ class ImitationServiceStub:
                 _registered_method=True)
 
 
-class ImitationServiceServicer:
+class ImitationServiceServicer(object):
     """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 
@@ -123,7 +123,7 @@ def add_ImitationServiceServicer_to_server(servicer, server):
 
 
  # This class is part of an EXPERIMENTAL API.
-class ImitationService:
+class ImitationService(object):
     """Policies that follow goal images, recipes of skills, or a text. The first two also detect that the goal is reached.
     """
 

@@ -5,7 +5,7 @@ import warnings
 
 from freerein.api.learning.v1 import learning_pb2 as freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2
 
-GRPC_GENERATED_VERSION = '1.85.1'
+GRPC_GENERATED_VERSION = '1.73.1'
 GRPC_VERSION = grpc.__version__
 _version_not_supported = False
 
@@ -18,14 +18,14 @@ except ImportError:
 if _version_not_supported:
     raise RuntimeError(
         f'The grpc package installed is at version {GRPC_VERSION},'
-        + ' but the generated code in freerein/api/learning/v1/learning_pb2_grpc.py depends on'
+        + f' but the generated code in freerein/api/learning/v1/learning_pb2_grpc.py depends on'
         + f' grpcio>={GRPC_GENERATED_VERSION}.'
         + f' Please upgrade your grpc module to grpcio>={GRPC_GENERATED_VERSION}'
         + f' or downgrade your generated code using grpcio-tools<={GRPC_VERSION}.'
     )
 
 
-class FitServiceStub:
+class FitServiceStub(object):
     """Fits models to datasets, one at a time, each in its own process.
     """
 
@@ -72,7 +72,7 @@ class FitServiceStub:
                 _registered_method=True)
 
 
-class FitServiceServicer:
+class FitServiceServicer(object):
     """Fits models to datasets, one at a time, each in its own process.
     """
 
@@ -171,7 +171,7 @@ def add_FitServiceServicer_to_server(servicer, server):
 
 
  # This class is part of an EXPERIMENTAL API.
-class FitService:
+class FitService(object):
     """Fits models to datasets, one at a time, each in its own process.
     """
 
@@ -365,7 +365,7 @@ class FitService:
             _registered_method=True)
 
 
-class ModelServiceStub:
+class ModelServiceStub(object):
     """Lists models and chooses which version answers.
     """
 
@@ -387,7 +387,7 @@ class ModelServiceStub:
                 _registered_method=True)
 
 
-class ModelServiceServicer:
+class ModelServiceServicer(object):
     """Lists models and chooses which version answers.
     """
 
@@ -426,7 +426,7 @@ def add_ModelServiceServicer_to_server(servicer, server):
 
 
  # This class is part of an EXPERIMENTAL API.
-class ModelService:
+class ModelService(object):
     """Lists models and chooses which version answers.
     """
 

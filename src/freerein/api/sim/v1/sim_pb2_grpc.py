@@ -5,7 +5,7 @@ import warnings
 
 from freerein.api.sim.v1 import sim_pb2 as freerein_dot_api_dot_sim_dot_v1_dot_sim__pb2
 
-GRPC_GENERATED_VERSION = '1.85.1'
+GRPC_GENERATED_VERSION = '1.73.1'
 GRPC_VERSION = grpc.__version__
 _version_not_supported = False
 
@@ -18,14 +18,14 @@ except ImportError:
 if _version_not_supported:
     raise RuntimeError(
         f'The grpc package installed is at version {GRPC_VERSION},'
-        + ' but the generated code in freerein/api/sim/v1/sim_pb2_grpc.py depends on'
+        + f' but the generated code in freerein/api/sim/v1/sim_pb2_grpc.py depends on'
         + f' grpcio>={GRPC_GENERATED_VERSION}.'
         + f' Please upgrade your grpc module to grpcio>={GRPC_GENERATED_VERSION}'
         + f' or downgrade your generated code using grpcio-tools<={GRPC_VERSION}.'
     )
 
 
-class SimServiceStub:
+class SimServiceStub(object):
     """Sessions: vectors of environments of one task, each leased to one client.
     """
 
@@ -102,7 +102,7 @@ class SimServiceStub:
                 _registered_method=True)
 
 
-class SimServiceServicer:
+class SimServiceServicer(object):
     """Sessions: vectors of environments of one task, each leased to one client.
     """
 
@@ -274,7 +274,7 @@ def add_SimServiceServicer_to_server(servicer, server):
 
 
  # This class is part of an EXPERIMENTAL API.
-class SimService:
+class SimService(object):
     """Sessions: vectors of environments of one task, each leased to one client.
     """
 
