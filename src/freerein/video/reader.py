@@ -163,7 +163,8 @@ class Video:
         poll.register(self._pipe, select.POLLIN)
         give_up_at = time.monotonic() + self._silence_s
         while len(received) < size:
-            if not poll.poll(max(0.0, give_up_at - time.monotonic()) * 1e3):
+            left_s = give_up_at - time.monotonic()
+            if left_s <= 0 or not poll.poll(left_s * 1e3):
                 raise self._error("time")
             part = self._pipe.read(size - len(received))
             if not part:
