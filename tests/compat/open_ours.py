@@ -1,5 +1,7 @@
 """Opens freerein's dataset in the real LeRobot and compares every value. Usage: open_ours.py ROOT."""
 
+import os
+import re
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -75,4 +77,11 @@ assert next(iter(DataLoader(dataset, batch_size=4)))["observation.images.front"]
 
 discrete = LeRobotDataset("freerein/compat", root=root / "discrete", video_backend="pyav")
 assert [int(item["action"]) for item in discrete] == [int(choice) for choice in scene.choices(0)[:, 0]]
+
+page = (Path(__file__).parents[2] / "docs" / "lerobot.md").read_text()
+(block,) = (each for each in re.findall(r"^```python\n(.*?)^```", page, re.M | re.S) if "import LeRobotDataset" in each)
+(root / "var" / "datasets").mkdir(parents=True)
+(root / "var" / "datasets" / "arm").symlink_to(root / "continuous")
+os.chdir(root)
+exec(block, {})
 print(f"lerobot {version('lerobot')} opens a freerein dataset: {row} frames and actions equal")  # noqa: T201

@@ -4,10 +4,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import scene
 
-from freerein.data import DatasetSpec, create
-from freerein.types.common import ActionSpec, Trajectory
+from freerein.data import DatasetSpec, create, labels
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
 
 root = Path(sys.argv[1])
 spec = DatasetSpec(
@@ -34,6 +35,9 @@ with create(root / "continuous", spec) as writer:
             ),
             robot_state=scene.states(index),
         )
+for index, length in enumerate(scene.LENGTHS):
+    labels.save(root / "continuous", index, np.zeros(length, np.int64))
+labels.finish(root / "continuous", labels.LabelsInfo(spec.skills, ModelRef("default", "0" * 12)))
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
 with create(

@@ -1,13 +1,9 @@
 """The blocks of docs/your-data.md, as a user runs them, on images that no simulator of ours has drawn."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,15 +15,7 @@ from freerein.data import Dataset, labels
 from freerein.metrics import frame_accuracy
 from freerein_reward.relations import SpatialRelation, classify_relation
 
-PAGE = Path(__file__).parents[2] / "docs" / "your-data.md"
-BLOCKS = re.findall(r"^```sh\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
-PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
 RED, BLUE, GRAY = (215, 30, 30), (30, 70, 220), (120, 124, 130)
-SMALL = {  # so that a fit takes seconds
-    "segmentation": ("steps=60", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0", "evaluate_every=20"),
-    "reward": ("steps=120", "batch_size=32", "augmentation=0", "evaluate_every=40"),
-    "imitation": ("steps=50", "batch_size=8", "features=16", "hidden_size=32", "embedding_size=4"),
-}
 SIDE, STEPS, SKILLS = 32, 12, ("pour", "reach")
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -45,31 +33,18 @@ def draw(path: Path, discs: Discs, *, radius: float = 3, size: tuple[int, int] =
 
 
 @pytest.fixture
-def shell(request: pytest.FixtureRequest, start_service: Callable[..., Any], tmp_path: Path) -> Shell:
-    """Runs a block with the service that the test names, and small fits; returns what it printed."""
-    name = request.param
-    service = start_service(f"freerein_{name}", tmp_path / "var", FREEREIN_SHIPPED_DIR=str(PAGE.parents[1] / "models"))
-    own = {"FREEREIN_DATA_DIR": str(tmp_path / "var"), f"FREEREIN_{name.upper()}_ADDRESS": service.address}
-    environ = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", **own}
-    options = "".join(f" --set {each}" for each in SMALL[name])
+def block_with(read_blocks: Callable[[str, str], list[str]]) -> Callable[[str], str]:
+    """Returns the block with a text."""
 
-    def run(block: str) -> str:
-        block = block.replace(f"localhost:{PORTS[name]}", f"127.0.0.1:{service.http_port}")
-        command = ["bash", "-euo", "pipefail", "-c", block.replace(" --watch", f" --watch{options}")]
-        ran = subprocess.run(command, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
-        assert ran.returncode == 0, f"{block}\n{ran.stdout}\n{ran.stderr}"
-        return ran.stdout
+    def found(text: str) -> str:
+        (block,) = (each for each in read_blocks("your-data", "sh") if text in each)
+        return block
 
-    return run
+    return found
 
 
-def block_with(text: str) -> str:
-    (block,) = (each for each in BLOCKS if text in each)
-    return str(block)
-
-
-@pytest.mark.parametrize("shell", ["segmentation"], indirect=True)
-def test_recordings_and_tags_say_which_skill_when(shell: Shell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shell", [("segmentation",)], indirect=True)
+def test_recordings_and_tags_say_which_skill_when(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     """A red disc moves in one skill, a blue one in the other; there are no actions."""
     rng, truth, lines = np.random.default_rng(0), list[int](), ["trajectory,skills"]
     for take in range(1, 41):
@@ -91,8 +66,8 @@ def test_recordings_and_tags_say_which_skill_when(shell: Shell, tmp_path: Path) 
     assert json.loads(printed.splitlines()[-1])["labels"] == truth[:2]
 
 
-@pytest.mark.parametrize("shell", ["reward"], indirect=True)
-def test_images_and_phrases_become_rewards(shell: Shell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shell", [("reward",)], indirect=True)
+def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
 
     def scene(path: Path) -> npt.NDArray[np.float64]:
@@ -120,8 +95,8 @@ def test_images_and_phrases_become_rewards(shell: Shell, tmp_path: Path) -> None
     assert rewarded[~is_left].mean() < 0.15
 
 
-@pytest.mark.parametrize("shell", ["imitation"], indirect=True)
-def test_exploration_becomes_a_policy(shell: Shell, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shell", [("imitation",)], indirect=True)
+def test_exploration_becomes_a_policy(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     """A disc moves by its action, which is another one in each trajectory."""
     rng = np.random.default_rng(2)
     for index in range(40):
