@@ -109,15 +109,18 @@ class _Experiment:
         rows = Rows.of([each for each in results if each.method not in (CLONED, EXPERT)], _WORLD)
         executed = {row: _executed(results, row) for row in (*_METHODS, Row(TRUE_LABELS), Row(EXPERT))}
         shown = [row for row in executed if row in rows.arms or executed[row]]
-        made = [_claim(row, executed) for row in shown if executed[row]]
+        made = {row: _claim(row, executed) for row in shown if executed[row]}
+        cells = (_cells(row, rows, executed[row], made.get(row)) for row in shown)
         return Table(
             title="Rejection and zero-shot execution (Table 2.3)",
             text=_TEXT.strip(),
-            sections=(Section(_HEADER, tuple(_cells(row, rows, executed[row]) for row in shown)),),
-            claims=tuple(made),
+            sections=(Section(_HEADER, tuple(cells)),),
+            claims=tuple(made.values()),
             picture=Picture(
                 "Subtasks done",
-                partial(interval_plot, made, title="Zero-shot execution", unit="subtasks done, per cent"),
+                partial(
+                    interval_plot, list(made.values()), title="Zero-shot execution", unit="subtasks done, per cent"
+                ),
             ),
         )
 
@@ -170,13 +173,12 @@ def _is_close(samples: Sequence[Sample], ceilings: Sequence[ArmResult]) -> bool:
     return PER_CENT * claims.mean(true) >= _LEAST_CEILING and low >= _LEAST_RATIO
 
 
-def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult]) -> tuple[str, ...]:
+def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult], claim: Claim | None) -> tuple[str, ...]:
     labelled = ["" for _ in _LABELLED]
     if row in rows.arms:
         labelled = [f"{PER_CENT * rows.mean(row, f'validation.{name}'):.2f}" for name in _LABELLED.values()]
     done = ["", ""]
-    if executed:
-        claim = _claim(row, {row: list(executed), Row(TRUE_LABELS): []})
+    if claim is not None:
         whole = PER_CENT * claims.mean(_samples(executed, WHOLE_RECIPES))
         done = [f"{claim.value:.1f} [{claim.low:.1f}, {claim.high:.1f}]", f"{whole:.1f}"]
     theirs = " / ".join(f"{value:g}" for value in _DISSERTATION.get(row, ()))
