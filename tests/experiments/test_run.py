@@ -212,15 +212,16 @@ def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(
     "name", [name for name in registry.EXPERIMENTS if (ROOT / "experiments/results" / name).exists()]
 )
 def test_a_committed_table_follows_from_the_committed_results(name: str, tmp_path: Path) -> None:
-    committed = ROOT / "experiments/results" / name
-    for path in committed.glob("*.json"):
-        (tmp_path / name).mkdir(exist_ok=True)
-        (tmp_path / name / path.name).write_bytes(path.read_bytes())
+    committed = ROOT / "experiments/results"
+    for path in committed.glob("*/*.json"):
+        (tmp_path / path.parent.name).mkdir(exist_ok=True)
+        (tmp_path / path.relative_to(committed)).write_bytes(path.read_bytes())
 
     assert main(["table", name, "--results", str(tmp_path)]) == 0
 
     for file in ("table.md", "table.json"):
-        assert (tmp_path / name / file).read_text() == (committed / file).read_text(), "stale: run make tables"
+        made, kept = (folder / name / file for folder in (tmp_path, committed))
+        assert made.read_text() == kept.read_text(), "stale: run make tables"
 
 
 def smoke_folder(places: Places) -> Path:
