@@ -13,7 +13,6 @@ from experiments import table_2_2, table_2_4
 from experiments.segmentation import draw
 from experiments.segmentation.dataset import SPLITS
 from experiments.segmentation.experiment import SHOWN_LABELS, SegmentationExperiment
-from experiments.segmentation.methods import OURS
 from experiments.segmentation.rows import Rows
 from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
@@ -30,7 +29,7 @@ _SOURCES: Mapping[str, SegmentationExperiment] = {
     "table_2_2": table_2_2.EXPERIMENT,
     "table_2_4": table_2_4.EXPERIMENT,
 }
-_WORLDS = (table_2_2.DIAL, table_2_2.BINS, table_2_4.TABLETOP)
+_OURS = {target.world: target.rows for source in _SOURCES.values() for target in source.report.targets}
 _FRAMES, _FRAME_INCHES, _WIDTH_INCHES = 8, 1.3, 11.0
 _HEADER = ("world", "predicted skills, as [start, end)", "true skills", "frame accuracy, %")
 
@@ -80,8 +79,8 @@ class _Figure:
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the segments of each trajectory, with their frames as a picture."""
-        of_worlds = [Rows.of(results, world) for world in _WORLDS]
-        shown = [_shown(rows.arms[row][0]) for rows in of_worlds if (row := rows.chosen(OURS))]
+        of_worlds = [(world, Rows.of(results, world)) for world in _OURS]
+        shown = [_shown(rows.arms[row][0]) for world, rows in of_worlds if (row := rows.chosen(_OURS[world]))]
         return Table(
             title="Skills found in held-out trajectories (Figure 2.3)",
             text="The first test trajectory of each world, and the labels of our network of seed 0: not decoded, not "

@@ -6,12 +6,15 @@ from experiments.segmentation.methods import (
     CAUSAL,
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
+    HOW_OURS,
     LEARNING_RATES,
     LOOKAHEAD,
     OURS,
+    OURS_FROM_LSE,
     WHOLE,
     objectives,
     ours,
+    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -22,6 +25,7 @@ from experiments.segmentation.targets import Target
 TABLETOP, OWN_OBJECTS = "tabletop", "tabletop.only-own-objects"
 _TRAIN, _STEPS, _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 1_600, 3_000, 16, 3, 500
 _FIXED_SPLIT = "fixed_split"
+_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, LOOKAHEAD), Row(OURS, LOOKAHEAD))
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps, on a procedural substitute for MIME: every trajectory reaches for an object,
@@ -37,6 +41,8 @@ Nothing of ours was chosen here: it was developed on `blocks`. Of its two contex
 held-out actions better: a network that sees the end knows the task from the first timestep, one that sees 15 timesteps
 ahead must wait for it to show.
 
+{HOW_OURS}
+
 `{_FIXED_SPLIT}` calls the first half of each trajectory a reach and the rest its other tag.
 {GUESSES_AND_INTERVALS}
 """
@@ -48,8 +54,9 @@ def _study(task: str, *, seeds: int) -> Study:
             task, train=SplitSpec(_TRAIN, 2, 2), validation=SplitSpec(200, 2, 2), test=SplitSpec(200, 2, 2)
         ),
         methods=(
-            *objectives("lse", contexts=(CAUSAL,)),
+            *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
             ours(WHOLE, LOOKAHEAD),
+            ours_from_lse(LOOKAHEAD),
             supervised(WHOLE, LOOKAHEAD),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
@@ -77,6 +84,6 @@ EXPERIMENT = SegmentationExperiment(
         title="A substitute for MIME (Table 2.4)",
         text=_TEXT.strip(),
         dissertation_trajectories={TABLETOP: _TRAIN, OWN_OBJECTS: _TRAIN},
-        targets=(Target("tabletop", TABLETOP, OURS, seeds=5, above_row=Row(_FIXED_SPLIT)),),
+        targets=(Target("tabletop", TABLETOP, _OURS, seeds=5, above_row=Row(_FIXED_SPLIT)),),
     ),
 )

@@ -65,7 +65,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
     """
     by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
     sections, made, plotted = [], [], []
-    targets = [target for target in report.targets if by_world[target.world][1].chosen(target.method)]
+    targets = [target for target in report.targets if by_world[target.world][1].chosen(target.rows)]
     for target in targets:
         made.append(_target_claim(report, *by_world[target.world], target))
     if targets:

@@ -1,6 +1,6 @@
 """Rows of a table: the arms of one world that differ in the seed alone, and their figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class Row(NamedTuple):
     context: str = ""
 
 
-BASELINE = Row("lse", "causal")
+BASELINE = "lse"
 """The dissertation's method."""
 
 
@@ -40,12 +40,12 @@ class Rows:
                 rows.setdefault(Row(result.method, result.options.get("context", "")), []).append(result)
         return cls(rows)
 
-    def chosen(self, method: str) -> Row | None:
-        """Returns the row of a method, of several contexts that whose first seed explains held-out actions best.
+    def chosen(self, candidates: Iterable[Row]) -> Row | None:
+        """Returns the row whose labels, of the first seed, explain held-out actions best.
 
-        The action loss is label-free. None where the method has no result.
+        The action loss is label-free. None where no candidate has a result.
         """
-        found = [row for row in self.arms if row.method == method]
+        found = [row for row in candidates if row in self.arms]
         return min(found, key=lambda row: self.arms[row][0].figures[ACTION_LOSS]) if found else None
 
     def mean(self, row: Row, figure: str) -> float:
@@ -64,8 +64,9 @@ class Rows:
         return PER_CENT * low, PER_CENT * high
 
     def baseline(self, row: Row, figure: str) -> float | None:
-        """Returns the value of the dissertation's method that a network's is compared with; None for itself."""
-        return None if row == BASELINE or not row.context else self.value(BASELINE, figure)
+        """Returns the value of the dissertation's method that a network's is compared with; None for its rows."""
+        chosen = self.chosen(row for row in self.arms if row.method == BASELINE)
+        return self.value(chosen, figure) if chosen and row.context and row.method != BASELINE else None
 
     def ceiling(self, row: Row, figure: str) -> float | None:
         """Returns the value with full supervision in a network's context; None for itself."""

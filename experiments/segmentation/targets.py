@@ -21,7 +21,7 @@ class Target:
     Attributes:
         claim: Its name.
         world: Its world.
-        method: Whose figure it is, in the context that `Rows.chosen` names.
+        rows: Whose figure it is: the one of these that `Rows.chosen` names.
         figure: What is measured; it has samples.
         seeds: Number of independently trained networks that it needs.
         least: What the figure must reach, in per cent.
@@ -35,7 +35,7 @@ class Target:
 
     claim: str
     world: str
-    method: str
+    rows: tuple[Row, ...]
     figure: str = TEST_ACCURACY
     seeds: int = 3
     least: float | None = None
@@ -50,9 +50,9 @@ class Target:
         Raises:
             ValueError: The method has no result.
         """
-        row = rows.chosen(self.method)
+        row = rows.chosen(self.rows)
         if row is None:
-            raise ValueError(f"The method must have a result in {self.world}; {self.method} has none.")
+            raise ValueError(f"A row must have a result in {self.world}; {self.rows} have none.")
         return row
 
     def least_value(self, rows: Rows) -> float | None:
@@ -94,9 +94,9 @@ class Target:
     def _missing_beside_dissertation(self, rows: Rows, value: float, above: float) -> Iterator[str]:
         if value <= above:
             yield f"{value:.2f} is not above {above:g}"
-        baseline = rows.value(BASELINE, self.figure)
+        baseline = rows.baseline(self.row(rows), self.figure)
         if baseline is None:
-            yield f"no result of {BASELINE.method} {BASELINE.context}"
+            yield f"no result of {BASELINE}"
         elif baseline < above - _CLOSE_TO_DISSERTATION:
             yield f"the dissertation's method has {baseline:.2f} here, more than 5 points under {above:g}"
 
