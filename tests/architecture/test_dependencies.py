@@ -35,6 +35,11 @@ def requirements() -> list[Requirement]:
     return [each for each in map(Requirement, sorted(found)) if not each.name.startswith("freerein")]
 
 
+@pytest.mark.parametrize("folder", [each.parent for each in MANIFESTS], ids=lambda each: each.name)
+def test_a_distribution_comes_with_its_license(folder: Path) -> None:
+    assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+
+
 @pytest.mark.fault("D1")
 @pytest.mark.parametrize("requirement", requirements(), ids=str)
 def test_a_package_has_a_floor_and_a_pinned_version_that_is_installed(requirement: Requirement) -> None:
