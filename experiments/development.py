@@ -6,6 +6,7 @@ from experiments.segmentation.methods import (
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
     LEARNING_RATES,
+    PARTS,
     WHOLE,
     objectives,
     ours,
@@ -27,9 +28,9 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 {HOW_CHOSEN}
 
 After half of the steps, some rows go on with another objective: `set_likelihood`, or `self_training` on labels within
-the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it, `parts_0.1`
-shows parts of trajectories, from a tenth up to all of one. `ours` is `parts_0.1` with the weight 1; they begin with
-`lse_per_timestep`, `ours_from_lse` with `lse`.
+the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it. All these
+begin with `lse_per_timestep`. `parts` sees each trajectory in up to 10 parts, cut at random, each part apart; `ours` is
+`parts` with self-training and the weight 1, and `ours_from_lse` begins with `lse` instead.
 
 {GUESSES_AND_INTERVALS}
 """
@@ -53,8 +54,8 @@ EXPERIMENT = SegmentationExperiment(
                 _then("self_training", "self_training"),
                 _then("self_training_1", "self_training", action_evidence=1.0),
                 _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
-                _then("parts_0.1", "self_training", least_part=0.1),
-                _then("parts_0.3_1", "self_training", action_evidence=1.0, least_part=0.3),
+                Method("parts", (WHOLE,), {"objective": "lse_per_timestep", "parts": PARTS}),
+                _then("parts_self_training", "self_training", parts=PARTS),
                 ours(),
                 ours_from_lse(),
             ),

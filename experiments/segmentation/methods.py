@@ -9,8 +9,8 @@ OURS, OURS_FROM_LSE = "ours", "ours_from_lse"
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """What every method tries, each for a quarter of its optimiser steps."""
 
-LEAST_PART = 0.1
-"""Smallest share of a trajectory that self-training shows; chosen in `blocks`."""
+PARTS = 10
+"""Most parts that ours cuts a trajectory into; chosen in `blocks`."""
 
 HOW_CHOSEN = """\
 objective and context. Each tries the same four peak learning rates for a quarter of the steps; the lowest validation
@@ -19,9 +19,10 @@ dissertation's method is `lse` with the causal context; it has a learning rate o
 
 HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
-themselves: a copy labels trajectories within their tags, and the network learns these labels from parts of them. A
-claim of ours is that of the row whose labels explain held-out actions better with the first seed, and what it is
-compared with is the row of `lse` that does: no true label chooses. Both have as many rows, and so as many trials."""
+themselves: a copy labels trajectories within their tags, and the network learns these labels. In training they see
+each trajectory in up to 10 parts, cut at random, each part apart. A claim of ours is that of the row whose labels
+explain held-out actions better with the first seed, and what it is compared with is the row of `lse` that does: no true
+label chooses. Both have as many rows, and so as many trials."""
 
 GUESSES_AND_INTERVALS = """\
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
@@ -39,7 +40,7 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 
 
 def ours(*contexts: str) -> Method:
-    """Returns our method: normalised pooling, then self-training on parts, with what skills do as evidence."""
+    """Returns our method: normalised pooling, then self-training with what skills do as evidence, both on parts."""
     return _self_trained(OURS, "lse_per_timestep", contexts)
 
 
@@ -49,7 +50,7 @@ def ours_from_lse(*contexts: str) -> Method:
 
 
 def _self_trained(name: str, objective: str, contexts: tuple[str, ...]) -> Method:
-    end: dict[str, JSON] = {"final_objective": "self_training", "action_evidence": 1.0, "least_part": LEAST_PART}
+    end: dict[str, JSON] = {"final_objective": "self_training", "action_evidence": 1.0, "parts": PARTS}
     return Method(name, contexts or (WHOLE,), {"objective": objective, **end})
 
 
