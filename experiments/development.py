@@ -29,7 +29,7 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 
 After half of the steps, some rows go on with another objective: `set_likelihood`, or `self_training` on labels within
 the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it. All these
-begin with `lse_per_timestep`. `parts` sees each trajectory in up to 10 parts, cut at random, each part apart; `ours` is
+begin with `lse_per_timestep`. `parts` sees each trajectory in up to {PARTS} parts, `parts_10` in up to 10, cut at random, each part apart; `ours` is
 `parts` with self-training and the weight 1, and `ours_from_lse` begins with `lse` instead.
 
 {GUESSES_AND_INTERVALS}
@@ -55,7 +55,7 @@ EXPERIMENT = SegmentationExperiment(
                 _then("self_training_1", "self_training", action_evidence=1.0),
                 _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
                 Method("parts", (WHOLE,), {"objective": "lse_per_timestep", "parts": PARTS}),
-                _then("parts_self_training", "self_training", parts=PARTS),
+                _then("parts_10_self_training_1", "self_training", action_evidence=1.0, parts=10),
                 ours(),
                 ours_from_lse(),
             ),
