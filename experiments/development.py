@@ -29,8 +29,9 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 
 After half of the steps, some rows go on with another objective: `set_likelihood`, or `self_training` on labels within
 the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it. All these
-begin with `lse_per_timestep`. `parts` sees each trajectory in up to {PARTS} parts, `parts_10` in up to 10, cut at random, each part apart; `ours` is
-`parts` with self-training and the weight 1, and `ours_from_lse` begins with `lse` instead.
+begin with `lse_per_timestep`. `parts` sees each trajectory in up to {PARTS} parts, cut at random, each part apart,
+`parts_10` in up to 10; `ours` is `parts` with self-training and the weight 1, and `ours_from_lse` begins with `lse`
+instead.
 
 {GUESSES_AND_INTERVALS}
 """
