@@ -3,6 +3,7 @@
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
+    CAUSAL,
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
     LEARNING_RATES,
@@ -10,7 +11,6 @@ from experiments.segmentation.methods import (
     WHOLE,
     objectives,
     ours,
-    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -30,15 +30,14 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 After half of the steps, some rows go on with another objective: `set_likelihood`, or `self_training` on labels within
 the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it. All these
 begin with `lse_per_timestep`. `parts` sees each trajectory in up to {PARTS} parts, cut at random, each part apart,
-`parts_10` in up to 10; `ours` is `parts` with self-training and the weight 1, and `ours_from_lse` begins with `lse`
-instead.
+`parts_10` in up to 10; `ours` is `parts` with self-training and the weight 1, and `from_lse` begins with `lse` instead.
 
 {GUESSES_AND_INTERVALS}
 """
 
 
-def _then(name: str, objective: str, **settings: JSON) -> Method:
-    return Method(name, (WHOLE,), {"objective": "lse_per_timestep", "final_objective": objective, **settings})
+def _then(name: str, final_objective: str, *, objective: str = "lse_per_timestep", **settings: JSON) -> Method:
+    return Method(name, (WHOLE,), {"objective": objective, "final_objective": final_objective, **settings})
 
 
 EXPERIMENT = SegmentationExperiment(
@@ -48,7 +47,7 @@ EXPERIMENT = SegmentationExperiment(
                 "blocks", train=SplitSpec(800, 2, 3), validation=SplitSpec(100, 2, 3), test=SplitSpec(100, 4, 4)
             ),
             methods=(
-                *objectives("lse"),
+                *objectives("lse", contexts=(CAUSAL,)),
                 *objectives("lse_per_timestep", contexts=(WHOLE,)),
                 supervised(),
                 _then("set_likelihood", "set_likelihood"),
@@ -58,7 +57,7 @@ EXPERIMENT = SegmentationExperiment(
                 Method("parts", (WHOLE,), {"objective": "lse_per_timestep", "parts": PARTS}),
                 _then("parts_10_self_training_1", "self_training", action_evidence=1.0, parts=10),
                 ours(),
-                ours_from_lse(),
+                _then("from_lse", "self_training", objective="lse", action_evidence=1.0, parts=PARTS),
             ),
             seeds=1,
             settings={

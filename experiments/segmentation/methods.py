@@ -4,7 +4,7 @@ from experiments.segmentation.study import SUPERVISED, Method
 from freerein.learning.checkpoints import JSON
 
 CAUSAL, WHOLE, LOOKAHEAD = "causal", "bidirectional", "lookahead-5"
-OURS, OURS_FROM_LSE = "ours", "ours_from_lse"
+OURS = "ours"
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """What every method tries, each for a quarter of its optimiser steps."""
@@ -18,16 +18,15 @@ loss, of the tags, and for `supervised` of true labels, chooses, and it chooses 
 dissertation's method is `lse` with the causal context; it has a learning rate of 1e-4 and gives no number of steps."""
 
 HOW_OURS = f"""\
-`ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
-themselves: a copy labels trajectories within their tags, and the network learns these labels. In training they see
-each trajectory in up to {PARTS} parts, cut at random, each part apart. A claim of ours is that of the row whose labels
-explain held-out actions better with the first seed, and what it is compared with is the row of `lse` that does: no true
-label chooses. Both have as many rows, and so as many trials.
+`ours` trains with `lse_per_timestep` for half of the steps, and then itself: a copy labels trajectories within their
+tags, and the network learns these labels. In training it sees each trajectory in up to {PARTS} parts, cut at random,
+each part apart. Where `ours` or `lse` has several contexts, claims are of that whose labels explain held-out actions
+better with the first seed: no true label chooses.
 
-An earlier `ours` saw whole trajectories and had no other row to choose: on test sets it had 89.50 in `grid` and 90.35
-in `dial`, which were looked at. Its labels differed from those of `lse` on validation trajectories of `grid` in the
-last timestep of segments, which suggested parts. In `blocks` up to 10 and up to {PARTS} were equally good, in `grid`
-labels of {PARTS} agreed with those of `lse`."""
+An earlier `ours` saw whole trajectories: on test sets it had 89.50 in `grid` and 90.35 in `dial`, which were looked at.
+Its labels differed from those of `lse` on validation trajectories of `grid` in the last timestep of segments, which
+suggested parts. In `blocks` up to 10 and up to {PARTS} were equally good, in `grid` labels of {PARTS} agreed with those
+of `lse`."""
 
 GUESSES_AND_INTERVALS = """\
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
@@ -46,17 +45,13 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 
 def ours(*contexts: str) -> Method:
     """Returns our method: normalised pooling, then self-training with what skills do as evidence, both on parts."""
-    return _self_trained(OURS, "lse_per_timestep", contexts)
-
-
-def ours_from_lse(*contexts: str) -> Method:
-    """Returns our method with the dissertation's pooling in its place."""
-    return _self_trained(OURS_FROM_LSE, "lse", contexts)
-
-
-def _self_trained(name: str, objective: str, contexts: tuple[str, ...]) -> Method:
-    end: dict[str, JSON] = {"final_objective": "self_training", "action_evidence": 1.0, "parts": PARTS}
-    return Method(name, contexts or (WHOLE,), {"objective": objective, **end})
+    settings: dict[str, JSON] = {
+        "objective": "lse_per_timestep",
+        "final_objective": "self_training",
+        "action_evidence": 1.0,
+        "parts": PARTS,
+    }
+    return Method(OURS, contexts or (WHOLE,), settings)
 
 
 def supervised(*contexts: str) -> Method:
