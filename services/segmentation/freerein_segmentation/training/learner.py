@@ -152,9 +152,17 @@ class SegmentationLearner:
         if self.config.parts == 1:
             padded: tuple[Tensor, Tensor] = state.network(batch.frames, batch.actions, batch.lengths)
             return padded
-        lengths = cut(batch.lengths.cpu(), most=self.config.parts, generator=state.generator).to(self.device)  # (P,)
-        scores, mask = state.network(batch.frames, batch.actions, lengths)  # (P, T, K), (P, T)
-        whole = pad_sequence(scores[mask].split(batch.lengths.tolist()), batch_first=True)
+        features = state.network.features(batch.frames, batch.actions)  # (N, D)
+        lengths = cut(batch.lengths.cpu(), most=self.config.parts, generator=state.generator)  # (P,)
+        sizes = lengths.log2().floor()  # of parts that are scored at once, so that there is little padding
+        found, rows = [], []
+        for size in sizes.unique().tolist():
+            rows.append((sizes == size).repeat_interleave(lengths).nonzero()[:, 0].to(self.device))
+            alike = lengths[sizes == size].to(self.device)
+            scores, mask = state.network.score_batch(features[rows[-1]], alike)
+            found.append(scores[mask])
+        in_order = torch.cat(found)[torch.cat(rows).argsort()]  # (N, K)
+        whole = pad_sequence(in_order.split(batch.lengths.tolist()), batch_first=True)
         return whole, torch.arange(whole.shape[1], device=self.device) < batch.lengths[:, None]
 
     def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
