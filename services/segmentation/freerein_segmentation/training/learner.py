@@ -156,13 +156,14 @@ class SegmentationLearner:
         lengths = cut(batch.lengths.cpu(), most=self.config.parts, generator=state.generator)  # (P,)
         sizes = lengths.log2().floor()  # of parts that are scored at once, so that there is little padding
         found, rows = [], []
-        for size in sizes.unique().tolist():
+        for size in sorted(set(sizes.tolist())):
             rows.append((sizes == size).repeat_interleave(lengths).nonzero()[:, 0].to(self.device))
             alike = lengths[sizes == size].to(self.device)
             scores, mask = state.network.score_batch(features[rows[-1]], alike)
             found.append(scores[mask])
         in_order = torch.cat(found)[torch.cat(rows).argsort()]  # (N, K)
-        whole = pad_sequence(in_order.split(batch.lengths.tolist()), batch_first=True)
+        ends = batch.lengths.cumsum(dim=0)[:-1].cpu()
+        whole = pad_sequence(list(in_order.tensor_split(ends)), batch_first=True)
         return whole, torch.arange(whole.shape[1], device=self.device) < batch.lengths[:, None]
 
     def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
