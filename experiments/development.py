@@ -3,14 +3,13 @@
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
-    CAUSAL,
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
     LEARNING_RATES,
-    PARTS,
     WHOLE,
     objectives,
     ours,
+    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -28,16 +27,16 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimi
 {HOW_CHOSEN}
 
 After half of the steps, some rows go on with another objective: `set_likelihood`, or `self_training` on labels within
-the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it. All these
-begin with `lse_per_timestep`. `parts` sees each trajectory in up to {PARTS} parts, cut at random, each part apart,
-`parts_10` in up to 10; `ours` is `parts` with self-training and the weight 1, and `from_lse` begins with `lse` instead.
+the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps and 6 rounds for it, `parts_0.1`
+shows parts of trajectories, from a tenth up to all of one. `ours` is `parts_0.1` with the weight 1; they begin with
+`lse_per_timestep`, `ours_from_lse` with `lse`.
 
 {GUESSES_AND_INTERVALS}
 """
 
 
-def _then(name: str, final_objective: str, *, objective: str = "lse_per_timestep", **settings: JSON) -> Method:
-    return Method(name, (WHOLE,), {"objective": objective, "final_objective": final_objective, **settings})
+def _then(name: str, objective: str, **settings: JSON) -> Method:
+    return Method(name, (WHOLE,), {"objective": "lse_per_timestep", "final_objective": objective, **settings})
 
 
 EXPERIMENT = SegmentationExperiment(
@@ -47,17 +46,17 @@ EXPERIMENT = SegmentationExperiment(
                 "blocks", train=SplitSpec(800, 2, 3), validation=SplitSpec(100, 2, 3), test=SplitSpec(100, 4, 4)
             ),
             methods=(
-                *objectives("lse", contexts=(CAUSAL,)),
+                *objectives("lse"),
                 *objectives("lse_per_timestep", contexts=(WHOLE,)),
                 supervised(),
                 _then("set_likelihood", "set_likelihood"),
                 _then("self_training", "self_training"),
                 _then("self_training_1", "self_training", action_evidence=1.0),
                 _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
-                Method("parts", (WHOLE,), {"objective": "lse_per_timestep", "parts": PARTS}),
-                _then("parts_10_self_training_1", "self_training", action_evidence=1.0, parts=10),
+                _then("parts_0.1", "self_training", least_part=0.1),
+                _then("parts_0.3_1", "self_training", action_evidence=1.0, least_part=0.3),
                 ours(),
-                _then("from_lse", "self_training", objective="lse", action_evidence=1.0, parts=PARTS),
+                ours_from_lse(),
             ),
             seeds=1,
             settings={

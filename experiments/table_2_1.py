@@ -9,9 +9,11 @@ from experiments.segmentation.methods import (
     HOW_OURS,
     LEARNING_RATES,
     OURS,
+    OURS_FROM_LSE,
     WHOLE,
     objectives,
     ours,
+    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -21,7 +23,7 @@ from experiments.segmentation.targets import Target
 
 _TRAIN, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
-_OURS = (Row(OURS, WHOLE),)
+_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
 _STEPS = {_WITH_INDICATOR: 3_200, _WITHOUT: 12_800}
 
 _TEXT = f"""\
@@ -49,6 +51,7 @@ def _study(task: str) -> Study:
         methods=(
             *objectives("lse"),
             ours(),
+            ours_from_lse(),
             supervised(CAUSAL, WHOLE),
             *objectives("lse_per_timestep", "mil", "fcn_mil", "ccnn", "ccnn_without_share"),
         ),

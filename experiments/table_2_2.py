@@ -11,9 +11,11 @@ from experiments.segmentation.methods import (
     LEARNING_RATES,
     LOOKAHEAD,
     OURS,
+    OURS_FROM_LSE,
     WHOLE,
     objectives,
     ours,
+    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -22,7 +24,7 @@ from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 
 DIAL, BINS = "dial", "bins"
-_OURS = (Row(OURS, WHOLE),)
+_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
 _TRAIN = {DIAL: 2_000, BINS: 1_000}
 _STEPS, _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 4_000, 16, 3, 500
 
@@ -53,8 +55,9 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
             test=SplitSpec(200, test, test),
         ),
         methods=(
-            *objectives("lse", contexts=(CAUSAL,)),
+            *objectives("lse"),
             ours(WHOLE, LOOKAHEAD),
+            ours_from_lse(),
             supervised(),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),

@@ -10,9 +10,11 @@ from experiments.segmentation.methods import (
     LEARNING_RATES,
     LOOKAHEAD,
     OURS,
+    OURS_FROM_LSE,
     WHOLE,
     objectives,
     ours,
+    ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -23,7 +25,7 @@ from experiments.segmentation.targets import Target
 TABLETOP, OWN_OBJECTS = "tabletop", "tabletop.only-own-objects"
 _TRAIN, _STEPS, _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 1_600, 3_000, 16, 3, 500
 _FIXED_SPLIT = "fixed_split"
-_OURS = (Row(OURS, WHOLE), Row(OURS, LOOKAHEAD))
+_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, LOOKAHEAD), Row(OURS, LOOKAHEAD))
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps, on a procedural substitute for MIME: every trajectory reaches for an object,
@@ -35,8 +37,9 @@ where the reach ends. No claim rests on it.
 All rows share network, loop, batch size ({_BATCH_SIZE} trajectories, stride {_STRIDE}) and optimiser steps
 ({_STEPS}), and differ in
 {HOW_CHOSEN}
-Nothing of ours was chosen here: it was developed on `blocks`. A network that sees the end knows the task from the
-first timestep, one that sees 15 timesteps ahead must wait for it to show.
+Nothing of ours was chosen here: it was developed on `blocks`. Of its two contexts that counts whose labels explain
+held-out actions better: a network that sees the end knows the task from the first timestep, one that sees 15 timesteps
+ahead must wait for it to show.
 
 {HOW_OURS}
 
@@ -51,8 +54,9 @@ def _study(task: str, *, seeds: int) -> Study:
             task, train=SplitSpec(_TRAIN, 2, 2), validation=SplitSpec(200, 2, 2), test=SplitSpec(200, 2, 2)
         ),
         methods=(
-            *objectives("lse", contexts=(CAUSAL, WHOLE)),
+            *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
             ours(WHOLE, LOOKAHEAD),
+            ours_from_lse(LOOKAHEAD),
             supervised(WHOLE, LOOKAHEAD),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),

@@ -18,7 +18,6 @@ from freerein_segmentation import training
 from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
-from freerein_segmentation.training.batches import cut
 
 SKILLS = ("blue", "green", "red")
 COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
@@ -109,7 +108,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
         {"stride": 3},
         {"final_objective": "set_likelihood", "augmentation": 0.0, "context": 2},
         {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2, "stride": 2, "final_share": 0.7},
-        {"final_objective": "self_training", "parts": 3, "augmentation": 0.5},
+        {"final_objective": "self_training", "least_part": 0.1, "augmentation": 0.5},
     ],
 )
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, change: dict[str, Any]) -> None:
@@ -174,30 +173,3 @@ def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_s
     np.testing.assert_array_equal(batch.frames["front"].numpy(), np.concatenate(expected))
     brief = Trajectories({"front": [frames[0][:3]]}, [learnt.actions[0][:3]], [SKILLS[:1]])
     assert training.gather(brief, [0], [4], spec=spec, device=CPU).lengths.tolist() == [1]
-
-
-def test_a_trajectory_is_cut_into_parts_that_are_all_of_it() -> None:
-    lengths, generator = torch.tensor([40, 1, 7]), torch.Generator().manual_seed(0)
-    counts = set()
-    for _ in range(200):
-        parts = cut(lengths, most=4, generator=generator)
-        assert parts.min() >= 1
-        ends = parts.cumsum(dim=0).tolist()
-        assert {40, 41, 48} <= set(ends)  # no part is of two trajectories
-        counts.add(ends.index(40) + 1)
-    assert counts == {1, 2, 3, 4}
-
-
-def test_each_part_of_a_trajectory_is_seen_apart() -> None:
-    """Its scores are those of a trajectory of its own; the generator's next numbers are the cuts."""
-    learner_of = learner(replace(FAST, parts=3))
-    state = learner_of.init(torch.Generator().manual_seed(0))
-    batch = training.gather(learner_of.training, [0, 1], [0, 0], spec=learner_of.spec, device=CPU)
-    before = state.generator.get_state()
-    scores, mask = learner_of.score(state, batch)
-    state.generator.set_state(before)
-    parts = cut(batch.lengths, most=3, generator=state.generator)
-    assert len(parts) > len(batch.lengths)
-    apart, apart_mask = state.network(batch.frames, batch.actions, parts)
-    torch.testing.assert_close(scores[mask], apart[apart_mask])
-    assert mask.sum(dim=1).equal(batch.lengths)

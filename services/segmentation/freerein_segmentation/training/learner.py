@@ -1,13 +1,11 @@
 """The learner of the segmentation network."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
-from torch.nn.utils.rnn import pad_sequence
 
 from freerein import metrics
 from freerein.learning import weights
@@ -24,7 +22,7 @@ from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
-from freerein_segmentation.training.batches import TrajectoryBatch, cut, gather
+from freerein_segmentation.training.batches import TrajectoryBatch, gather, label_parts, random_parts
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.self_training import Teacher, begin_round
 
@@ -80,9 +78,11 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         if state.step in self.config.round_starts:
             state = self._begin_round(state)
-        batch = self._gather(items.tolist(), state.generator)
-        scores, mask = self.score(state, batch)
-        loss = self._loss(state, step=state.step)(scores, mask, batch).mean()
+        batch, objective = self._gather(items.tolist(), state.generator), self._tag_objective(step=state.step)
+        if self.config.round_starts and state.step >= self.config.round_starts[0]:
+            batch, objective = self._labelled_parts(state, batch)
+        scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
+        loss = objective(scores, mask, batch.tags).mean()
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
@@ -147,39 +147,21 @@ class SegmentationLearner:
             if 0 < truth[:, index].sum() < len(truth)
         }
 
-    def score(self, state: State, batch: TrajectoryBatch) -> tuple[Tensor, Tensor]:
-        """Returns padded scores (B, T, K) and their mask (B, T); each part of a trajectory is seen apart."""
-        if self.config.parts == 1:
-            padded: tuple[Tensor, Tensor] = state.network(batch.frames, batch.actions, batch.lengths)
-            return padded
-        features = state.network.features(batch.frames, batch.actions)  # (N, D)
-        lengths = cut(batch.lengths.cpu(), most=self.config.parts, generator=state.generator)  # (P,)
-        sizes = lengths.log2().floor()  # of parts that are scored at once, so that there is little padding
-        found, rows = [], []
-        for size in sorted(set(sizes.tolist())):
-            rows.append((sizes == size).repeat_interleave(lengths).nonzero()[:, 0].to(self.device))
-            alike = lengths[sizes == size].to(self.device)
-            scores, mask = state.network.score_batch(features[rows[-1]], alike)
-            found.append(scores[mask])
-        in_order = torch.cat(found)[torch.cat(rows).argsort()]  # (N, K)
-        ends = batch.lengths.cumsum(dim=0)[:-1].cpu()
-        whole = pad_sequence(list(in_order.tensor_split(ends)), batch_first=True)
-        return whole, torch.arange(whole.shape[1], device=self.device) < batch.lengths[:, None]
-
-    def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
-        """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
+    def _labelled_parts(self, state: State, batch: TrajectoryBatch) -> tuple[TrajectoryBatch, Objective]:
+        """Returns parts of trajectories, and the cross-entropy of the labels that the teacher gives whole ones."""
         config = self.config
-        if config.round_starts and step >= config.round_starts[0]:
-            teacher = Teacher.load(
-                state.carried,
-                self.spec,
-                device=self.device,
-                switching_cost=config.switching_cost,
-                action_evidence=config.action_evidence,
-            )
-            return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
-        objective = self._tag_objective(step=step)
-        return lambda scores, mask, batch: objective(scores, mask, batch.tags)
+        teacher = Teacher.load(
+            state.carried,
+            self.spec,
+            device=self.device,
+            switching_cost=config.switching_cost,
+            action_evidence=config.action_evidence,
+        )
+        labels = teacher.label(batch)  # (B, T)
+        if config.least_part < 1:
+            starts, lengths = random_parts(batch.lengths.cpu(), least=config.least_part, generator=state.generator)
+            batch, labels = batch.parts(starts, lengths), label_parts(labels, starts, lengths)
+        return batch, lambda scores, _mask, _tags: label_cross_entropy(scores, labels)
 
     def _tag_objective(self, *, step: int) -> Objective:
         return set_likelihood if step >= self.config.final_from else OBJECTIVES[self.config.objective]
