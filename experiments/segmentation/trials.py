@@ -21,7 +21,7 @@ from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein_segmentation.training import SegmentationConfig
 
-_OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence", "least_part")
+_OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence")
 _WITHOUT_FINAL: dict[str, Any] = {name: getattr(SegmentationConfig, name) for name in _OF_FINAL}
 """Trials end before the final objective begins: its loss is that of labels of its own, and so compares with none."""
 

@@ -20,7 +20,6 @@ from freerein_segmentation.model.action_model import ActionModel
 from freerein_segmentation.objectives.labels import NO_SKILL, label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training import SegmentationConfig, held_out_action_loss
-from freerein_segmentation.training.batches import TrajectoryBatch, label_parts, random_parts
 from freerein_segmentation.training.self_training import action_posterior
 from freerein_segmentation.training.viterbi import viterbi
 
@@ -125,40 +124,8 @@ def test_the_last_objective_takes_its_share_of_the_steps_and_chooses_the_weights
     assert (config.final_from, config.round_starts, config.selected_after) == (100, (), 0)
     config = SegmentationConfig(steps=1, final_objective="self_training")
     assert (config.round_starts, config.selected_after) == ((0,), 0)
-    with pytest.raises(InvalidInput, match="`action_evidence` is of self-training"):
+    with pytest.raises(InvalidInput, match="self-training"):
         SegmentationConfig(action_evidence=0.3)
-    with pytest.raises(InvalidInput, match="`least_part` is of self-training"):
-        SegmentationConfig(least_part=0.3)
-
-
-def test_parts_are_consecutive_timesteps_of_their_trajectories_with_their_labels() -> None:
-    lengths, count = torch.tensor([40, 1, 7]), 48
-    times = torch.cat([torch.arange(length) for length in lengths.tolist()])
-    items = torch.arange(3).repeat_interleave(lengths)
-    frames = {"front": torch.stack([items, times], dim=1).to(torch.uint8)[:, None, None]}  # (N, 1, 1, 2)
-    batch = TrajectoryBatch(frames, times[:, None].float(), lengths, TAGS)
-    labels = torch.nn.utils.rnn.pad_sequence(
-        [torch.arange(length) for length in lengths.tolist()], batch_first=True, padding_value=NO_SKILL
-    )
-    generator, shares = torch.Generator().manual_seed(0), []
-    for _ in range(count):
-        starts, kept = random_parts(lengths, least=0.25, generator=generator)
-        part, targets = batch.parts(starts, kept), label_parts(labels, starts, kept)
-        expected = [torch.arange(start, start + length) for start, length in zip(starts, kept, strict=True)]
-        assert part.actions[:, 0].tolist() == targets[targets >= 0].tolist() == torch.cat(expected).tolist()
-        assert part.frames["front"][:, 0, 0, 0].tolist() == torch.arange(3).repeat_interleave(kept).tolist()
-        assert part.lengths.equal(kept)
-        assert part.tags.equal(TAGS)
-        assert (starts + kept <= lengths).all()
-        shares.append(kept[0].item() / 40)
-    assert 0.25 <= min(shares) < 0.35
-    assert max(shares) > 0.9
-
-
-def test_the_least_part_may_be_the_whole() -> None:
-    starts, kept = random_parts(LENGTHS, least=1.0, generator=torch.Generator())
-    assert starts.tolist() == [0, 0, 0]
-    assert kept.equal(LENGTHS)
 
 
 def walks(count: int, *, seed: int) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:

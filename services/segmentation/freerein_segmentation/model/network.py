@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
@@ -144,8 +145,4 @@ def run(lstm: nn.LSTM, features: Tensor, state: Memory | None = None) -> tuple[T
 
 def _padded(features: Tensor, ends: Tensor) -> Tensor:
     """Returns features (N, D) of concatenated trajectories, which end at `ends`, int64 (B,), as (B, T, D)."""
-    lengths = ends.diff(prepend=ends.new_zeros(1))  # (B,)
-    inside = torch.arange(int(lengths.max()), device=ends.device) < lengths[:, None]  # (B, T)
-    padded = features.new_zeros(*inside.shape, features.shape[1])
-    padded[inside] = features  # not split, whose gradient takes time in proportion to B N
-    return padded
+    return pad_sequence(list(features.tensor_split(ends[:-1].cpu())), batch_first=True)

@@ -23,8 +23,6 @@ class SegmentationConfig(DatasetFitConfig):
         rounds: Rounds of self-training, each with labels by the network as it was at its start.
         switching_cost: Cost of each change of the skill in these labels, in nats.
         action_evidence: Weight of what each skill's actions tell of the labels; 0 for none.
-        least_part: Self-training shows random parts of trajectories, from this share of one up to all of it; 1 for
-            whole ones.
         context: Future timesteps, one stride apart, that scores depend on, or all; 0 is the dissertation's. A finite
             number makes streams possible.
         encoder: Image encoder.
@@ -43,7 +41,6 @@ class SegmentationConfig(DatasetFitConfig):
     rounds: int = bounded(3, least=1, most=100)
     switching_cost: float = bounded(1.0, least=0.0, most=100.0)
     action_evidence: float = bounded(0.0, least=0.0, most=10.0)
-    least_part: float = bounded(1.0, least=0.0, most=1.0)
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     encoder: str = one_of(ENCODERS, "patch")
     use_actions: bool = True
@@ -57,14 +54,12 @@ class SegmentationConfig(DatasetFitConfig):
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where a key has no effect."""
-        of_self_training = {"action_evidence": self.action_evidence != 0, "least_part": self.least_part != 1}
-        for key, is_set in of_self_training.items():
-            if is_set and self.final_objective != "self_training":
-                raise InvalidInput(
-                    f"`{key}` is of self-training; got it with final_objective {self.final_objective}.",
-                    field=f"config.{key}",
-                    hint="Set final_objective=self_training.",
-                )
+        if self.action_evidence and self.final_objective != "self_training":
+            raise InvalidInput(
+                f"`action_evidence` is of self-training; got it with final_objective {self.final_objective}.",
+                field="config.action_evidence",
+                hint="Set final_objective=self_training.",
+            )
 
     @property
     def final_from(self) -> int:

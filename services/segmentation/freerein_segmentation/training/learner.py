@@ -1,11 +1,12 @@
 """The learner of the segmentation network."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from freerein import metrics
 from freerein.learning import weights
@@ -22,7 +23,7 @@ from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
-from freerein_segmentation.training.batches import TrajectoryBatch, gather, label_parts, random_parts
+from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.self_training import Teacher, begin_round
 
@@ -78,11 +79,9 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         if state.step in self.config.round_starts:
             state = self._begin_round(state)
-        batch, objective = self._gather(items.tolist(), state.generator), self._tag_objective(step=state.step)
-        if self.config.round_starts and state.step >= self.config.round_starts[0]:
-            batch, objective = self._labelled_parts(state, batch)
+        batch = self._gather(items.tolist(), state.generator)
         scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
-        loss = objective(scores, mask, batch.tags).mean()
+        loss = self._loss(state, step=state.step)(scores, mask, batch).mean()
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
@@ -147,21 +146,20 @@ class SegmentationLearner:
             if 0 < truth[:, index].sum() < len(truth)
         }
 
-    def _labelled_parts(self, state: State, batch: TrajectoryBatch) -> tuple[TrajectoryBatch, Objective]:
-        """Returns parts of trajectories, and the cross-entropy of the labels that the teacher gives whole ones."""
+    def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
+        """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
         config = self.config
-        teacher = Teacher.load(
-            state.carried,
-            self.spec,
-            device=self.device,
-            switching_cost=config.switching_cost,
-            action_evidence=config.action_evidence,
-        )
-        labels = teacher.label(batch)  # (B, T)
-        if config.least_part < 1:
-            starts, lengths = random_parts(batch.lengths.cpu(), least=config.least_part, generator=state.generator)
-            batch, labels = batch.parts(starts, lengths), label_parts(labels, starts, lengths)
-        return batch, lambda scores, _mask, _tags: label_cross_entropy(scores, labels)
+        if config.round_starts and step >= config.round_starts[0]:
+            teacher = Teacher.load(
+                state.carried,
+                self.spec,
+                device=self.device,
+                switching_cost=config.switching_cost,
+                action_evidence=config.action_evidence,
+            )
+            return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
+        objective = self._tag_objective(step=step)
+        return lambda scores, mask, batch: objective(scores, mask, batch.tags)
 
     def _tag_objective(self, *, step: int) -> Objective:
         return set_likelihood if step >= self.config.final_from else OBJECTIVES[self.config.objective]

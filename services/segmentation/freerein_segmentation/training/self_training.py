@@ -5,9 +5,6 @@ each switch (set-constrained Viterbi, Li and Todorovic, 2020, arXiv 2002.11925; 
 instances, Luo et al., 2020). With a weight for action evidence, a skill is also known by what it does (Shiarlis et
 al., "TACO", 2018, arXiv 1803.01840, without its order): an action model of each skill, fitted to the teacher's labels
 on the teacher's features, adds its log posterior. A teacher is plain tensors, and a part of the training state.
-
-A teacher sees whole trajectories, the network random parts of them where the configuration says so: it must know a
-skill from what is near, for a part does not tell how much of the trajectory every skill takes.
 """
 
 from collections.abc import Iterable, Mapping
