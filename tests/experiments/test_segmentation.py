@@ -183,7 +183,7 @@ def test_contexts_have_names() -> None:
 
 
 def test_trials_end_before_the_final_objective(tmp_path: Path) -> None:
-    ours = Method("lse", ("causal",), {"final_objective": "self_training", "action_evidence": 0.5, "least_part": 0.1})
+    ours = Method("lse", ("causal",), {"final_objective": "self_training", "action_evidence": 0.5})
     fitted: list[SegmentationConfig] = []
 
     def fit(config: SegmentationConfig, folder: Path) -> float:
@@ -192,7 +192,7 @@ def test_trials_end_before_the_final_objective(tmp_path: Path) -> None:
 
     study = replace(STUDY, methods=(ours,))
     trials.choose_lr(study, study.arms[-1], fit, world_hash="ab", results=tmp_path / "r", work=tmp_path / "w")
-    assert {(each.final_objective, each.action_evidence, each.least_part) for each in fitted} == {("none", 0.0, 1.0)}
+    assert {(each.final_objective, each.action_evidence) for each in fitted} == {("none", 0.0)}
 
 
 def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:
