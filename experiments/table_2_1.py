@@ -25,6 +25,7 @@ _TRAIN, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 _OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
 _STEPS = {_WITH_INDICATOR: 3_200, _WITHOUT: 12_800}
+_EVALUATE_EVERY = {_WITH_INDICATOR: 200, _WITHOUT: 800}
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
@@ -61,8 +62,8 @@ def _study(task: str) -> Study:
             "steps": _STEPS[task],
             "batch_size": _BATCH_SIZE,
             "augmentation": 0.0,
-            "evaluate_every": 200,
-            "checkpoint_every": 200,
+            "evaluate_every": _EVALUATE_EVERY[task],
+            "checkpoint_every": _EVALUATE_EVERY[task],
         },
         train_evaluated=_TRAIN_EVALUATED,
         learning_rates=LEARNING_RATES,
