@@ -24,7 +24,7 @@ from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 
 DIAL, BINS = "dial", "bins"
-_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
+_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE), Row(OURS, LOOKAHEAD))
 _TRAIN = {DIAL: 2_000, BINS: 1_000}
 _STEPS, _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 4_000, 16, 3, 500
 
@@ -58,7 +58,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
             *objectives("lse"),
             ours(WHOLE, LOOKAHEAD),
             ours_from_lse(),
-            supervised(),
+            supervised(WHOLE, LOOKAHEAD),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
         ),
