@@ -4,6 +4,7 @@ The methods of chapter 2 share one network and one loop, and differ in the objec
 configuration; see `freerein_segmentation.objectives`.
 """
 
+from collections.abc import Iterator
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +20,9 @@ from freerein.learning.methods import Method, Methods
 from freerein_segmentation import model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
+
+_LEAST_DECIDED = 1 / 3
+"""Share of the way from equal shares to certainty below which labels are undecided."""
 
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
@@ -64,13 +68,25 @@ def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[Se
     precision = learner.tag_average_precision(fitted.network)
     each = [figures["average_precision"] for figures in precision.values()]
     mean = {"tag_average_precision": float(np.mean(each))} if each else {}
+    confidence, equal = learner.confidence(fitted.network)
+    problems = tag_problems(source.dataset.spec.skills, source.dataset.skills)
     return {
         "supervision": "the set of skills of each trajectory",
-        "figures": fitted.figures | mean,
+        "figures": fitted.figures | mean | {"confidence": confidence},
         "tag_average_precision": precision,
         "held_out": len(learner.validation),
-        "warnings": [problem.sentence for problem in tag_problems(source.dataset.spec.skills, source.dataset.skills)],
+        "warnings": [*(problem.sentence for problem in problems), *_undecided(confidence, equal)],
     }
+
+
+def _undecided(confidence: float, equal: float) -> Iterator[str]:
+    """Yields a warning where the network names all tags of a trajectory at every timestep."""
+    if equal < 1 and confidence - equal < _LEAST_DECIDED * (1 - equal):
+        yield (
+            f"Labels must be decided; held-out timesteps have a confidence of {confidence:.2f} on average, where all "
+            f"tags of a trajectory at every timestep would have {equal:.2f}. If its last frames show what was done, "
+            "let the network see fewer: --set context=5."
+        )
 
 
 METHODS: Methods[SegmentationModel] = Methods(

@@ -146,6 +146,19 @@ class SegmentationLearner:
             if 0 < truth[:, index].sum() < len(truth)
         }
 
+    @torch.no_grad()
+    def confidence(self, network: SegmentationNetwork) -> tuple[float, float]:
+        """Returns the mean confidence of held-out timesteps, and what it were if a trajectory's tags had equal shares.
+
+        A timestep's confidence is its highest probability.
+        """
+        highest, equal = [], []
+        for batch in self._validation_batches():
+            scores, mask = network(batch.frames, batch.actions, batch.lengths)
+            highest.append(scores[mask].softmax(dim=1).amax(dim=1))
+            equal.append((1 / batch.tags.sum(dim=1)).repeat_interleave(batch.lengths))
+        return torch.cat(highest).mean().item(), torch.cat(equal).mean().item()
+
     def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
         """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
         config = self.config
