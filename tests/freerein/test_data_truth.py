@@ -103,7 +103,7 @@ def test_the_learners_reader_opens_nothing_below_truth(root: Path) -> None:
     assert not [path for path in touched if path.startswith(f"{root}/truth")]
 
 
-def test_no_learner_reads_a_robots_own_state_and_no_world_or_experiment_has_one() -> None:
+def test_skill_cloning_alone_reads_a_robots_own_state_and_no_world_or_experiment_has_one() -> None:
     """It is for robots of users; in a simulated world it would be privileged, and no claim rests on it."""
     repository = Path(__file__).parents[2]
     imitation = repository / "services/imitation/freerein_imitation"
@@ -112,8 +112,14 @@ def test_no_learner_reads_a_robots_own_state_and_no_world_or_experiment_has_one(
     assert len(files) > 100
     knowing = {each for each, text in files.items() if re.search(r"robot_state|STATE_KEY|observation\.state", text)}
     learning = {each for each in knowing if each.parent.name in ("methods", "training")}
-    assert learning == set()
+    assert learning == {
+        imitation / "methods/skill_cloning.py",
+        *(imitation / f"training/skill_{name}.py" for name in ("cloning", "cloning_config", "spans")),
+    }
     assert {each for each in knowing if not each.is_relative_to(imitation)} == set()
+    assert [each for each, text in files.items() if "dataset.robot_state(" in text] == [
+        imitation / "methods/skill_cloning.py"
+    ]
     assert not any("state" in field.name for field in fields(Trajectory))
     observations = [
         call
