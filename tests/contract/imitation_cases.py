@@ -22,7 +22,7 @@ CAMERAS = (Camera("front", 2, 3, 3), Camera("wrist", 4, 2, 1))
 class Waving:
     """A policy that waves until it sees its goal with all of its cameras. It fails where told to."""
 
-    def __init__(self, cameras: tuple[Camera, ...]) -> None:
+    def __init__(self, cameras: tuple[Camera, ...], *, robot_state_size: int = 0) -> None:
         self.spec = PolicySpec(
             control_dt_s=0.1,
             reached_threshold=0.5,
@@ -31,18 +31,21 @@ class Waving:
             action=ActionSpec(2, 0, ("x", "y"), "m", (0.5, 0.5)),
             goal_form="images",
             horizon=2,
+            robot_state_size=robot_state_size,
             recurrent_size=1,
         )
 
     def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
         return np.stack([goals[camera.name][:, 0, 0, 0] for camera in self.spec.cameras], axis=1).astype(np.float32)
 
-    def step(self, frames: CameraFrames, goals: Any, previous: Any, recurrent: Any) -> PolicyOutput:
+    def step(
+        self, frames: CameraFrames, goals: Any, previous: Any, recurrent: Any, robot_state: Any = 0
+    ) -> PolicyOutput:
         seen = self.encode_goals(frames)
         if 1 in seen:
             raise ZeroDivisionError
         after = recurrent + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
-        actions = after[:, :, None] * np.ones((1, 2, 2), np.float32)
+        actions = after[:, :, None] * np.ones((1, 2, 2), np.float32) + np.sum(robot_state)
         return PolicyOutput(
             actions.astype(np.float32),
             (seen == goals).all(axis=1).astype(np.float32),
@@ -52,14 +55,15 @@ class Waving:
 
 
 def build(data_dir: Path, health: Health, publish_model: Callable[[Path, str], object]) -> Service:
-    """Returns the service, with a model of one camera, and one of two."""
+    """Returns the service, with a model of one camera, one of two, and one that takes its robot's own state."""
     from freerein.serving.learned import LearnedSettings
     from freerein_imitation.__main__ import build as build_service
 
     def load(folder: Path, _device: str) -> Waving:
-        return Waving(CAMERAS if folder.parent.name == "two-cameras" else CAMERAS[:1])
+        name = folder.parent.name
+        return Waving(CAMERAS if name == "two-cameras" else CAMERAS[:1], robot_state_size=2 * (name == "with-state"))
 
-    for name in ("", "two-cameras"):
+    for name in ("", "two-cameras", "with-state"):
         publish_model(data_dir / "models" / "imitation", name)
     return build_service(LearnedSettings(data_dir=data_dir), Limits(), Metrics(), health, load=load)
 
@@ -85,9 +89,15 @@ def act_two(code: str = "", *seen: Image, goal: tuple[Image, ...] = ()) -> tuple
     return "Act", imitation.ActRequest(observation, Goal(goal), model=ModelRef("two-cameras")), code
 
 
+def act_with_state(code: str = "", state: npt.NDArray[Any] | None = None) -> tuple[str, Any, str]:
+    """Returns an `Act` of the model that takes its robot's own state, of two numbers."""
+    observation = Observation((image(),), state)
+    return "Act", imitation.ActRequest(observation, Goal((image(7),)), model=ModelRef("with-state")), code
+
+
 def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
     """Returns requests of (method, request, code), for a service whose model has that version."""
-    done = np.zeros((1, 2), np.float32)
+    done, felt = np.zeros((1, 2), np.float32), np.array([-30.5, 12.0], np.float32)
     return (
         ("GetSpec", imitation.GetSpecRequest(), ""),
         ("GetSpec", imitation.GetSpecRequest(ModelRef("default", version)), ""),
@@ -128,6 +138,14 @@ def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
         act_two("invalid_input", goal=(image(7), wrist(7), image(8))),
         act_two("invalid_input", goal=(image(7), image(8), wrist(7), wrist(8))),
         act_two("invalid_input", goal=(image(7), wrist(7), image(8), wrist(camera=""))),
+        ("GetSpec", imitation.GetSpecRequest(ModelRef("with-state")), ""),
+        act_with_state("", felt),
+        act_with_state("invalid_input"),
+        act_with_state("invalid_input", felt[:1]),
+        act_with_state("invalid_input", felt[None]),
+        act_with_state("invalid_input", felt.astype(np.float64)),
+        act_with_state("invalid_input", felt * np.float32(math.nan)),
+        act(observation=Observation((image(),), felt * np.float32(math.nan))),
         ("PublishPolicy", imitation.PublishPolicyRequest("0" * 32), "not_found"),
         ("PublishPolicy", imitation.PublishPolicyRequest("../run"), "invalid_input"),
         act("model_fault", seen=image(1)),

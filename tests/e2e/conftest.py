@@ -15,6 +15,7 @@ PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
 SMALL = {  # so that a fit takes seconds
     "segmentation": ("steps=60", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0", "evaluate_every=20"),
     "reward": ("steps=120", "batch_size=32", "augmentation=0", "evaluate_every=40"),
+    "skill_cloning": ("steps=60", "features=16", "hidden_size=32", "min_segment_steps=1", "evaluate_every=20"),
     "imitation": ("steps=150", "batch_size=8", "features=16", "hidden_size=32", "embedding_size=4"),
 }
 
@@ -42,10 +43,13 @@ def shell(
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     fit = re.compile(r"(freerein fit (\w+) .*?--watch)")
 
+    def small(command: str, kind: str) -> tuple[str, ...]:
+        return SMALL["skill_cloning" if "skill_cloning" in command else kind]
+
     def run(block: str) -> str:
         for name, service in services.items():
             block = block.replace(f"localhost:{PORTS[name]}", f"127.0.0.1:{service.http_port}")
-        block = fit.sub(lambda found: found[1] + "".join(f" --set {each}" for each in SMALL[found[2]]), block)
+        block = fit.sub(lambda found: found[1] + "".join(f" --set {each}" for each in small(*found.groups())), block)
         command = ["bash", "-euo", "pipefail", "-c", block]
         ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert ran.returncode == 0, f"{block}\n{ran.stdout}\n{ran.stderr}"

@@ -102,7 +102,7 @@ def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
     orders = record(tmp_path / "recorded")
     lines = [f"{index},{';'.join(SKILLS[skill] for skill in order)}" for index, order in enumerate(orders)]
     (tmp_path / "tags.csv").write_text("\n".join(["trajectory,skills", *lines]))
-    segmentation, policy = read_blocks("lerobot", "sh")
+    segmentation, policy, with_state = read_blocks("lerobot", "sh")
     scale, loop, _ = read_blocks("lerobot", "python")
     monkeypatch.chdir(tmp_path)
 
@@ -117,7 +117,7 @@ def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
     scaled = Dataset(tmp_path / "var/datasets/arm-scaled")
     np.testing.assert_allclose(LOW + (scaled.actions(3) + 1) / 2 * (HIGH - LOW), Dataset(root).actions(3), atol=1e-4)
     np.testing.assert_array_equal(scaled.robot_state(3), Dataset(root).robot_state(3))
-    assert "2 numbers, which no model reads" in printed
+    assert "2 numbers, read by `use_robot_state`" in printed
 
     names, address = dict[str, Any](), os.environ["FREEREIN_IMITATION_ADDRESS"]
     exec(loop, names)
@@ -127,3 +127,8 @@ def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
         assert names["follow"](arm, drawn(goal, 0), LOW, HIGH, fps=1000, address=address) in (True, False)
         towards = moved(start, [arm.sent[0][name] for name in JOINTS]) - start
         assert towards @ (goal - start) > 0
+
+    assert "2 numbers" in shell(with_state)
+    PIL.Image.fromarray(drawn(first, 1)).resize((64, 48)).save(tmp_path / "now.png")
+    acted = shell("freerein act --image now.png --recipe reach --robot-state=-12.5,40 --json")
+    assert json.loads(acted)["actions"]["shape"][1] == len(JOINTS)

@@ -167,6 +167,7 @@ BAD = {
     "actions of another shape": packed(executed_actions=array(dtype="<f4", shape=(4, 3))),
     "actions of another type": packed(executed_actions=[0.5, 0.5]),
     "a flag of another type": packed(reset=1),
+    "a state that is no array": packed(**{"observation/state": [0.5, 0.5]}),
 }
 
 

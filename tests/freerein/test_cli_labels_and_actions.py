@@ -108,6 +108,10 @@ def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(
     assert "pursuing goal 0; confidence" in table
     refused = json.loads(_run("act", "--image", now, "--goal-text", "wave").stderr)
     assert (refused["error"]["code"], refused["error"]["field"]) == ("invalid_input", "goal.images")
+    with_state = json.loads(_run("act", "--image", now, "--goal", far, "--robot-state=-0.5,12").stdout)
+    assert with_state["actions"] == answers[0]["actions"]
+    refused = json.loads(_run("act", "--image", now, "--goal", far, "--robot-state", "up").stderr)
+    assert (refused["error"]["code"], refused["error"]["field"]) == ("invalid_input", "robot_state")
 
 
 @pytest.mark.parametrize(

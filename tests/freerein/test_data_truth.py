@@ -103,21 +103,33 @@ def test_the_learners_reader_opens_nothing_below_truth(root: Path) -> None:
     assert not [path for path in touched if path.startswith(f"{root}/truth")]
 
 
-def test_no_learner_and_no_world_knows_of_a_robots_own_state() -> None:
-    """It is kept for the tools of its owner; in a simulated world it would be privileged."""
+def test_skill_cloning_alone_reads_a_robots_own_state_and_no_world_or_experiment_has_one() -> None:
+    """It is for robots of users; in a simulated world it would be privileged, and no claim rests on it."""
     repository = Path(__file__).parents[2]
-    folders = (
-        "services",
-        "experiments",
-        "proto",
-        *(f"src/freerein/{name}" for name in ("learning", "envs", "serving")),
-    )
-    files = [
-        each for folder in folders for kind in ("py", "proto") for each in (repository / folder).rglob(f"*.{kind}")
-    ]
+    imitation = repository / "services/imitation/freerein_imitation"
+    folders = ("services", "experiments", *(f"src/freerein/{name}" for name in ("learning", "envs", "serving")))
+    files = {each: each.read_text() for folder in folders for each in (repository / folder).rglob("*.py")}
     assert len(files) > 100
-    assert [each for each in files if re.search(r"robot_state|STATE_KEY|observation\.state", each.read_text())] == []
+    knowing = {each for each, text in files.items() if re.search(r"robot_state|STATE_KEY|observation\.state", text)}
+    learning = {each for each in knowing if each.parent.name in ("methods", "training")}
+    assert learning == {
+        imitation / "methods/skill_cloning.py",
+        *(imitation / f"training/skill_{name}.py" for name in ("cloning", "cloning_config", "spans")),
+    }
+    assert {each for each in knowing if not each.is_relative_to(imitation)} == set()
+    assert [each for each, text in files.items() if "dataset.robot_state(" in text] == [
+        imitation / "methods/skill_cloning.py"
+    ]
     assert not any("state" in field.name for field in fields(Trajectory))
+    observations = [
+        call
+        for each, text in files.items()
+        if not each.is_relative_to(imitation)
+        for call in ast.walk(ast.parse(text))
+        if isinstance(call, ast.Call) and ast.unparse(call.func) == "Observation"
+    ]
+    assert observations
+    assert all(len(call.args) <= 1 and not call.keywords for call in observations)
 
 
 def test_garbage_in_truth_changes_nothing_that_learners_see(root: Path) -> None:

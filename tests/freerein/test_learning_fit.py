@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +210,21 @@ def test_a_training_is_resumed_as_it_was_begun_or_not_at_all(
 ) -> None:
     with pytest.raises(FailedPrecondition, match=message):
         run(tmp_path / "undisturbed", Line(replace(CONFIG, **change), data=data))
+
+
+@dataclass(frozen=True)
+class LaterConfig(FitConfig):
+    added: bool = False
+
+
+def test_a_key_that_a_later_version_adds_is_as_by_default_in_earlier_checkpoints(
+    tmp_path: Path, undisturbed: tuple[str, str]
+) -> None:
+    asked = iter(range(CUT + 1))
+    assert fit(Line(), tmp_path / "parts", stop=lambda: next(asked) == CUT) is None
+    with pytest.raises(FailedPrecondition, match="added was False and is True"):
+        run(tmp_path / "parts", Line(LaterConfig(**vars(CONFIG), added=True)))
+    assert run(tmp_path / "parts", Line(LaterConfig(**vars(CONFIG))))[0] == undisturbed[0]
 
 
 def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path, undisturbed: tuple[str, str]) -> None:

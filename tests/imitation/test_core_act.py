@@ -12,7 +12,7 @@ from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceE
 from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.learning import ActivateModelRequest
-from freerein_imitation.core.inputs import parse_frames, parse_goal
+from freerein_imitation.core.inputs import parse_frames, parse_goal, parse_robot_state
 
 
 def encoded(image: Image, format_: str = "PNG", mode: str = "RGB") -> Image:
@@ -121,6 +121,33 @@ async def test_what_is_wrong_is_refused_by_name(core: Any, robots: Any, change: 
     assert error.value.grpc_status == "INVALID_ARGUMENT"
     assert error.value.field == field
     assert error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("state", "detail"),
+    [
+        (None, r"float32 of shape \(3,\), as in training; got none"),
+        (np.zeros(2, np.float32), r"got float32 \(2,\)"),
+        (np.zeros((1, 3), np.float32), r"got float32 \(1, 3\)"),
+        (np.zeros(3), r"got float64 \(3,\)"),
+        (np.array([0, np.inf, 0], np.float32), "must be finite"),
+    ],
+)
+def test_a_model_that_takes_the_robots_state_says_which(policies: Any, state: Any, detail: str) -> None:
+    spec = replace(policies.FaultyPolicy.spec, robot_state_size=3)
+    with pytest.raises(InvalidInput, match=detail) as error:
+        parse_robot_state(spec, Observation(state=state))
+    assert error.value.field == "observation.state"
+    assert error.value.hint
+
+
+async def test_a_state_of_the_robot_changes_nothing_where_the_model_takes_none(core: Any, robots: Any) -> None:
+    request = robots.asked(1, 3)
+    without = await core.act.act(request)
+    for state in (np.ones(3, np.float32), np.full((2, 2), np.nan)):
+        sent = replace(request, observation=replace(request.observation, state=state))
+        assert (await core.act.act(sent)).state == without.state
+    assert (await core.act.get_spec(GetSpecRequest())).robot_state_size == 0
 
 
 async def test_another_model_than_there_is_is_not_found(core: Any, robots: Any) -> None:

@@ -132,6 +132,7 @@ CASES = {
     "cloned": cloned_case(CLONED),
     "cloned-discrete": cloned_case(replace(CLONED, **DISCRETE)),
     "cloned-principal": cloned_case(replace(CLONED, encoder="principal")),
+    "cloned-robot-state": cloned_case(replace(CLONED, robot_state_size=3)),
     "cloned-one-frame": cloned_case(replace(CLONED, **TWO, memory=0, past_actions=0, chunk=1, ends="budget")),
 }
 ALL = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
@@ -139,10 +140,12 @@ CONTINUOUS = pytest.mark.parametrize("case", [CASES[name] for name in ("goals", 
 
 
 def inputs(case: Case, policy: Any, count: int) -> list[Any]:
-    """Returns frames, goal embeddings, no previous actions and random recurrent states."""
+    """Returns frames, goals, no previous actions, random recurrent states, and the robot's where it is taken."""
     recurrent = np.random.default_rng(1).standard_normal((count, policy.spec.recurrent_size)).astype(np.float32)
     previous = np.repeat(policy.spec.action.no_action()[None], count, axis=0)
-    return [images(case.spec, count, seed=2), policy.encode_goals(case.goals(case.spec, count, 0)), previous, recurrent]
+    state = np.random.default_rng(4).standard_normal((count, policy.spec.robot_state_size)).astype(np.float32)
+    seen, goals = images(case.spec, count, seed=2), policy.encode_goals(case.goals(case.spec, count, 0))
+    return [seen, goals, previous, recurrent, *([state] if state.size else [])]
 
 
 def part(arrays: Any, rows: slice) -> Any:
@@ -222,6 +225,19 @@ def test_a_model_on_disk_acts_as_it_did(case: Case, tmp_path: Path) -> None:
     np.testing.assert_array_equal(outputs[0].actions, outputs[1].actions)
     np.testing.assert_array_equal(outputs[0].reached, outputs[1].reached)
     np.testing.assert_array_equal(outputs[0].in_distribution, outputs[1].in_distribution)
+
+
+def test_a_network_without_a_state_is_the_one_of_cards_that_do_not_know_of_it(tmp_path: Path) -> None:
+    network = cloned_network(CLONED)
+    model_files.save_model(network, tmp_path, card={"method": "skill_cloning", **CONTROL.to_card()})
+    path = tmp_path / model_files.MODEL.card
+    card = json.loads(path.read_text())
+    assert card["spec"].pop("robot_state_size") == 0
+    path.write_text(json.dumps(card))
+    assert weights.sha256(model_files.load_model(tmp_path, SkillCloningSpec, SkillCloningNetwork, device="cpu")) == (
+        weights.sha256(network)
+    )
+    assert not [name for name in network.state_dict() if "state" in name]
 
 
 @pytest.mark.parametrize(

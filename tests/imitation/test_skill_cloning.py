@@ -19,7 +19,8 @@ from freerein_imitation.core.policy_state import PolicyState
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skill_cloning import SkillCloningPolicy, SkillCloningSpec
 from freerein_imitation.model.skill_memory import Memory, MemorySizes
-from freerein_imitation.training.skill_cloning import SkillCloningConfig, SkillCloningLearner, network_spec
+from freerein_imitation.training.skill_cloning import SkillCloningLearner
+from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
 from freerein_imitation.training.skill_segments import SkillSegment, find_segments, keep_tagged
 from freerein_imitation.training.skill_spans import SkillTimes, Spans, shift_frames
 

@@ -117,7 +117,7 @@ class Dataset:
     def robot_state(self, index: int) -> State | None:
         """Returns the robot's own state in one trajectory, float32 (T, S) in its own units; None where it is not kept.
 
-        Neither a `Trajectory` nor what fits learn from has it.
+        A `Trajectory` does not have it, nor what fits learn from, but for those of `skill_cloning` that ask for it.
         """
         if not self.spec.robot_state_size:
             return None

@@ -31,7 +31,7 @@ Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (T, A) in [-1, 1] where continuous, int64 (T, 1) where discrete."""
 
 State: TypeAlias = npt.NDArray[np.float32]
-"""The robot's own state, float32 (T, S), in units of its own. No model reads it."""
+"""The robot's own state, float32 (T, S), in units of its own."""
 
 _FOOTER_KEY = b"freerein"
 

@@ -96,7 +96,7 @@ class Writer:
         Args:
             trajectory: Matches the spec: every camera, T >= 1 timesteps, `terminated` if the spec has terminations.
             labels: Ground truth for evaluation, int64 (T,), indices into the spec's skills; stored in `truth/`.
-            robot_state: The robot's own state, float32 (T, S), where the spec has one. No model reads it.
+            robot_state: The robot's own state, float32 (T, S), where the spec has one.
 
         Returns:
             Index of the trajectory in the dataset.

@@ -13,9 +13,9 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Generic, Literal, Protocol
+from typing import Generic, Literal, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -133,7 +133,7 @@ def fit(
     torch.set_flush_denormal(True)
     progress = _start(learner)
     checkpointer = _Checkpointer(folder / "checkpoints", _identity(learner, progress.state), on_event)
-    progress = checkpointer.resume(progress)
+    progress = checkpointer.resume(progress, defaults=_defaults(config))
     rows = MetricsWriter(folder / "metrics.jsonl", last_step=progress.state.step)
     while progress.state.step < config.steps and not stop():
         progress = _advance(learner, progress, rows, on_event)
@@ -160,6 +160,12 @@ def _identity(learner: Learner[N], state: TrainState[N]) -> dict[str, JSON]:
     config = json.loads(json.dumps(asdict(learner.config)))
     device = str(next(state.network.parameters()).device)
     return {"config": config, "data": learner.fingerprint, "torch": torch.__version__, "device": device}
+
+
+def _defaults(config: FitConfig) -> dict[str, JSON]:
+    """Returns the defaults of a configuration's keys: a key that is added does by default what was done before it."""
+    defaults = {each.name: each.default for each in fields(config) if each.default is not MISSING}
+    return cast(dict[str, JSON], json.loads(json.dumps(defaults, default=asdict)))
 
 
 def _advance(
@@ -213,14 +219,14 @@ class _Checkpointer:
         self._saved_step = -1
         self._failures = 0
 
-    def resume(self, fresh: FitLoopState[N]) -> FitLoopState[N]:
-        """Returns the state of the newest intact checkpoint, or `fresh` without one."""
+    def resume(self, fresh: FitLoopState[N], *, defaults: Mapping[str, JSON]) -> FitLoopState[N]:
+        """Returns the state of the newest intact checkpoint, or `fresh` without one; see `from_checkpoint`."""
         checkpoint = checkpoints.newest(
             self._folder, on_corrupt=lambda step, why: self._on_event(FitEvent("checkpoint_corrupt", step, why))
         )
         if checkpoint is None:
             return fresh
-        progress = from_checkpoint(checkpoint, fresh, self._identity)
+        progress = from_checkpoint(checkpoint, fresh, self._identity, defaults=defaults)
         self._saved_step = checkpoint.step
         self._on_event(FitEvent("resumed", checkpoint.step))
         return progress

@@ -114,13 +114,28 @@ def to_checkpoint(progress: FitLoopState[N], identity: Mapping[str, JSON]) -> Ch
     return Checkpoint(state.step, tensors, document)
 
 
-def from_checkpoint(checkpoint: Checkpoint, fresh: FitLoopState[N], identity: Mapping[str, JSON]) -> FitLoopState[N]:
+def from_checkpoint(
+    checkpoint: Checkpoint,
+    fresh: FitLoopState[N],
+    identity: Mapping[str, JSON],
+    *,
+    defaults: Mapping[str, JSON] | None = None,
+) -> FitLoopState[N]:
     """Returns the state of a checkpoint, loaded into the objects of a fresh state.
 
-    Raises FailedPrecondition when the checkpoint has another identity.
+    Args:
+        checkpoint: The checkpoint.
+        fresh: State before the first step.
+        identity: What the result depends on now.
+        defaults: Keys of its `config` that a checkpoint of an earlier version may lack, with the values that it had.
+
+    Raises:
+        FailedPrecondition: The checkpoint has another identity.
     """
     document = checkpoint.document
-    _check_identity(cast(Mapping[str, JSON], document["identity"]), identity)
+    then = cast(Mapping[str, JSON], document["identity"])
+    config = cast(Mapping[str, JSON], then.get("config", {}))
+    _check_identity({**then, "config": {**(defaults or {}), **config}}, identity)
     state, rng = fresh.state, fresh.sampler.rng
     state.network.load_state_dict(_under("network/", checkpoint.tensors))
     _load_moments(state.optimiser, checkpoint.tensors)

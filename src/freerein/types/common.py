@@ -129,9 +129,16 @@ class ActionSpec:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One observation of a robot: an image per camera; for a model with a single camera, `camera` may be empty."""
+    """One observation of a robot.
+
+    Attributes:
+        images: One image per camera; for a model with a single camera, `camera` may be empty.
+        state: The robot's own state, float32 (S,) in the units of the dataset that the model was fitted to; None for
+            none. Models whose spec has a `robot_state_size` of 0 ignore it.
+    """
 
     images: tuple[Image, ...] = ()
+    state: npt.NDArray[Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ class GetSpecResponse:
         max_steps_per_goal: Control steps after which a goal is abandoned, unless the request says otherwise.
         reached_threshold: A goal counts as reached from this `goal_confidence` on; 1 where the policy does not predict
             it.
+        robot_state_size: Numbers of the robot's own state, `state` of an observation; 0 for a model that takes none.
     """
 
     model: ModelRef
@@ -43,6 +44,7 @@ class GetSpecResponse:
     max_steps_per_goal: int
     reached_threshold: float
     goal_texts: tuple[str, ...] = ()
+    robot_state_size: int = 0
 
 
 @dataclass(frozen=True, eq=False)

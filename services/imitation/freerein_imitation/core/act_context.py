@@ -9,7 +9,14 @@ import numpy.typing as npt
 from freerein.types.common import Goal, ModelRef, Observation
 from freerein.types.imitation import GetSpecResponse
 from freerein_imitation.core.inference import InferenceRequest
-from freerein_imitation.core.inputs import Subgoal, goal_digest, parse_frames, parse_goal, parse_previous_action
+from freerein_imitation.core.inputs import (
+    Subgoal,
+    goal_digest,
+    parse_frames,
+    parse_goal,
+    parse_previous_action,
+    parse_robot_state,
+)
 from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
 from freerein_imitation.model.policy import Policy, PolicySpec
 
@@ -86,6 +93,7 @@ class ActContext:
             state=state,
             elapsed=elapsed,
             max_steps=self.max_steps[min(state.goal_index, len(self.goals) - 1)],
+            robot_state=parse_robot_state(spec, observation),
         )
 
 
@@ -102,4 +110,5 @@ def spec_response(model: ModelRef, spec: PolicySpec) -> GetSpecResponse:
         goal_texts=spec.goal_texts,
         max_steps_per_goal=spec.max_steps_per_goal,
         reached_threshold=spec.reached_threshold,
+        robot_state_size=spec.robot_state_size,
     )

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from freerein.errors import OutputNotFinite, ServiceError
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, takes_robot_state
 
 _CACHE_BYTES = 32 * 2**20
 
@@ -34,6 +34,7 @@ class InferenceRequest:
         state: Policy state before the observation.
         elapsed: Control steps since the observation of that state.
         max_steps: Control steps after which the current goal is abandoned.
+        robot_state: The robot's own state, float32 (S,); None for a policy that takes none.
     """
 
     policy: Policy
@@ -44,6 +45,7 @@ class InferenceRequest:
     state: PolicyState
     elapsed: int
     max_steps: int
+    robot_state: npt.NDArray[np.float32] | None = None
 
     @property
     def goal(self) -> Subgoal:
@@ -105,12 +107,17 @@ class PolicyRunner:
     def _forward(self, requests: Sequence[InferenceRequest]) -> list[_Row | OutputNotFinite]:
         """Returns the policy's output for each request's observation and current goal."""
         policy = requests[0].policy
-        output = policy.step(
+        inputs = (
             _stack_frames([request.frames for request in requests]),
             self._encode_goals(requests),
             _stack([request.previous for request in requests]),
             _stack([request.state.recurrent for request in requests]),
         )
+        if takes_robot_state(policy):
+            states = [request.robot_state for request in requests if request.robot_state is not None]
+            output = policy.step(*inputs, _stack(states))
+        else:
+            output = policy.step(*inputs)
         _check_shapes(policy, output, len(requests))
         finite = _finite(output)
         return [

@@ -108,6 +108,31 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
     return last
 
 
+def parse_robot_state(spec: PolicySpec, observation: Observation) -> npt.NDArray[np.float32] | None:
+    """Returns the robot's own state, float32 (S,); None, whatever the robot sent, for a policy that takes none.
+
+    Raises:
+        InvalidInput: The state is missing, does not match the policy's spec, or is not finite.
+    """
+    shape, state, field = (spec.robot_state_size,), observation.state, "observation.state"
+    if not spec.robot_state_size:
+        return None
+    if state is None or state.dtype != np.float32 or state.shape != shape:
+        got = "none" if state is None else f"{state.dtype} {state.shape}"
+        raise InvalidInput(
+            f"`{field}` must be the robot's own state, float32 of shape {shape}, as in training; got {got}.",
+            field=field,
+            hint="Send what the dataset of the fit holds as `observation.state`, or name a model that takes none.",
+        )
+    if not np.isfinite(state).all():
+        raise InvalidInput(
+            f"`{field}` must be finite; some of its numbers are not.",
+            field=field,
+            hint="Send finite numbers, and no observation while a sensor fails.",
+        )
+    return state
+
+
 def elapsed_steps(executed: npt.NDArray[Any] | None) -> int:
     """Returns the control steps since the previous observation: at least one, in which the robot may have held."""
     return len(executed) if executed is not None and executed.ndim == 2 and len(executed) else 1

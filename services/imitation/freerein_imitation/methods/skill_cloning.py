@@ -3,15 +3,19 @@
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 import torch
 
 from freerein.data import labels
+from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningPolicy, SkillCloningSpec
-from freerein_imitation.training.skill_cloning import SkillCloningConfig, SkillCloningLearner, network_spec
+from freerein_imitation.training.skill_cloning import SkillCloningLearner
+from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
+from freerein_imitation.training.skill_spans import RobotStates
 
 
 def _resolve(source: FitDataset, config: SkillCloningConfig) -> SkillCloningConfig:
@@ -28,7 +32,21 @@ def _prepare(source: FitDataset, config: SkillCloningConfig, device: torch.devic
         labelled,
         fingerprint=f"{source.dataset.fingerprint} {labels.fingerprint(labelled)}",
         device=device,
+        robot_states=_robot_states(source) if config.use_robot_state else (),
     )
+
+
+def _robot_states(source: FitDataset) -> RobotStates:
+    """Returns the robot's own state in each trajectory; raises InvalidInput where one is not finite."""
+    states = [state for each in range(len(source.dataset)) if (state := source.dataset.robot_state(each)) is not None]
+    unusable = [index for index, state in enumerate(states) if not np.isfinite(state).all()]
+    if unusable:
+        raise InvalidInput(
+            f"The robot's state must be finite; that of {len(unusable)} trajectories is not, such as {unusable[0]}.",
+            field="dataset",
+            hint="Leave these trajectories out.",
+        )
+    return states
 
 
 def _card(source: FitDataset, learner: SkillCloningLearner, fitted: FitResult[SkillCloningNetwork]) -> dict[str, Any]:
@@ -40,11 +58,12 @@ def _card(source: FitDataset, learner: SkillCloningLearner, fitted: FitResult[Sk
     }
     threshold = learner.termination_threshold(fitted.network) if learner.config.ends == "head" else 1.0
     control = ControlSpec(1 / source.dataset.spec.fps, threshold, max(limits), max_steps_per_skill=limits)
+    observed = "images, the robot's own state" if learner.spec.robot_state_size else "images"
     return {
         **control.to_card(),
         "figures": fitted.figures | figures,
         "labels": asdict(labels.info(source.root)),
-        "supervision": "images and executed actions of demonstrations, and skills predicted from tags",
+        "supervision": f"{observed} and executed actions of demonstrations, and skills predicted from tags",
     }
 
 
@@ -54,6 +73,7 @@ def _spec(source: FitDataset, config: SkillCloningConfig) -> SkillCloningSpec:
         cameras=source.cameras(config.cameras),
         action=source.dataset.spec.action,
         skills=labels.info(source.root).skills,
+        robot_state_size=source.dataset.spec.robot_state_size,
     )
 
 

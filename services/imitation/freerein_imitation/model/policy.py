@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -87,6 +87,7 @@ class PolicySpec(ControlSpec):
         horizon: K, actions per output.
         skills: Skills that a recipe may name; empty for other goal forms.
         goal_texts: The only texts that a goal may be; empty for any.
+        robot_state_size: S, numbers of the robot's own state; 0 for a policy that takes none.
         recurrent_size: R, numbers of recurrent state.
         predicts_reached: Whether it predicts that a goal is reached.
         keeps_state: Whether the recurrent state is kept from one goal to the next, as it tells of the robot and not of
@@ -99,6 +100,7 @@ class PolicySpec(ControlSpec):
     horizon: int = 1
     skills: tuple[str, ...] = ()
     goal_texts: tuple[str, ...] = ()
+    robot_state_size: int = 0
     recurrent_size: int = 0
     predicts_reached: bool = True
     keeps_state: bool = False
@@ -161,6 +163,28 @@ class Policy(Protocol):
             previous: Actions executed last, float32 (B, A) or int64 (B, 1); `ActionSpec.no_action` for none.
             recurrent: Recurrent state, float32 (B, R); zeros at the start of a goal.
         """
+
+
+class RobotStatePolicy(Policy, Protocol):
+    """A policy that also takes the robot's own state."""
+
+    def step(
+        self,
+        frames: CameraFrames,
+        goals: npt.NDArray[np.float32],
+        previous: npt.NDArray[Any],
+        recurrent: npt.NDArray[np.float32],
+        robot_state: npt.NDArray[np.float32] | None = None,
+    ) -> PolicyOutput:
+        """Returns the output for B observations.
+
+        Arguments are as in `Policy.step`, and `robot_state`, float32 (B, S), which is needed where S is not 0.
+        """
+
+
+def takes_robot_state(policy: Policy) -> TypeGuard[RobotStatePolicy]:
+    """Returns whether a policy takes the robot's own state."""
+    return policy.spec.robot_state_size > 0
 
 
 N = TypeVar("N", bound=nn.Module)

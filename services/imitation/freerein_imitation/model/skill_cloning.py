@@ -2,6 +2,8 @@
 
 Nothing is assumed of robot or scene: frames may be gray and actions torques, which need velocities, and so earlier
 frames. A chunk of actions is predicted at once (Zhao et al., 2023), and whether the skill has ended.
+
+The dissertation's policies see images alone. For a user's robot, its own state may be among the features of a timestep.
 """
 
 from collections.abc import Sequence
@@ -36,6 +38,8 @@ from freerein_imitation.model.skill_memory import Memory, MemorySizes
 _DEPTH = 3
 _MOTION_CONTRAST = 4.0  # of differences of features
 _LEAST_STD = 0.02  # of actions, in [-1, 1]
+_LEAST_VARIATION = 1e-6  # of a number of the robot's state, relative to its magnitude; less is a constant
+_MOST_DEVIATION = 10.0  # of a number of the robot's state, in standard deviations
 _MOST_STATE = 16_000  # numbers; the API's `state` has 64 KiB
 
 
@@ -52,6 +56,7 @@ class SkillCloningSpec(InputSpec):
         memory: Earlier frames that an action depends on.
         past_actions: Executed actions that an action depends on.
         chunk: Actions that are predicted from one frame.
+        robot_state_size: S, numbers of the robot's own state; 0 for a network that takes none.
 
     Raises:
         InvalidInput: There are no skills, the memory is too large, or cameras or actions are out of bounds.
@@ -65,6 +70,7 @@ class SkillCloningSpec(InputSpec):
     memory: int = bounded(2, least=0, most=16)
     past_actions: int = bounded(0, least=0, most=16)
     chunk: int = bounded(5, least=1, most=32)
+    robot_state_size: int = bounded(0, least=0, most=1024)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,11 +85,9 @@ class SkillCloningSpec(InputSpec):
 
     @property
     def memory_sizes(self) -> MemorySizes:
-        """Sizes of what it remembers."""
-        size = self.encoded_action_size
-        return MemorySizes(
-            self.memory, self.features * len(self.cameras), self.past_actions, size, self.chunk, outputs=size
-        )
+        """Sizes of what it remembers; the features of a timestep are those of its frames, and the robot's state."""
+        size, features = self.encoded_action_size, self.features * len(self.cameras) + self.robot_state_size
+        return MemorySizes(self.memory, features, self.past_actions, size, self.chunk, outputs=size)
 
 
 class SkillCloningNetwork(nn.Module):
@@ -91,6 +95,8 @@ class SkillCloningNetwork(nn.Module):
 
     action_mean: Tensor
     action_std: Tensor
+    robot_state_mean: Tensor
+    robot_state_scale: Tensor
 
     def __init__(self, spec: SkillCloningSpec) -> None:
         super().__init__()
@@ -105,6 +111,9 @@ class SkillCloningNetwork(nn.Module):
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
         self.register_buffer("action_mean", torch.zeros(sizes.outputs))
         self.register_buffer("action_std", torch.ones(sizes.outputs))
+        if spec.robot_state_size:  # others have the weights that they had before there was a state
+            self.register_buffer("robot_state_mean", torch.zeros(spec.robot_state_size))
+            self.register_buffer("robot_state_scale", torch.ones(spec.robot_state_size))
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, actions: Tensor, *, generator: torch.Generator) -> None:
@@ -120,15 +129,37 @@ class SkillCloningNetwork(nn.Module):
             self.action_mean.copy_(actions.mean(dim=0))
             self.action_std.copy_(actions.std(dim=0, correction=0).clamp(min=_LEAST_STD))
 
+    @torch.no_grad()
+    def fit_robot_state(self, states: Tensor) -> None:
+        """Sets mean and scale of the robot's state, float32 (M, S); numbers that do not vary are ignored: scale 0."""
+        exact = states.double()
+        mean, std = exact.mean(dim=0), exact.std(dim=0, correction=0)
+        varies = std > _LEAST_VARIATION * exact.abs().amax(dim=0)
+        self.robot_state_mean.copy_(mean)
+        self.robot_state_scale.copy_(torch.where(varies, 1 / std, 0.0))
+
+    def encode(self, frames: Frames, robot_state: Tensor | None) -> Tensor:
+        """Returns the features of timesteps, float32 (N, D).
+
+        Args:
+            frames: By camera, uint8 (N, H, W, C).
+            robot_state: float32 (N, S); None where S is 0.
+        """
+        seen: Tensor = self.encoder(frames)
+        if robot_state is None:
+            return seen
+        felt = (robot_state - self.robot_state_mean) * self.robot_state_scale
+        return torch.cat([seen, felt.clamp(-_MOST_DEVIATION, _MOST_DEVIATION)], dim=1)
+
     def forward(
         self, features: Tensor, skill: Tensor, earlier: Tensor, is_known: Tensor, executed: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Returns standardised actions or logits of choices, float32 (B, K, O), and termination logits (B,).
 
         Args:
-            features: Of the frames, float32 (B, D).
+            features: Of the newest timestep, float32 (B, D), of `encode`.
             skill: One-hot, float32 (B, skills).
-            earlier: Features of earlier frames, float32 (B, n, D), newest first.
+            earlier: Features of earlier timesteps, float32 (B, n, D), newest first.
             is_known: Which of them there are, bool (B, n).
             executed: Encoded actions executed before, float32 (B, m, E), newest first.
         """
@@ -169,6 +200,7 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
             goal_form="recipe",
             horizon=spec.chunk,
             skills=spec.skills,
+            robot_state_size=spec.robot_state_size,
             recurrent_size=self._sizes.total,
             predicts_reached=spec.ends == "head",
             keeps_state=True,
@@ -191,12 +223,13 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         goals: npt.NDArray[np.float32],
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
+        robot_state: npt.NDArray[np.float32] | None = None,
     ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`."""
+        """Returns the output for B observations; arguments as in `RobotStatePolicy.step`."""
         network, seen, skill = self._network, self._tensors(frames), self._tensor(goals)
         executed = network.encode_actions(self._tensor(previous))
         memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
-        features = network.encoder(seen)
+        features = network.encode(seen, None if robot_state is None else self._tensor(robot_state))
         chunk, termination = network(features, skill, memory.features, memory.is_known, memory.actions)
         ended, score = termination.sigmoid(), network.in_distribution
         later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)

@@ -1,6 +1,7 @@
 """What an openpi client's message says: images, goal, executed actions, and whether an episode begins.
 
     observation/<camera>   uint8 (H, W, C), one for each camera
+    observation/state      float32 (S,), the robot's own state; ignored for a model that takes none
     prompt                 a text as goal
     recipe                 a list of skills as goal
     goal/<camera>          images as goal: uint8 (H, W, C), or (N, H, W, C) of several to reach in order
@@ -22,6 +23,7 @@ from freerein.types.common import Camera, Encoding, Goal, Image, Observation
 from freerein_imitation.model.policy import PolicySpec
 
 _ONLY_CAMERA = "image"
+_STATE = "observation/state"
 _HINT = "The metadata sent on connect tells the model's cameras, goals and actions."
 
 
@@ -30,7 +32,7 @@ class OpenpiObservation:
     """A message of an openpi client.
 
     Attributes:
-        observation: Its images.
+        observation: Its images, and the robot's own state.
         goal: Its goal; None where it holds none.
         executed_actions: As in `ActRequest`; None where it does not tell.
         reset: Whether an episode begins.
@@ -51,6 +53,7 @@ def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObserv
     rest = dict(message)
     images = _take_images(rest, "observation", spec.cameras)
     goal = _take_goal(rest, spec)
+    state = rest.pop(_STATE, None)
     executed, reset = rest.pop("executed_actions", None), rest.pop("reset", False)
     if rest:
         raise InvalidInput(
@@ -67,9 +70,11 @@ def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObserv
         )
     if executed is not None and not isinstance(executed, np.ndarray):
         raise InvalidInput("`executed_actions` must be an array; it is not.", field="executed_actions", hint=_HINT)
+    if state is not None and not isinstance(state, np.ndarray):
+        raise InvalidInput(f"`{_STATE}` must be an array; it is not.", field=_STATE, hint=_HINT)
     if not isinstance(reset, bool):
         raise InvalidInput("`reset` must be a boolean; it is not.", field="reset", hint="Send True or False.")
-    return OpenpiObservation(Observation(images), goal, executed, reset)
+    return OpenpiObservation(Observation(images, state), goal, executed, reset)
 
 
 def _known_keys(spec: PolicySpec) -> list[str]:
@@ -79,7 +84,7 @@ def _known_keys(spec: PolicySpec) -> list[str]:
         "images": [f"goal/{camera.name}" for camera in spec.cameras],
     }
     observed = [f"observation/{camera.name}" for camera in spec.cameras]
-    return [f"`{key}`" for key in (*observed, *goals[spec.goal_form], "executed_actions", "reset")]
+    return [f"`{key}`" for key in (*observed, _STATE, *goals[spec.goal_form], "executed_actions", "reset")]
 
 
 def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:

@@ -6,7 +6,7 @@ Timesteps without a label, and segments that are too short, are left out; they a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,20 +16,16 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS
-from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
-from freerein.learning.inputs import spec_of
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
-from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningSpec
 from freerein_imitation.model.skill_memory import averaged_end
 from freerein_imitation.training.frame_features import sampled_statistics
+from freerein_imitation.training.skill_cloning_config import SkillCloningConfig
 from freerein_imitation.training.skill_segments import (
     Ints,
     SkillSegment,
@@ -38,7 +34,7 @@ from freerein_imitation.training.skill_segments import (
     relabelled,
     split_segments,
 )
-from freerein_imitation.training.skill_spans import NONE, SkillTimes, SpanBatch, Spans, shift_frames
+from freerein_imitation.training.skill_spans import NONE, RobotStates, SkillTimes, SpanBatch, Spans, shift_frames
 
 State = TrainState[SkillCloningNetwork]
 
@@ -53,59 +49,6 @@ _THRESHOLDS = np.linspace(0.5, 0.98, 25)
 _EARLY_COST = 3.0
 """What a timestep too early costs relative to one too late, where the threshold of the termination head is chosen: a
 skill that goes on for longer rests at its end, and one that is broken off is not completed."""
-
-
-@dataclass(frozen=True)
-class SkillCloningConfig(DatasetFitConfig):
-    """Configuration of a fit of skill cloning.
-
-    Attributes:
-        ends: What ends a skill: the termination `head`, or a `budget` of steps alone, from the labelled segments.
-        encoder: Image encoder.
-        features: Image features per camera.
-        hidden_size: Units of the hidden layers.
-        memory: Earlier frames that an action depends on.
-        past_actions: Executed actions that an action depends on. They tempt a policy to repeat itself.
-        past_action_dropout: Share of timesteps that are not told past actions.
-        chunk: Actions that are predicted from one frame.
-        shift: Largest random shift of training frames, in pixels.
-        min_segment_steps: Shorter segments are left out, as in section 2.4.
-        termination_steps: Timesteps after a segment's last in which its skill has ended.
-        termination_weight: Weight of the termination loss relative to the action loss.
-        span: Consecutive timesteps of one trajectory in a batch.
-        batch_size: Spans per update.
-    """
-
-    ends: Literal["head", "budget"] = "head"
-    encoder: str = one_of(ENCODERS, "spatial")
-    features: int = bounded(128, least=8, most=1024)
-    hidden_size: int = bounded(256, least=8, most=1024)
-    memory: int = bounded(2, least=0, most=16)
-    past_actions: int = bounded(0, least=0, most=16)
-    past_action_dropout: float = bounded(0.5, least=0.0, most=1.0)
-    chunk: int = bounded(5, least=1, most=32)
-    shift: int = bounded(2, least=0, most=32)
-    min_segment_steps: int = bounded(5, least=1, most=1000)
-    termination_steps: int = bounded(3, least=0, most=1000)
-    termination_weight: float = bounded(0.3, least=0.0, most=100.0)
-    span: int = bounded(10, least=1, most=256)
-    steps: int = bounded(5000, least=1, most=10_000_000)
-    batch_size: int = bounded(16, least=1, most=4096)
-    lr: float = bounded(1e-3, least=1e-7, most=1.0)
-    evaluate_every: int = bounded(500, least=1, most=1_000_000)
-    checkpoint_every: int = bounded(1000, least=1, most=1_000_000)
-    log_every: int = bounded(50, least=1, most=1_000_000)
-
-
-def network_spec(
-    config: SkillCloningConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
-) -> SkillCloningSpec:
-    """Returns the spec of the network for some cameras, actions and skills.
-
-    Raises:
-        InvalidInput: Frames, actions, skills or sizes are out of bounds.
-    """
-    return spec_of(config, SkillCloningSpec, cameras=cameras, action=action, skills=skills)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +98,7 @@ class SkillCloningLearner:
         *,
         fingerprint: str,
         device: torch.device,
+        robot_states: RobotStates = (),
     ) -> "SkillCloningLearner":
         """Returns the learner of labelled demonstrations.
 
@@ -165,6 +109,7 @@ class SkillCloningLearner:
             labels: By trajectory, the predicted skill at each timestep, int64 (T,); -1 for none.
             fingerprint: Fingerprint of the dataset and its labels.
             device: Device to train on.
+            robot_states: As of `Spans`; empty where the spec has no state.
 
         Raises:
             InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
@@ -187,6 +132,7 @@ class SkillCloningLearner:
             earlier=config.memory,
             past_actions=config.past_actions,
             chunk=config.chunk,
+            robot_states=robot_states,
         )
         items = [(each.trajectory, step) for each in training for step in range(each.start, each.stop)]
         skills = tuple(spec.skills[skill] for skill in trained)
@@ -223,10 +169,12 @@ class SkillCloningLearner:
         """Returns the state before the first update."""
         network = SkillCloningNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        shown = self._shown()
+        shown, states = self._shown(), self.spans.robot_states
         frames = {name: torch.from_numpy(each) for name, each in shown.sample_frames(_NORMALISATION_FRAMES).items()}
         executed = np.concatenate([shown.actions[item] for item in range(len(shown))])
         network.fit_normalisation(frames, torch.from_numpy(executed), generator=generator)
+        if states:
+            network.fit_robot_state(torch.from_numpy(np.concatenate([states[item] for item in self._shown_items()])))
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
@@ -333,8 +281,9 @@ class SkillCloningLearner:
         )
 
     def _encode(self, network: SkillCloningNetwork, batch: SpanBatch) -> Tensor:
-        """Returns the features of spans and of the frames before them, float32 (B, n + L, D)."""
-        features: Tensor = network.encoder({name: each.to(self.device) for name, each in batch.frames.items()})
+        """Returns the features of spans and of the timesteps before them, float32 (B, n + L, D)."""
+        frames, states = {name: each.to(self.device) for name, each in batch.frames.items()}, batch.robot_states
+        features = network.encode(frames, None if states is None else self._tensor(states))
         return features.view(len(batch.skill), -1, features.shape[1])
 
     def _augmented(self, batch: SpanBatch, rng: np.random.Generator) -> SpanBatch:
@@ -361,7 +310,10 @@ class SkillCloningLearner:
 
     def _shown(self) -> Trajectories:
         """Returns the trajectories of the training segments."""
-        return self.spans.demonstrations.subset(sorted({each.trajectory for each in self.segments}))
+        return self.spans.demonstrations.subset(self._shown_items())
+
+    def _shown_items(self) -> list[int]:
+        return sorted({each.trajectory for each in self.segments})
 
     def _tensor(self, array: npt.NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)

@@ -6,6 +6,7 @@ observation and an earlier one of the next few.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +14,16 @@ import torch
 from torch import Tensor
 
 from freerein.learning.encoders import Frames
-from freerein.learning.trajectories import Trajectories
+from freerein.learning.trajectories import Trajectories, TrajectoryArrays
 from freerein_imitation.training.skill_segments import Flags, Ints, SkillSegment
+
+D = TypeVar("D", bound=np.generic)
 
 NONE = -1
 """Stands for no skill."""
+
+RobotStates: TypeAlias = Sequence[npt.NDArray[np.float32]]
+"""By trajectory, the robot's own state, float32 (T, S); empty for learners that take none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +62,7 @@ class SpanBatch:
 
     Attributes:
         frames: By camera, uint8 (B * (n + L), H, W, C), span after span.
+        robot_states: The robot's own state at these frames, float32 (B * (n + L), S); None for learners without.
         is_known: Of the earlier frames of each timestep, newest first, which there are: bool (B, L, n).
         executed: Actions before each timestep, newest first, (B, L, m, A); `ActionSpec.no_action` for none.
         actions: Executed at each timestep and after it, (B, L, K, A).
@@ -66,6 +73,7 @@ class SpanBatch:
     """
 
     frames: Frames
+    robot_states: npt.NDArray[np.float32] | None
     is_known: Flags
     executed: npt.NDArray[np.generic]
     actions: npt.NDArray[np.generic]
@@ -86,6 +94,7 @@ class Spans:
         earlier: n, frames before a timestep.
         past_actions: m, actions before a timestep.
         chunk: K, actions from a timestep on.
+        robot_states: The robot's own states in the demonstrations.
     """
 
     demonstrations: Trajectories
@@ -94,6 +103,7 @@ class Spans:
     earlier: int
     past_actions: int
     chunk: int
+    robot_states: RobotStates = ()
 
     def read(self, trajectories: Ints, starts: Ints, length: int) -> SpanBatch:
         """Returns the spans of some trajectories, int64 (B,), that begin at some timesteps, int64 (B,).
@@ -108,8 +118,10 @@ class Spans:
             for columns in zip(*((each.skill, each.stop, each.ended) for each in times), strict=True)
         )
         before, after = np.arange(1, self.past_actions + 1), np.arange(self.chunk)
+        shown = self.demonstrations.frames
         return SpanBatch(
-            self._frames(chosen, length),
+            {name: torch.from_numpy(self._seen(each, chosen, length)) for name, each in shown.items()},
+            self._seen(self.robot_states, chosen, length) if self.robot_states else None,
             steps[..., None] - np.arange(1, self.earlier + 1) >= 0,
             self._actions(chosen, steps[..., None] - before),
             self._actions(chosen, steps[..., None] + after),
@@ -119,15 +131,13 @@ class Spans:
             ended,
         )
 
-    def _frames(self, chosen: Sequence[tuple[int, int]], length: int) -> Frames:
-        """Returns the frames of spans; before and after a trajectory its first and last one."""
+    def _seen(self, arrays: TrajectoryArrays[D], chosen: Sequence[tuple[int, int]], length: int) -> npt.NDArray[D]:
+        """Returns what was observed in spans and before them, (B * (n + L), ...).
+
+        Before and after a trajectory it is the first and the last observation.
+        """
         offsets = np.arange(-self.earlier, length)
-        return {
-            camera: torch.from_numpy(
-                np.concatenate([arrays[item][np.clip(at + offsets, 0, len(arrays[item]) - 1)] for item, at in chosen])
-            )
-            for camera, arrays in self.demonstrations.frames.items()
-        }
+        return np.concatenate([arrays[item][np.clip(at + offsets, 0, len(arrays[item]) - 1)] for item, at in chosen])
 
     def _actions(self, chosen: Sequence[tuple[int, int]], steps: Ints) -> npt.NDArray[np.generic]:
         """Returns the actions at timesteps (B, L, n): (B, L, n, A)."""

@@ -2,6 +2,8 @@
 
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 import typer
 
 from freerein import wire
@@ -20,6 +22,7 @@ Version = Annotated[str, typer.Option(help="Version of the model; the active one
 _Images = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Current image; repeatable, one per camera.")]
 _Goals = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Goal image; repeatable, in order.")]
 _Recipe = Annotated[list[str] | None, typer.Option(metavar="SKILL", help="Skill to execute; repeatable, in order.")]
+_RobotState = Annotated[str, typer.Option(metavar="N,N,...", help="The robot's own state, for models that take it.")]
 _GoalText = Annotated[str, typer.Option(metavar="TEXT", help="Goal text.")]
 
 
@@ -32,6 +35,7 @@ def act(
     goal: _Goals = None,
     recipe: _Recipe = None,
     goal_text: _GoalText = "",
+    robot_state: _RobotState = "",
     model: Model = "",
     version: Version = "",
     as_json: AsJson = False,
@@ -42,7 +46,7 @@ def act(
 
     _check(image, goal, recipe, goal_text)
     request = ActRequest(
-        observation=Observation(read_images(image or ())),
+        observation=Observation(read_images(image or ()), _numbers(robot_state) if robot_state else None),
         goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
     )
@@ -71,6 +75,17 @@ def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | 
         )
 
 
+def _numbers(text: str) -> npt.NDArray[np.float32]:
+    try:
+        return np.array([float(number) for number in text.split(",")], np.float32)
+    except ValueError:
+        raise InvalidInput(
+            "The robot's state must be numbers separated by commas; it is not.",
+            field="robot_state",
+            hint="Send --robot-state=-0.5,12.3 with as many as `freerein act spec` tells.",
+        ) from None
+
+
 def _show_answer(answer: ActResponse) -> None:
     rows = [(str(step), ", ".join(f"{number:.4g}" for number in action)) for step, action in enumerate(answer.actions)]
     show_table(("step", "action"), rows)
@@ -91,6 +106,7 @@ def _show_spec(answer: GetSpecResponse) -> None:
         ("horizon", f"{answer.horizon} actions, one every {answer.control_dt_s:g} s"),
         ("goal", answer.goal_form),
         ("skills", ", ".join(answer.skills)),
+        ("robot state", f"{answer.robot_state_size} numbers" if answer.robot_state_size else ""),
         ("max steps per goal", str(answer.max_steps_per_goal)),
         ("reached threshold", "" if answer.goal_form == "text" else f"{answer.reached_threshold:.2f}"),
         ("model", _name(answer.model)),

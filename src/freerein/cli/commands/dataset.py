@@ -221,7 +221,10 @@ def _rows(name: str, summary: DatasetSummary) -> list[tuple[str, str]]:
         ("timesteps", f"{summary.frames}, {summary.duration_s / 60:.1f} minutes at {spec.fps} Hz"),
         ("cameras", cameras),
         ("action", action),
-        ("robot state", f"{spec.robot_state_size} numbers, which no model reads" if spec.robot_state_size else "none"),
+        (
+            "robot state",
+            f"{spec.robot_state_size} numbers, read by `use_robot_state`" if spec.robot_state_size else "none",
+        ),
         ("skills", ", ".join(f"{skill} ({count})" for skill, count in summary.skill_counts.items()) or "none"),
         ("terminations", "known" if spec.has_terminations else "unknown"),
         ("untagged", str(summary.untagged)),

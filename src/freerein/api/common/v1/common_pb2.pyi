@@ -278,18 +278,27 @@ class Observation(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     IMAGES_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def images(self) -> _containers.RepeatedCompositeFieldContainer[Global___Image]:
         """One image per camera. For a model with a single camera, `camera` may be empty."""
+
+    @_builtins.property
+    def state(self) -> Global___Tensor:
+        """FP32 (S): the robot's own state, such as joint positions, in the units of the dataset that the model was fitted to,
+        and finite; S is `robot_state_size` of the model's spec. Unset for none. Ignored by a model whose S is 0, which most
+        are, so that a robot may always send it.
+        """
 
     def __init__(
         self,
         *,
         images: _abc.Iterable[Global___Image] | None = ...,
+        state: Global___Tensor | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["state", b"state"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["images", b"images"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["images", b"images", "state", b"state"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

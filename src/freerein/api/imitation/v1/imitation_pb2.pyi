@@ -88,6 +88,7 @@ class GetSpecResponse(_message.Message):
     MAX_STEPS_PER_GOAL_FIELD_NUMBER: _builtins.int
     REACHED_THRESHOLD_FIELD_NUMBER: _builtins.int
     GOAL_TEXTS_FIELD_NUMBER: _builtins.int
+    ROBOT_STATE_SIZE_FIELD_NUMBER: _builtins.int
     horizon: _builtins.int
     """Actions per reply, one for each of the next control steps."""
     control_dt_s: _builtins.float
@@ -98,6 +99,10 @@ class GetSpecResponse(_message.Message):
     """Control steps after which a goal is abandoned, unless the request says otherwise."""
     reached_threshold: _builtins.float
     """A goal counts as reached from this `goal_confidence` on; 1 where the policy does not predict it."""
+    robot_state_size: _builtins.int
+    """Numbers of the robot's own state, `state` of an observation, without which the model does not act; 0 for a model that
+    takes none.
+    """
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """The model."""
@@ -131,10 +136,11 @@ class GetSpecResponse(_message.Message):
         max_steps_per_goal: _builtins.int = ...,
         reached_threshold: _builtins.float = ...,
         goal_texts: _abc.Iterable[_builtins.str] | None = ...,
+        robot_state_size: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_form", b"goal_form", "goal_texts", b"goal_texts", "horizon", b"horizon", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "reached_threshold", b"reached_threshold", "skills", b"skills"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal_form", b"goal_form", "goal_texts", b"goal_texts", "horizon", b"horizon", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "reached_threshold", b"reached_threshold", "robot_state_size", b"robot_state_size", "skills", b"skills"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
