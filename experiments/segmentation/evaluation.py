@@ -13,7 +13,7 @@ from freerein.types.segmentation import NO_SKILL
 from freerein_segmentation.core import decoding
 from freerein_segmentation.core.decoding import smooth
 from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import gather
+from freerein_segmentation.training import Confidence, gather
 
 Labels = npt.NDArray[np.int64]
 Probabilities = npt.NDArray[np.float32]
@@ -23,6 +23,9 @@ CONFIDENT_ACCURACY = "confident_kept_accuracy"
 ACTION_LOSS = "action_loss"
 """Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
 see `freerein_segmentation.training.held_out_action_loss`."""
+
+CONFIDENCE, IS_DECIDED = "confidence", "is_decided"
+"""Of held-out timesteps, before self-training where there is some; see `freerein_segmentation.training.Confidence`."""
 
 SMOOTHING, LEAST_SEGMENT = 2.0, 5
 """What is decoded: the Gaussian's standard deviation and the shortest segment, in timesteps. Chapter 2 rejects segments
@@ -102,6 +105,11 @@ def score(predicted: Sequence[Probabilities], truth: Sequence[Labels], *, split:
     figures |= {f"unsmoothed_{name}": value for name, value in unsmoothed_figures.items()}
     more = _named(split, figures, {DECODED_ACCURACY: accuracy, KEPT_ACCURACY: kept, CONFIDENT_ACCURACY: confident})
     return Outcome({**found.figures, **more.figures}, {**found.samples, **more.samples})
+
+
+def score_confidence(confidence: Confidence) -> Outcome:
+    """Returns the figures of a network's confidence, which are label-free."""
+    return Outcome({CONFIDENCE: round(confidence.mean, 6), IS_DECIDED: float(confidence.is_decided)}, {})
 
 
 def _accuracy(predicted: Sequence[Labels], truth: Sequence[Labels]) -> Sample:

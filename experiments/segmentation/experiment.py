@@ -109,6 +109,7 @@ class SegmentationExperiment:
             return None
         outcome = _evaluate(study, fitted, config, data)
         if isinstance(learner, SegmentationLearner):
+            outcome = _joined([outcome, evaluation.score_confidence(learner.confidence(fitted))])
             command = f"python -m experiments run {self.report.experiment} --only {arm.name}"
             served.save(study, learner, fitted, folder / "model", figures=outcome.figures, command=command)
         return outcome

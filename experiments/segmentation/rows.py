@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.segmentation.evaluation import ACTION_LOSS
+from experiments.segmentation.evaluation import ACTION_LOSS, IS_DECIDED
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult
@@ -41,12 +41,16 @@ class Rows:
         return cls(rows)
 
     def chosen(self, candidates: Iterable[Row]) -> Row | None:
-        """Returns the row whose labels, of the first seed, explain held-out actions best.
+        """Returns the row whose labels, of the first seed, explain held-out actions best, of those that are decided.
 
-        The action loss is label-free. None where no candidate has a result.
+        Where none is decided, all count. Both are label-free. None where no candidate has a result.
         """
         found = [row for row in candidates if row in self.arms]
-        return min(found, key=lambda row: self.arms[row][0].figures[ACTION_LOSS]) if found else None
+        decided = [row for row in found if self._first(row).get(IS_DECIDED, 1.0)]
+        return min(decided or found, key=lambda row: self._first(row)[ACTION_LOSS]) if found else None
+
+    def _first(self, row: Row) -> Mapping[str, float]:
+        return self.arms[row][0].figures
 
     def mean(self, row: Row, figure: str) -> float:
         """Returns the mean of a figure over seeds."""

@@ -19,10 +19,7 @@ from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method, Methods
 from freerein_segmentation import model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
-from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
-
-_LEAST_DECIDED = 1 / 3
-"""Share of the way from equal shares to certainty below which labels are undecided."""
+from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner, network_spec
 
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
@@ -68,24 +65,24 @@ def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[Se
     precision = learner.tag_average_precision(fitted.network)
     each = [figures["average_precision"] for figures in precision.values()]
     mean = {"tag_average_precision": float(np.mean(each))} if each else {}
-    confidence, equal = learner.confidence(fitted.network)
+    confidence = learner.confidence(fitted)
     problems = tag_problems(source.dataset.spec.skills, source.dataset.skills)
     return {
         "supervision": "the set of skills of each trajectory",
-        "figures": fitted.figures | mean | {"confidence": confidence},
+        "figures": fitted.figures | mean | {"confidence": confidence.mean},
         "tag_average_precision": precision,
         "held_out": len(learner.validation),
-        "warnings": [*(problem.sentence for problem in problems), *_undecided(confidence, equal)],
+        "warnings": [*(problem.sentence for problem in problems), *_undecided(confidence)],
     }
 
 
-def _undecided(confidence: float, equal: float) -> Iterator[str]:
+def _undecided(confidence: Confidence) -> Iterator[str]:
     """Yields a warning where the network names all tags of a trajectory at every timestep."""
-    if equal < 1 and confidence - equal < _LEAST_DECIDED * (1 - equal):
+    if not confidence.is_decided:
         yield (
-            f"Labels must be decided; held-out timesteps have a confidence of {confidence:.2f} on average, where all "
-            f"tags of a trajectory at every timestep would have {equal:.2f}. If its last frames show what was done, "
-            "let the network see fewer: --set context=5."
+            f"Labels must be decided; held-out timesteps have a confidence of {confidence.mean:.2f} on average, where "
+            f"all tags of a trajectory at every timestep would have {confidence.equal:.2f}. If its last frames show "
+            "what was done, let the network see fewer: --set context=5."
         )
 
 

@@ -13,13 +13,14 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Generic, Literal, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.jobs.child import stop_on_sigterm
@@ -76,11 +77,17 @@ class FitEvent:
 
 @dataclass(frozen=True, eq=False)
 class FitResult(Generic[N]):
-    """The network with the lowest validation loss, in evaluation mode, and the steps after which it was reached."""
+    """The network with the lowest validation loss, in evaluation mode.
+
+    Attributes:
+        best_step: The steps after which it was reached.
+        carried: What else the learner kept at the end of the fit.
+    """
 
     network: N
     best_step: int
     validation_loss: float
+    carried: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def figures(self) -> dict[str, JSON]:
@@ -145,7 +152,7 @@ def fit(
         return None
     network = progress.state.network.eval()  # in whichever mode the last step left it
     network.load_state_dict(progress.best.weights)
-    return FitResult(network, progress.best.step, progress.best.loss)
+    return FitResult(network, progress.best.step, progress.best.loss, progress.state.carried)
 
 
 def _start(learner: Learner[N]) -> FitLoopState[N]:

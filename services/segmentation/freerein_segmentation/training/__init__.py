@@ -2,10 +2,12 @@
 
 from freerein_segmentation.training.action_loss import held_out_action_loss
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
+from freerein_segmentation.training.confidence import Confidence
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.learner import SegmentationLearner, network_spec
 
 __all__ = [
+    "Confidence",
     "SegmentationConfig",
     "SegmentationLearner",
     "TrajectoryBatch",

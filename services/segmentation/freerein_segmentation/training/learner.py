@@ -12,6 +12,7 @@ from freerein import metrics
 from freerein.learning import weights
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.augmentation import agreement, augment_camera, delayed
+from freerein.learning.fit import FitResult
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.inputs import spec_of
@@ -24,6 +25,7 @@ from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
+from freerein_segmentation.training.confidence import Confidence
 from freerein_segmentation.training.config import SegmentationConfig
 from freerein_segmentation.training.self_training import Teacher, begin_round
 
@@ -32,6 +34,9 @@ State = TrainState[SegmentationNetwork]
 _NORMALISATION_FRAMES = 2000
 _ACTION_TRAJECTORIES = 400
 """Most trajectories that an action model is fitted to."""
+
+_BEFORE_SELF_TRAINING = "confidence"
+"""What is carried beside a teacher: the confidence of the first one."""
 
 
 def network_spec(
@@ -146,18 +151,22 @@ class SegmentationLearner:
             if 0 < truth[:, index].sum() < len(truth)
         }
 
-    @torch.no_grad()
-    def confidence(self, network: SegmentationNetwork) -> tuple[float, float]:
-        """Returns the mean confidence of held-out timesteps, and what it were if a trajectory's tags had equal shares.
+    def confidence(self, fitted: FitResult[SegmentationNetwork]) -> Confidence:
+        """Returns the confidence on held-out timesteps, before self-training where there is some.
 
-        A timestep's confidence is its highest probability.
+        The labels of a teacher make a network sure, whatever they say.
         """
+        before = fitted.carried.get(_BEFORE_SELF_TRAINING)
+        return self._confidence(fitted.network) if before is None else Confidence.of(before)
+
+    @torch.no_grad()
+    def _confidence(self, network: SegmentationNetwork) -> Confidence:
         highest, equal = [], []
         for batch in self._validation_batches():
             scores, mask = network(batch.frames, batch.actions, batch.lengths)
             highest.append(scores[mask].softmax(dim=1).amax(dim=1))
             equal.append((1 / batch.tags.sum(dim=1)).repeat_interleave(batch.lengths))
-        return torch.cat(highest).mean().item(), torch.cat(equal).mean().item()
+        return Confidence(torch.cat(highest).mean().item(), torch.cat(equal).mean().item())
 
     def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
         """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
@@ -187,7 +196,10 @@ class SegmentationLearner:
             action_evidence=self.config.action_evidence,
             generator=state.generator,
         )
-        return replace(state, carried=teacher.tensors)
+        before = state.carried.get(_BEFORE_SELF_TRAINING)
+        if before is None:
+            before = self._confidence(state.network).tensor
+        return replace(state, carried={**teacher.tensors, _BEFORE_SELF_TRAINING: before})
 
     def _gather(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
         """Returns training trajectories, each from a random phase of the stride on."""
