@@ -40,9 +40,9 @@ def record(data_dir: Path, *, scaled: bool) -> Path:
     return root
 
 
-def fit(data_dir: Path, folder: Path) -> Fitted:
+def fit(data_dir: Path, folder: Path, **changes: Any) -> Fitted:
     folder.mkdir()
-    config = METHODS.resolve(data_dir, "demos", STEPS, threads=1)
+    config = METHODS.resolve(data_dir, "demos", {**STEPS, **changes}, threads=1)
     (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config, "steps": STEPS["steps"]}))
     command = [sys.executable, "-m", "freerein_segmentation.fit", folder, data_dir, "cpu"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as child:  # it lives as long as its standard input
