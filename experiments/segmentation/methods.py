@@ -18,7 +18,9 @@ HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
 themselves: a copy labels trajectories within their tags, and the network learns these labels. Where there are several
 rows of ours, a claim is of that whose labels explain held-out actions best with the first seed, and what it is compared
-with is the row of `lse` that does: no true label chooses."""
+with is the row of `lse` that does: no true label chooses. A row is left out where its network had decided nothing
+before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal shares
+of the tags to certainty. A fit warns of that."""
 
 GUESSES_AND_INTERVALS = """\
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
