@@ -58,7 +58,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
             test=SplitSpec(200, test, test),
         ),
         methods=(
-            *objectives("lse"),
+            *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
             ours(WHOLE, LOOKAHEAD),
             ours_from_lse(),
             supervised(WHOLE, LOOKAHEAD),
