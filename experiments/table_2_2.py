@@ -38,10 +38,10 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories, stride {_S
 ({_STEPS}), and differ in
 {HOW_CHOSEN}
 Ours was developed on `blocks`, with one exception. In `{BINS}` the last frame shows what was sorted: with the whole
-context every tag is known at every timestep, and the loss of the tags is at its optimum of equal shares after 400 steps.
-So `lookahead-5` was added, before its result was seen, and so was the warning of such fits; that a row of which the fit
-warns is left out was written down after the results of one seed of both had been. With `lookahead-5` a stream labels a
-timestep 15 timesteps after it was seen.
+context every tag is known at every timestep, and the loss of the tags is at its optimum of equal shares after 400
+steps. So `lookahead-5` was added, before its result was seen, and so was the warning of such fits; that a row of which
+the fit warns is left out was written down after the results of one seed of both had been. With `lookahead-5` a stream
+labels a timestep 15 timesteps after it was seen.
 
 {HOW_OURS}
 
