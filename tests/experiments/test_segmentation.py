@@ -240,6 +240,19 @@ def test_of_several_contexts_that_counts_which_explains_held_out_actions_best() 
     assert Rows.of(results, "dial").chosen([Row("mil", "causal")]) is None
 
 
+def test_a_row_that_was_undecided_before_self_training_counts_only_where_all_are() -> None:
+    results = [each for rows in rows_with(lse=0.9, ours=0.8).arms.values() for each in rows]
+    undecided = [
+        replace(each, options={"context": context}, figures={"action_loss": loss, "is_decided": 0.0})
+        for context, loss in {"all": 0.5, "lookahead-5": 0.6}.items()
+        for each in results
+        if each.method == "ours"
+    ]
+    whole, short, decided = Row("ours", "all"), Row("ours", "lookahead-5"), Row("lse", "causal")
+    assert Rows.of(undecided, "dial").chosen((short, whole)) == whole
+    assert Rows.of([*results, *undecided[3:]], "dial").chosen((short, decided)) == decided
+
+
 def test_ours_is_compared_with_the_row_of_the_dissertations_method_that_explains_held_out_actions_best() -> None:
     results = [each for rows in rows_with(lse=0.6, ours=0.8).arms.values() for each in rows]
     whole = [
