@@ -147,6 +147,7 @@ def _picture(shown: Sequence[Shown]) -> bytes:
                 axes.barh(row, end - start, left=start, color=f"C{label % 10}")
         axes.set_yticks([0, 1], ["predicted", "true"], fontsize="x-small")
         axes.set_xlim(0, len(each.truth))
+        axes.set_xlabel("timestep", fontsize="x-small")
         axes.invert_yaxis()
     return png(figure)
 
