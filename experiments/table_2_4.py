@@ -37,9 +37,8 @@ where the reach ends. No claim rests on it.
 All rows share network, loop, batch size ({_BATCH_SIZE} trajectories, stride {_STRIDE}) and optimiser steps
 ({_STEPS}), and differ in
 {HOW_CHOSEN}
-Nothing of ours was chosen here: it was developed on `blocks`. Of its two contexts that counts whose labels explain
-held-out actions better: a network that sees the end knows the task from the first timestep, one that sees 15 timesteps
-ahead must wait for it to show.
+Ours was developed on `blocks`, and how one of its rows is chosen was settled in `bins`. A network that sees the end
+knows the task from the first timestep; one that sees 15 timesteps ahead must wait for it to show.
 
 {HOW_OURS}
 
