@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+import schemathesis
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("O11"), pytest.mark.timeout(240)]
 SLOW = 60  # of 64 streams that may be open
@@ -72,3 +73,9 @@ def test_watching_resumes_after_the_last_event_id(orchestrator: httpx.Client) ->
     while seen[-1]["run"]["state"] != "succeeded":
         seen += events(orchestrator, run_id, after=seen[-1]["sequence"], most=2)
     assert seen == events(orchestrator, run_id)
+
+
+def test_events_are_what_the_document_says(orchestrator: httpx.Client) -> None:
+    document = schemathesis.openapi.from_url(f"{orchestrator.base_url}/openapi.json")
+    watch = document["/v1/watch-run"]["GET"].Case(query={"id": start(orchestrator, "documented")})
+    assert "succeeded" in watch.call_and_validate().text

@@ -66,8 +66,10 @@ def openapi_document(app: FastAPI, methods: Sequence[Method], *, service: str) -
 
 def _operation(method: Method, schemas: dict[str, Any], service: str) -> dict[str, Any]:
     schema: dict[str, Any] = {"type": "string"}
-    if method.rest_form == "reply":
+    if method.rest_form != "file":
         schema = _reference(method.descriptor.output_type, "serialization", schemas)
+    if method.rest_form == "events":
+        schema = _event(schema)
     success: dict[str, Any] = {
         "description": comment_of(method.descriptor.output_type.full_name),
         "content": {MEDIA_TYPES[method.rest_form]: {"schema": schema}},
@@ -90,6 +92,19 @@ def _operation(method: Method, schemas: dict[str, Any], service: str) -> dict[st
     if _holds_tensors(method.descriptor.output_type):
         operation["parameters"] = [_TENSORS]
     return {"post": {**operation, "requestBody": {"required": True, "content": content}}}
+
+
+def _event(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the schema of each event of a stream; before OpenAPI 3.2, it stands where that of a document does."""
+    text = {"type": "string", "contentMediaType": "application/json", "contentSchema": data}
+    return {
+        "type": "object",
+        "properties": {
+            "id": {"type": "string", "description": "The number of the event, for the header `Last-Event-ID`."},
+            "data": {**text, "description": "What happened, as JSON."},
+        },
+        "required": ["id", "data"],
+    }
 
 
 def _texts(method: Method) -> dict[str, Any]:
