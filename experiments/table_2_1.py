@@ -24,21 +24,22 @@ from experiments.segmentation.targets import Target
 _TRAIN, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 _OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
-_STEPS = {_WITH_INDICATOR: 3_200, _WITHOUT: 12_800}
-_EVALUATE_EVERY = {_WITH_INDICATOR: 200, _WITHOUT: 800}
+_STEPS, _WARMUP_STEPS, _EVALUATE_EVERY = 3_200, 300, 200
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
 for validation, 1 000 for test with 5 skills; training accuracy is measured on the first {_TRAIN_EVALUATED}. In
 `{_WITH_INDICATOR}` a cell shows which skill is in progress, as in the dissertation; in `{_WITHOUT}` nothing does.
 
-All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS[_WITH_INDICATOR]};
-{_STEPS[_WITHOUT]} without the indicator, where losses leave their first plateau late), and differ in
+All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, the first
+{_WARMUP_STEPS} to warm up), and differ in
 {HOW_CHOSEN} Its batches
 have 128 trajectories; 16 make eight times as many steps of as many frames.
 
 {HOW_OURS} `ours` was alone at first, and had 89.50 on the test set
-of `grid`, which was looked at; `ours_from_lse` came then.
+of `{_WITH_INDICATOR}`, which was looked at; `ours_from_lse` came then, and had 100, 97.9 and 100 with three seeds. All
+rows warmed up for 30 steps at that time. With the learning rate {max(LEARNING_RATES)} the second seed's loss of the tags stayed on
+its first plateau, ln 5, for as long as 3 200 steps: the warm-up became ten times as long, for every row.
 
 {GUESSES_AND_INTERVALS} Many skills are
 shorter than 5 timesteps here: decoding so suits longer ones.
@@ -59,15 +60,16 @@ def _study(task: str) -> Study:
         ),
         seeds=3,
         settings={
-            "steps": _STEPS[task],
+            "steps": _STEPS,
+            "warmup_steps": _WARMUP_STEPS,
             "batch_size": _BATCH_SIZE,
             "augmentation": 0.0,
-            "evaluate_every": _EVALUATE_EVERY[task],
-            "checkpoint_every": _EVALUATE_EVERY[task],
+            "evaluate_every": _EVALUATE_EVERY,
+            "checkpoint_every": _EVALUATE_EVERY,
         },
         train_evaluated=_TRAIN_EVALUATED,
         learning_rates=LEARNING_RATES,
-        trial_steps=_STEPS[task] // 4,
+        trial_steps=_STEPS // 4,
     )
 
 
