@@ -8,6 +8,7 @@ from experiments.segmentation.methods import (
     HOW_CHOSEN,
     HOW_OURS,
     LEARNING_RATES,
+    LOOKAHEAD,
     OURS,
     OURS_FROM_LSE,
     WHOLE,
@@ -24,6 +25,8 @@ from experiments.segmentation.targets import Target
 _TRAIN, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 _OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
+_OURS_WITHOUT = (*_OURS, Row(OURS, LOOKAHEAD), Row(OURS_FROM_LSE, LOOKAHEAD))
+_ENCODER = {_WITH_INDICATOR: "patch", _WITHOUT: "moments"}
 _STEPS, _WARMUP_STEPS, _EVALUATE_EVERY = 3_200, 300, 200
 
 _TEXT = f"""\
@@ -38,24 +41,29 @@ have 128 trajectories; 16 make eight times as many steps of as many frames.
 
 {HOW_OURS} `ours` was alone at first, and had 89.50 on the test set
 of `{_WITH_INDICATOR}`, which was looked at; `ours_from_lse` came then, and had 100, 97.9 and 100 with three seeds. All
-rows warmed up for 30 steps at that time. With the learning rate {max(LEARNING_RATES)} the second seed's loss of the tags stayed on
-its first plateau, ln 5, for as long as 3 200 steps: the warm-up became ten times as long, for every row.
+rows warmed up for 30 steps at that time. With the learning rate {max(LEARNING_RATES)} the second seed's loss of the
+tags stayed on its first plateau, ln 5, for as long as 3 200 steps: the warm-up became ten times as long, for every row.
+
+The encoder is `{_ENCODER[_WITH_INDICATOR]}`, without the indicator `{_ENCODER[_WITHOUT]}`, for every row. The loss of
+the tags chose it: there `lse` with `{LOOKAHEAD}` and `{_ENCODER[_WITH_INDICATOR]}` was at 1.20 after {_STEPS} steps,
+with `{_ENCODER[_WITHOUT]}` at 1.06 after 1 200, which is what knowing every tag gives. Without the indicator the last
+frame shows what was picked up, and so `{LOOKAHEAD}` is there beside the whole context, as in table 2.2.
 
 {GUESSES_AND_INTERVALS} Many skills are
 shorter than 5 timesteps here: decoding so suits longer ones.
 """
 
 
-def _study(task: str) -> Study:
+def _study(task: str, *lookahead: str) -> Study:
     return Study(
         data=DatasetSpec(
             task, train=SplitSpec(_TRAIN, 2, 4), validation=SplitSpec(2_000, 2, 4), test=SplitSpec(1_000, 5, 5)
         ),
         methods=(
-            *objectives("lse"),
-            ours(),
-            ours_from_lse(),
-            supervised(CAUSAL, WHOLE),
+            *objectives("lse", contexts=(CAUSAL, WHOLE, *lookahead)),
+            ours(WHOLE, *lookahead),
+            ours_from_lse(WHOLE, *lookahead),
+            supervised(CAUSAL, WHOLE, *lookahead),
             *objectives("lse_per_timestep", "mil", "fcn_mil", "ccnn", "ccnn_without_share"),
         ),
         seeds=3,
@@ -63,6 +71,7 @@ def _study(task: str) -> Study:
             "steps": _STEPS,
             "warmup_steps": _WARMUP_STEPS,
             "batch_size": _BATCH_SIZE,
+            "encoder": _ENCODER[task],
             "augmentation": 0.0,
             "evaluate_every": _EVALUATE_EVERY,
             "checkpoint_every": _EVALUATE_EVERY,
@@ -74,7 +83,7 @@ def _study(task: str) -> Study:
 
 
 EXPERIMENT = SegmentationExperiment(
-    studies=(_study(_WITH_INDICATOR), _study(_WITHOUT)),
+    studies=(_study(_WITH_INDICATOR), _study(_WITHOUT, LOOKAHEAD)),
     report=Report(
         "table_2_1",
         title="The grid world (Table 2.1)",
@@ -92,7 +101,7 @@ EXPERIMENT = SegmentationExperiment(
         },
         targets=(
             Target("grid_indicator", _WITH_INDICATOR, _OURS, least=99.95),
-            Target("grid_plain", _WITHOUT, _OURS, least_gap_closed=0.75),
+            Target("grid_plain", _WITHOUT, _OURS_WITHOUT, least_gap_closed=0.75),
         ),
     ),
 )
