@@ -27,15 +27,16 @@ _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 _OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
 _OURS_WITHOUT = (*_OURS, Row(OURS, LOOKAHEAD), Row(OURS_FROM_LSE, LOOKAHEAD))
 _ENCODER = {_WITH_INDICATOR: "patch", _WITHOUT: "moments"}
-_STEPS, _WARMUP_STEPS, _EVALUATE_EVERY = 3_200, 300, 200
+_STEPS, _TRIAL_STEPS = 3_200, 800
+_WARMUP_STEPS, _EVALUATE_EVERY = 300, 200
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps. Data as in section 2.3: 50 000 training trajectories of 2 to 4 skills, 2 000
 for validation, 1 000 for test with 5 skills; training accuracy is measured on the first {_TRAIN_EVALUATED}. In
 `{_WITH_INDICATOR}` a cell shows which skill is in progress, as in the dissertation; in `{_WITHOUT}` nothing does.
 
-All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, the first
-{_WARMUP_STEPS} to warm up), and differ in
+All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, in trials
+{_TRIAL_STEPS}, the first {_WARMUP_STEPS} to warm up), and differ in
 {HOW_CHOSEN} Its batches
 have 128 trajectories; 16 make eight times as many steps of as many frames.
 
@@ -78,7 +79,7 @@ def _study(task: str, *lookahead: str) -> Study:
         },
         train_evaluated=_TRAIN_EVALUATED,
         learning_rates=LEARNING_RATES,
-        trial_steps=_STEPS // 4,
+        trial_steps=_TRIAL_STEPS,
     )
 
 

@@ -7,12 +7,12 @@ CAUSAL, WHOLE, LOOKAHEAD = "causal", "bidirectional", "lookahead-5"
 OURS, OURS_FROM_LSE = "ours", "ours_from_lse"
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
-"""What every method tries, each for a quarter of its optimiser steps."""
+"""Peak learning rates that every method tries."""
 
 HOW_CHOSEN = """\
-objective and context. Each tries the same four peak learning rates for a quarter of the steps; the lowest validation
-loss, of the tags, and for `supervised` of true labels, chooses, and it chooses the weights that are evaluated. The
-dissertation's method is `lse` with the causal context; it has a learning rate of 1e-4 and gives no number of steps."""
+objective and context. Each tries the same four peak learning rates in short trials; the lowest validation loss, of the
+tags, and for `supervised` of true labels, chooses, and it chooses the weights that are evaluated. The dissertation's
+method is `lse` with the causal context; it has a learning rate of 1e-4 and gives no number of steps."""
 
 HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
