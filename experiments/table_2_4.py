@@ -39,7 +39,11 @@ All rows share network, loop, batch size ({_BATCH_SIZE} trajectories, stride {_S
 ({_STEPS}, in trials {_TRIAL_STEPS}), and differ in
 {HOW_CHOSEN}
 Ours was developed on `blocks`, and how one of its rows is chosen was settled in `bins`. A network that sees the end
-knows the task from the first timestep; one that sees 15 timesteps ahead must wait for it to show.
+knows the task from the first timestep, one that sees 15 timesteps ahead before the object is grasped. So `ours` with
+`causal` was added: its labels explained held-out actions better (6.25 nats against 6.50), and no true label was looked
+at. All rows had 3 000 steps at first. Then, with one seed, the test accuracy was 82.38 for it, 76.59 with
+`{LOOKAHEAD}`, 56.47 with the whole context, and 94.13 with full supervision and `{LOOKAHEAD}`. In 11 of 100 validation
+trajectories most of the labelled task was not the tag's, always `stack` or `place`; so the steps were doubled.
 
 {HOW_OURS}
 
