@@ -14,18 +14,25 @@ from experiments.segmentation.methods import (
     WHOLE,
     objectives,
     ours,
+    ours_after,
     ours_from_lse,
     supervised,
 )
 from experiments.segmentation.report import Report
 from experiments.segmentation.rows import Row
-from experiments.segmentation.study import Study
+from experiments.segmentation.study import Method, Study
 from experiments.segmentation.targets import Target
 
 _TRAIN, _BATCH_SIZE, _TRAIN_EVALUATED = 50_000, 16, 2_000
 _WITH_INDICATOR, _WITHOUT = "grid", "grid-no-indicator"
 _OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE))
-_OURS_WITHOUT = (*_OURS, Row(OURS, LOOKAHEAD), Row(OURS_FROM_LSE, LOOKAHEAD))
+_LOOKAHEADS = (LOOKAHEAD, "lookahead-10")
+_OURS_AFTER = ours_after("lookahead-10")
+_OURS_WITHOUT = (
+    *_OURS,
+    *(Row(method, context) for context in _LOOKAHEADS for method in (OURS, OURS_FROM_LSE)),
+    Row(_OURS_AFTER.name, WHOLE),
+)
 _ENCODER = {_WITH_INDICATOR: "patch", _WITHOUT: "moments"}
 _STEPS, _TRIAL_STEPS = 3_200, 800
 _WARMUP_STEPS, _EVALUATE_EVERY = 300, 200
@@ -55,16 +62,17 @@ shorter than 5 timesteps here: decoding so suits longer ones.
 """
 
 
-def _study(task: str, *lookahead: str) -> Study:
+def _study(task: str, *more_of_ours: Method, lookaheads: tuple[str, ...] = ()) -> Study:
     return Study(
         data=DatasetSpec(
             task, train=SplitSpec(_TRAIN, 2, 4), validation=SplitSpec(2_000, 2, 4), test=SplitSpec(1_000, 5, 5)
         ),
         methods=(
-            *objectives("lse", contexts=(CAUSAL, WHOLE, *lookahead)),
-            ours(WHOLE, *lookahead),
-            ours_from_lse(WHOLE, *lookahead),
-            supervised(CAUSAL, WHOLE, *lookahead),
+            *objectives("lse", contexts=(CAUSAL, WHOLE, *lookaheads)),
+            ours(WHOLE, *lookaheads),
+            ours_from_lse(WHOLE, *lookaheads),
+            *more_of_ours,
+            supervised(CAUSAL, WHOLE, *lookaheads),
             *objectives("lse_per_timestep", "mil", "fcn_mil", "ccnn", "ccnn_without_share"),
         ),
         seeds=3,
@@ -84,7 +92,7 @@ def _study(task: str, *lookahead: str) -> Study:
 
 
 EXPERIMENT = SegmentationExperiment(
-    studies=(_study(_WITH_INDICATOR), _study(_WITHOUT, LOOKAHEAD)),
+    studies=(_study(_WITH_INDICATOR), _study(_WITHOUT, _OURS_AFTER, lookaheads=_LOOKAHEADS)),
     report=Report(
         "table_2_1",
         title="The grid world (Table 2.1)",

@@ -1,10 +1,10 @@
 """The methods of chapter 2: the dissertation's, its baselines, ours, full supervision; and what tables say of them."""
 
-from experiments.segmentation.study import SUPERVISED, Method
+from experiments.segmentation.study import SUPERVISED, Method, context_of
 from freerein.learning.checkpoints import JSON
 
 CAUSAL, WHOLE, LOOKAHEAD = "causal", "bidirectional", "lookahead-5"
-OURS, OURS_FROM_LSE = "ours", "ours_from_lse"
+OURS, OURS_FROM_LSE, OURS_AFTER = "ours", "ours_from_lse", "ours_after"
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """Peak learning rates that every method tries."""
@@ -16,7 +16,9 @@ method is `lse` with the causal context; it has a learning rate of 1e-4 and give
 
 HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
-themselves: a copy labels trajectories within their tags, and the network learns these labels. Where there are several
+themselves: a copy labels trajectories within their tags, and the network learns these labels. `ours_after_causal` is
+`ours` that sees nothing of the future until it trains itself, `ours_after_lookahead-10` 10 timesteps: what sees how a
+trajectory ends knows the tags before the skills begin. Where there are several
 rows of ours, a claim is of that whose labels explain held-out actions best with the first seed, and what it is compared
 with is the row of `lse` that does: no true label chooses. A row is left out where its network had decided nothing
 before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal shares
@@ -47,9 +49,16 @@ def ours_from_lse(*contexts: str) -> Method:
     return _self_trained(OURS_FROM_LSE, "lse", contexts)
 
 
-def _self_trained(name: str, objective: str, contexts: tuple[str, ...]) -> Method:
-    settings: dict[str, JSON] = {"objective": objective, "final_objective": "self_training", "action_evidence": 1.0}
-    return Method(name, contexts or (WHOLE,), settings)
+def ours_after(tag_context: str) -> Method:
+    """Returns our method in the whole context, after less of it while the tags are learned."""
+    return _self_trained(
+        f"{OURS_AFTER}_{tag_context}", "lse_per_timestep", (WHOLE,), tag_context=context_of(tag_context)
+    )
+
+
+def _self_trained(name: str, objective: str, contexts: tuple[str, ...], **settings: JSON) -> Method:
+    own: dict[str, JSON] = {"objective": objective, "final_objective": "self_training", "action_evidence": 1.0}
+    return Method(name, contexts or (WHOLE,), own | settings)
 
 
 def supervised(*contexts: str) -> Method:

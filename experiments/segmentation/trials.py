@@ -21,7 +21,7 @@ from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
 from freerein_segmentation.training import SegmentationConfig
 
-_OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence")
+_OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence", "tag_context")
 _WITHOUT_FINAL: dict[str, Any] = {name: getattr(SegmentationConfig, name) for name in _OF_FINAL}
 """Trials end before the final objective begins: its loss is that of labels of its own, and so compares with none."""
 
@@ -40,7 +40,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
         results: Folder of the experiment's results.
         work: Folder that all arms share; trials keep their checkpoints there.
     """
-    config = replace(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps, **_WITHOUT_FINAL)
+    config = _until_final(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps)
     made_by: dict[str, JSON] = {
         "fit": json.loads(json.dumps(asdict(config))),
         "supervised": arm.method == SUPERVISED,
@@ -81,6 +81,10 @@ def chosen_lr(arm: Arm, results: Path) -> float:
             hint=f"Run: python -m experiments run {results.name} --only '{_trials_name(arm)}-seed0'.",
         )
     return float(json.loads(path.read_bytes())["lr"])
+
+
+def _until_final(config: SegmentationConfig, *, steps: int) -> SegmentationConfig:
+    return replace(config, steps=steps, context=config.context_at(0), **_WITHOUT_FINAL)
 
 
 def _trials_name(arm: Arm) -> str:

@@ -92,6 +92,19 @@ def test_a_score_depends_on_its_context_and_on_nothing_later(context: Context, s
     assert changed[first_seen:9:stride].all()
 
 
+@pytest.mark.parametrize("context", [0, 2])
+def test_a_network_can_be_shown_less_of_the_future_than_it_sees(context: int) -> None:
+    network = make(CONTINUOUS)
+    frames, actions = map(torch.from_numpy, trajectory(CONTINUOUS, 8))
+    later = frames.clone()
+    later[6] = 255 - later[6]
+    scores, changed = (
+        network({"front": seen}, actions, torch.tensor([8]), context=context)[0] for seen in (frames, later)
+    )
+    assert torch.equal(scores[:, : 6 - context], changed[:, : 6 - context])
+    assert not (scores == changed)[:, 6 - context].all()
+
+
 @pytest.mark.parametrize("context", [0, 1, 5, 200])
 @pytest.mark.parametrize("stride", [1, 3])
 @pytest.mark.parametrize("sizes", [(1,) * 40, (40,), (0, 7, 1, 1, 19, 2, 10)])

@@ -15,7 +15,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_segmentation.model import ModelSpec
+from freerein_segmentation.model import Context, ModelSpec
 from freerein_segmentation.model.action_model import ActionModel
 from freerein_segmentation.objectives.labels import NO_SKILL, label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
@@ -126,6 +126,22 @@ def test_the_last_objective_takes_its_share_of_the_steps_and_chooses_the_weights
     assert (config.round_starts, config.selected_after) == ((0,), 0)
     with pytest.raises(InvalidInput, match="self-training"):
         SegmentationConfig(action_evidence=0.3)
+
+
+@pytest.mark.parametrize(
+    ("context", "tag_context", "first", "then"),
+    [("all", "all", "all", "all"), ("all", 3, 3, "all"), (5, 3, 3, 5), (3, 5, 3, 3), (0, "all", 0, 0)],
+)
+def test_less_of_the_future_may_be_seen_while_tags_are_learned(
+    context: Context, tag_context: Context, first: Context, then: Context
+) -> None:
+    config = SegmentationConfig(steps=10, final_objective="self_training", context=context, tag_context=tag_context)
+    assert [config.context_at(step) for step in range(10)] == 5 * [first] + 5 * [then]
+
+
+def test_a_context_for_tags_needs_something_to_learn_after_them() -> None:
+    with pytest.raises(InvalidInput, match="final objective"):
+        SegmentationConfig(tag_context=0)
 
 
 def walks(count: int, *, seed: int) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:

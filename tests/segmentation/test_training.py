@@ -59,6 +59,7 @@ def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
         {"context": 0},
         {"context": 2, "final_objective": "set_likelihood"},
         {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2},
+        {"final_objective": "self_training", "tag_context": 0, "rounds": 2},
     ],
     ids=lambda change: "-".join(map(str, change.values())),
 )
@@ -108,6 +109,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
         {"stride": 3},
         {"final_objective": "set_likelihood", "augmentation": 0.0, "context": 2},
         {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2, "stride": 2, "final_share": 0.7},
+        {"final_objective": "self_training", "tag_context": 1, "rounds": 2},
     ],
 )
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, change: dict[str, Any]) -> None:

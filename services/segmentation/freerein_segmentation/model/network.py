@@ -15,7 +15,7 @@ from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
 from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_segmentation.model.lookahead import MAX_CONTEXT, countdown, look_ahead
+from freerein_segmentation.model.lookahead import MAX_CONTEXT, Context, countdown, look_ahead
 
 Memory: TypeAlias = tuple[Tensor, Tensor]
 """State of an LSTM over one sequence, float (1, H) each."""
@@ -80,31 +80,37 @@ class SegmentationNetwork(nn.Module):
         self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
-    def forward(self, frames: Frames, actions: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, frames: Frames, actions: Tensor, lengths: Tensor, *, context: Context | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
 
         Args:
             frames: By camera, uint8 (N, H, W, C), all trajectories concatenated.
             actions: float32 (N, A) or int64 (N, 1), likewise.
             lengths: int64 (B,), timesteps of each trajectory, with sum N.
+            context: Future timesteps that these scores depend on, where they are fewer than the network's.
         """
-        return self.score_batch(self.features(frames, actions), lengths)
+        return self.score_batch(self.features(frames, actions), lengths, context=context)
 
-    def score_batch(self, features: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    def score_batch(
+        self, features: Tensor, lengths: Tensor, *, context: Context | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Returns what `forward` does, of features (N, D)."""
+        context = self.spec.context if context is None else context
         ends = lengths.cumsum(dim=0)  # (B,)
         padded = _padded(features, ends)  # (B, T, D)
         time = torch.arange(padded.shape[1], device=padded.device)  # (T,)
         memory, _ = self.past(padded)  # (B, T, hidden_size)
         if self.future is not None:
-            if not isinstance(self.spec.context, int):
+            if not isinstance(context, int):
                 # Reversed within each length, so that padding stays last.
                 mirror = (lengths[:, None] - 1 - time).clamp(min=0)[:, :, None]  # (B, T, 1)
                 reversed_memory, _ = self.future(padded.gather(1, mirror.expand_as(padded)))  # (B, T, hidden_size)
                 ahead = reversed_memory.gather(1, mirror.expand_as(reversed_memory))
             else:
                 remaining = countdown(features) - (ends[-1] - ends).repeat_interleave(lengths)  # (N,)
-                ahead = _padded(look_ahead(self.future, features, remaining, context=self.spec.context), ends)
+                ahead = _padded(look_ahead(self.future, features, remaining, context=context), ends)
             memory = torch.cat([memory, ahead], dim=2)  # (B, T, 2 hidden_size)
         scores: Tensor = self.head(memory)  # (B, T, K)
         return scores, time < lengths[:, None]

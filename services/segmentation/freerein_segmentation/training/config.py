@@ -7,7 +7,7 @@ from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
-from freerein_segmentation.model import MAX_CONTEXT
+from freerein_segmentation.model import MAX_CONTEXT, Context
 from freerein_segmentation.objectives import OBJECTIVES
 
 
@@ -25,6 +25,8 @@ class SegmentationConfig(DatasetFitConfig):
         action_evidence: Weight of what each skill's actions tell of the labels; 0 for none.
         context: Future timesteps, one stride apart, that scores depend on, or all; 0 is the dissertation's. A finite
             number makes streams possible.
+        tag_context: Most future timesteps, one stride apart, that they depend on before the final objective, while the
+            tags alone are learned. A network that sees how a trajectory ends knows its tags before the skills begin.
         encoder: Image encoder.
         use_actions: Whether executed actions are an input.
         augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
@@ -42,6 +44,7 @@ class SegmentationConfig(DatasetFitConfig):
     switching_cost: float = bounded(1.0, least=0.0, most=100.0)
     action_evidence: float = bounded(0.0, least=0.0, most=10.0)
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
+    tag_context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     encoder: str = one_of(ENCODERS, "patch")
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
@@ -60,6 +63,18 @@ class SegmentationConfig(DatasetFitConfig):
                 field="config.action_evidence",
                 hint="Set final_objective=self_training.",
             )
+        if self.tag_context != "all" and self.final_objective == "none":
+            raise InvalidInput(
+                "`tag_context` is of fits with a final objective; got it with final_objective none.",
+                field="config.tag_context",
+                hint="Set `context` alone, or a final_objective.",
+            )
+
+    def context_at(self, step: int) -> Context:
+        """Returns how many future timesteps scores depend on at an optimiser step."""
+        if step >= self.final_from or self.tag_context == "all":
+            return self.context
+        return self.tag_context if self.context == "all" else min(self.tag_context, self.context)
 
     @property
     def final_from(self) -> int:

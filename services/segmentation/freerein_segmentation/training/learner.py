@@ -20,7 +20,7 @@ from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
@@ -84,13 +84,13 @@ class SegmentationLearner:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
         if state.step in self.config.round_starts:
             state = self._begin_round(state)
-        batch = self._gather(items.tolist(), state.generator)
-        scores, mask = state.network(batch.frames, batch.actions, batch.lengths)
+        batch, context = self._gather(items.tolist(), state.generator), self.config.context_at(state.step)
+        scores, mask = state.network(batch.frames, batch.actions, batch.lengths, context=context)
         loss = self._loss(state, step=state.step)(scores, mask, batch).mean()
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
-            again, _ = state.network(seen.frames, seen.actions, seen.lengths)
+            again, _ = state.network(seen.frames, seen.actions, seen.lengths, context=context)
             loss = loss + agreement(again[mask], scores[mask])
         return fit_step(state, loss, self.config)
 
@@ -101,12 +101,13 @@ class SegmentationLearner:
         It is a loss of their tags: the objective, or the set likelihood once the final objective is trained. Labels of
         a teacher would favour the network that agrees with itself, whatever it says.
         """
-        objective = self._tag_objective(step=max(0, state.step - 1))
+        step = max(0, state.step - 1)
+        objective, context = self._tag_objective(step=step), self.config.context_at(step)
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
         for batch in self._validation_batches():
             for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
-                scores, mask = state.network(seen.frames, seen.actions, seen.lengths)
+                scores, mask = state.network(seen.frames, seen.actions, seen.lengths, context=context)
                 losses.append(objective(scores, mask, seen.tags))
         return torch.cat(losses).mean().item()
 
@@ -157,13 +158,13 @@ class SegmentationLearner:
         The labels of a teacher make a network sure, whatever they say.
         """
         before = fitted.carried.get(_BEFORE_SELF_TRAINING)
-        return self._confidence(fitted.network) if before is None else Confidence.of(before)
+        return self._confidence(fitted.network, self.spec.context) if before is None else Confidence.of(before)
 
     @torch.no_grad()
-    def _confidence(self, network: SegmentationNetwork) -> Confidence:
+    def _confidence(self, network: SegmentationNetwork, context: Context) -> Confidence:
         highest, equal = [], []
         for batch in self._validation_batches():
-            scores, mask = network(batch.frames, batch.actions, batch.lengths)
+            scores, mask = network(batch.frames, batch.actions, batch.lengths, context=context)
             highest.append(scores[mask].softmax(dim=1).amax(dim=1))
             equal.append((1 / batch.tags.sum(dim=1)).repeat_interleave(batch.lengths))
         return Confidence(torch.cat(highest).mean().item(), torch.cat(equal).mean().item())
@@ -178,6 +179,7 @@ class SegmentationLearner:
                 device=self.device,
                 switching_cost=config.switching_cost,
                 action_evidence=config.action_evidence,
+                context=self._teacher_context(step),
             )
             return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
         objective = self._tag_objective(step=step)
@@ -194,12 +196,18 @@ class SegmentationLearner:
             (self._gather(items[at : at + size], state.generator) for at in range(0, len(items), size)),
             switching_cost=self.config.switching_cost,
             action_evidence=self.config.action_evidence,
+            context=self._teacher_context(state.step),
             generator=state.generator,
         )
         before = state.carried.get(_BEFORE_SELF_TRAINING)
         if before is None:
-            before = self._confidence(state.network).tensor
+            before = self._confidence(state.network, self._teacher_context(state.step)).tensor
         return replace(state, carried={**teacher.tensors, _BEFORE_SELF_TRAINING: before})
+
+    def _teacher_context(self, step: int) -> Context:
+        """Returns what the teacher at a step sees: as much as the network did that it was copied from."""
+        copied_at = max(start for start in self.config.round_starts if start <= step)
+        return self.config.context_at(copied_at - 1)
 
     def _gather(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
         """Returns training trajectories, each from a random phase of the stride on."""

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning import weights
-from freerein_segmentation.model import ModelSpec, SegmentationNetwork
+from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.action_model import ActionModel
 from freerein_segmentation.training.batches import TrajectoryBatch
 from freerein_segmentation.training.viterbi import viterbi
@@ -34,12 +34,14 @@ class Teacher:
         actions: The action model; None for a teacher that does not look at actions' evidence.
         switching_cost: Cost of each change of the skill, in nats.
         action_evidence: Weight of the action model's log posterior.
+        context: Future timesteps that the network sees.
     """
 
     network: SegmentationNetwork
     actions: ActionModel | None
     switching_cost: float
     action_evidence: float
+    context: Context
 
     @classmethod
     def load(
@@ -50,6 +52,7 @@ class Teacher:
         device: torch.device,
         switching_cost: float,
         action_evidence: float,
+        context: Context,
     ) -> "Teacher":
         """Returns the teacher whose `tensors` are given, on a device."""
         with torch.device("meta"):  # allocates no weights
@@ -60,7 +63,7 @@ class Teacher:
                 part.load_state_dict(found, assign=True)
                 part.to(device)
         has_actions = any(key.startswith("actions.") for key in tensors)
-        return cls(network.eval(), actions if has_actions else None, switching_cost, action_evidence)
+        return cls(network.eval(), actions if has_actions else None, switching_cost, action_evidence, context)
 
     @property
     def tensors(self) -> dict[str, Tensor]:
@@ -74,7 +77,7 @@ class Teacher:
     def label(self, batch: TrajectoryBatch) -> Tensor:
         """Returns labels, int64 (B, T), `NO_SKILL` in the padding."""
         features = self.network.features(batch.frames, batch.actions)  # (N, D)
-        scores, mask = self.network.score_batch(features, batch.lengths)
+        scores, mask = self.network.score_batch(features, batch.lengths, context=self.context)
         emissions = scores.log_softmax(dim=2)
         if self.actions is not None:
             log_likelihood = self.actions(
@@ -92,6 +95,7 @@ def begin_round(
     *,
     switching_cost: float,
     action_evidence: float,
+    context: Context,
     generator: torch.Generator,
 ) -> Teacher:
     """Returns the teacher that a network becomes; an action model, where it has weight, is fitted to `batches`."""
@@ -102,6 +106,7 @@ def begin_round(
         device=network.head.weight.device,
         switching_cost=switching_cost,
         action_evidence=action_evidence,
+        context=context,
     )
     if not action_evidence:
         return teacher
