@@ -14,6 +14,7 @@ from experiments.segmentation.methods import (
     WHOLE,
     objectives,
     ours,
+    ours_after,
     ours_from_lse,
     supervised,
 )
@@ -24,9 +25,14 @@ from experiments.segmentation.targets import Target
 
 TABLETOP, OWN_OBJECTS = "tabletop", "tabletop.only-own-objects"
 _TRAIN, _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 1_600, 16, 3, 500
-_STEPS, _TRIAL_STEPS = 6_000, 750
+_STEPS, _TRIAL_STEPS = 3_000, 750
 _FIXED_SPLIT = "fixed_split"
-_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, LOOKAHEAD), Row(OURS, LOOKAHEAD), Row(OURS, CAUSAL))
+_OURS_AFTER = ours_after(CAUSAL)
+_OURS = (
+    *(Row(OURS, context) for context in (WHOLE, LOOKAHEAD, CAUSAL)),
+    Row(OURS_FROM_LSE, LOOKAHEAD),
+    Row(_OURS_AFTER.name, WHOLE),
+)
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps, on a procedural substitute for MIME: every trajectory reaches for an object,
@@ -61,6 +67,7 @@ def _study(task: str, *, seeds: int) -> Study:
             *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
             ours(WHOLE, LOOKAHEAD, CAUSAL),
             ours_from_lse(LOOKAHEAD),
+            _OURS_AFTER,
             supervised(WHOLE, LOOKAHEAD, CAUSAL),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
