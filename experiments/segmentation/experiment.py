@@ -149,7 +149,7 @@ def _fit(learner: Learner[SegmentationNetwork], folder: Path, on_progress: Calla
 
 
 def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:
-    chosen = {"lr": config.lr, "best_step": float(fitted.best_step), "validation_loss": fitted.validation_loss}
+    chosen = {"lr": config.lr, "best_step": float(fitted.best_step), evaluation.TAG_LOSS: fitted.validation_loss}
     parts, labels = [Outcome(chosen, {})], {}
     for split in SPLITS:
         count = _evaluated(study, split)

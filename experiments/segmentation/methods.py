@@ -18,11 +18,13 @@ HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
 themselves: a copy labels trajectories within their tags, and the network learns these labels. `ours_after_causal` is
 `ours` that sees nothing of the future until it trains itself, `ours_after_lookahead-10` 10 timesteps: what sees how a
-trajectory ends knows the tags before the skills begin. Where there are several
-rows of ours, a claim is of that whose labels explain held-out actions best with the first seed, and what it is compared
-with is the row of `lse` that does: no true label chooses. A row is left out where its network had decided nothing
-before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal shares
-of the tags to certainty. A fit warns of that."""
+trajectory ends knows the tags before the skills begin.
+
+Where there are several rows of ours, the first seed chooses whose a claim is, and no true label: of `ours` in several
+contexts, and of `ours_from_lse`, the loss of held-out tags; between the two, which labels explain held-out actions
+better. The row of `lse` that ours is compared with is chosen likewise. A row is left out where its network had decided
+nothing before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal
+shares of the tags to certainty. A fit warns of that."""
 
 GUESSES_AND_INTERVALS = """\
 `random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
@@ -30,7 +32,7 @@ trajectories, the table over timesteps), `majority` always the trajectory's long
 filter over time and the merging of segments under 5 timesteps.
 
 `gap closed` is (value - lse) / (supervised in the same context - lse), where that gap is at least half a point; this
-`lse` is in the context that explains held-out actions better. Intervals are by bootstrap over seeds, then over
+`lse` is in the context with the lower loss of held-out tags. Intervals are by bootstrap over seeds, then over
 trajectories. With one seed, and for guesses, they are over trajectories only, and say nothing about other seeds."""
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from experiments.segmentation.evaluation import ACTION_LOSS, IS_DECIDED
+from experiments.segmentation.evaluation import ACTION_LOSS, IS_DECIDED, TAG_LOSS
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult
@@ -41,16 +41,23 @@ class Rows:
         return cls(rows)
 
     def chosen(self, candidates: Iterable[Row]) -> Row | None:
-        """Returns the row whose labels, of the first seed, explain held-out actions best, of those that are decided.
+        """Returns the row that is chosen without true labels, by the first seed, from those that are decided.
 
-        Where none is decided, all count. Both are label-free. None where no candidate has a result.
+        Of the rows of one objective it is that with the lowest loss of held-out tags; of several objectives, that whose
+        labels explain held-out actions best. Where no row is decided, all count. None where no candidate has a result.
         """
         found = [row for row in candidates if row in self.arms]
-        decided = [row for row in found if self._first(row).get(IS_DECIDED, 1.0)]
-        return min(decided or found, key=lambda row: self._first(row)[ACTION_LOSS]) if found else None
+        decided = [row for row in found if self._first(row).get(IS_DECIDED, 1.0)] or found
+        best: dict[str, Row] = {}
+        for row in sorted(decided, key=lambda row: self._first(row)[TAG_LOSS], reverse=True):
+            best[self._objective(row)] = row
+        return min(best.values(), key=lambda row: self._first(row)[ACTION_LOSS]) if best else None
 
     def _first(self, row: Row) -> Mapping[str, float]:
         return self.arms[row][0].figures
+
+    def _objective(self, row: Row) -> str:
+        return str(cast(Any, self.arms[row][0].config["fit"])["objective"])
 
     def mean(self, row: Row, figure: str) -> float:
         """Returns the mean of a figure over seeds."""

@@ -212,9 +212,9 @@ def rows_with(**accuracies: float) -> Rows:
             method=names[name].method,
             options={"context": names[name].context},
             seed=seed,
-            config={},
+            config={"fit": {"objective": names[name].method}},
             world_hash="",
-            figures={"validation.kept_share": accuracy, "action_loss": 1.0},
+            figures={"validation.kept_share": accuracy, "validation_loss": 1.0, "action_loss": 1.0},
             samples={TEST_ACCURACY: Sample([100 * accuracy] * 20, [100] * 20)},
             minutes=0,
             cpu_minutes=0,
@@ -227,45 +227,45 @@ def rows_with(**accuracies: float) -> Rows:
     return Rows.of(results, "dial")
 
 
-def test_of_several_contexts_that_counts_which_explains_held_out_actions_best() -> None:
-    results = [each for rows in rows_with(lse=0.9, ours=0.8, bound=1.0).arms.values() for each in rows]
-    short = [
-        replace(each, options={"context": "lookahead-5"}, figures={"action_loss": 0.5})
-        for each in results
-        if each.method == "ours"
+def rows_of(method: str, losses: dict[str, tuple[float, float]], **figures: float) -> list[ArmResult]:
+    """Returns three networks of a method in each context, with its losses of held-out tags and of actions."""
+    return [
+        replace(
+            each,
+            options={"context": context},
+            config={"fit": {"objective": method}},
+            method=method,
+            figures={"validation_loss": tags, "action_loss": actions, **figures},
+        )
+        for context, (tags, actions) in losses.items()
+        for rows in rows_with(ours=0.8).arms.values()
+        for each in rows
     ]
-    candidates = (Row("ours", "all"), Row("ours", "lookahead-5"))
-    assert Rows.of([*results, *short], "dial").chosen(candidates) == candidates[1]
-    assert Rows.of(results, "dial").chosen(candidates) == candidates[0]
-    assert Rows.of(results, "dial").chosen([Row("mil", "causal")]) is None
+
+
+def test_tags_choose_between_contexts_and_actions_between_objectives() -> None:
+    ours = rows_of("ours", {"all": (0.2, 1.0), "lookahead-5": (0.1, 1.1)})
+    others = rows_of("ours_from_lse", {"all": (0.5, 1.2), "causal": (0.6, 0.9)})
+    rows = Rows.of([*ours, *others], "dial")
+    assert rows.chosen(rows.arms) == Row("ours", "lookahead-5")
+    assert rows.chosen([Row("ours", "all"), Row("ours_from_lse", "causal")]) == Row("ours_from_lse", "causal")
+    assert rows.chosen([Row("mil", "causal")]) is None
 
 
 def test_a_row_that_was_undecided_before_self_training_counts_only_where_all_are() -> None:
-    results = [each for rows in rows_with(lse=0.9, ours=0.8).arms.values() for each in rows]
-    undecided = [
-        replace(each, options={"context": context}, figures={"action_loss": loss, "is_decided": 0.0})
-        for context, loss in {"all": 0.5, "lookahead-5": 0.6}.items()
-        for each in results
-        if each.method == "ours"
-    ]
-    whole, short, decided = Row("ours", "all"), Row("ours", "lookahead-5"), Row("lse", "causal")
+    undecided = rows_of("ours", {"all": (0.5, 0.5), "lookahead-5": (0.6, 0.6)}, is_decided=0.0)
+    whole, short, decided = Row("ours", "all"), Row("ours", "lookahead-5"), Row("ours_from_lse", "causal")
     assert Rows.of(undecided, "dial").chosen((short, whole)) == whole
-    assert Rows.of([*results, *undecided[3:]], "dial").chosen((short, decided)) == decided
+    rows = Rows.of([*undecided, *rows_of("ours_from_lse", {"causal": (0.9, 0.9)})], "dial")
+    assert rows.chosen((short, whole, decided)) == decided
 
 
-def test_ours_is_compared_with_the_row_of_the_dissertations_method_that_explains_held_out_actions_best() -> None:
-    results = [each for rows in rows_with(lse=0.6, ours=0.8).arms.values() for each in rows]
+def test_ours_is_compared_with_the_row_of_the_dissertations_method_that_knows_tags_best() -> None:
     whole = [
-        replace(
-            each,
-            options={"context": "all"},
-            figures={"action_loss": 0.5},
-            samples={TEST_ACCURACY: Sample([70] * 20, [100] * 20)},
-        )
-        for each in results
-        if each.method == "lse"
+        replace(each, samples={TEST_ACCURACY: Sample([70] * 20, [100] * 20)})
+        for each in rows_of("lse", {"all": (0.5, 1.1)})
     ]
-    rows = Rows.of([*results, *whole], "dial")
+    rows = Rows.of([*(each for row in rows_with(lse=0.6, ours=0.8).arms.values() for each in row), *whole], "dial")
     assert rows.baseline(Row("ours", "all"), TEST_ACCURACY) == pytest.approx(70)
     assert rows.baseline(Row("lse", "causal"), TEST_ACCURACY) is None
 
