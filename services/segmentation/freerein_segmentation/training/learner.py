@@ -1,5 +1,6 @@
 """The learner of the segmentation network."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -190,24 +191,31 @@ class SegmentationLearner:
 
     def _begin_round(self, state: State) -> State:
         items = torch.randperm(self.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
-        size = self.config.batch_size
+        size, context = self.config.batch_size, self._teacher_context(state.step)
         teacher = begin_round(
             state.network,
             (self._gather(items[at : at + size], state.generator) for at in range(0, len(items), size)),
             switching_cost=self.config.switching_cost,
             action_evidence=self.config.action_evidence,
-            context=self._teacher_context(state.step),
+            context=context,
+            log_share=self._log_share() if context != self.spec.context else None,
             generator=state.generator,
         )
         before = state.carried.get(_BEFORE_SELF_TRAINING)
         if before is None:
-            before = self._confidence(state.network, self._teacher_context(state.step)).tensor
+            before = self._confidence(state.network, context).tensor
         return replace(state, carried={**teacher.tensors, _BEFORE_SELF_TRAINING: before})
 
     def _teacher_context(self, step: int) -> Context:
         """Returns what the teacher at a step sees: as much as the network did that it was copied from."""
         copied_at = max(start for start in self.config.round_starts if start <= step)
         return self.config.context_at(copied_at - 1)
+
+    def _log_share(self) -> Tensor:
+        """Returns the logarithm of the share of training trajectories that have each skill, float32 (K,)."""
+        counts = Counter(skill for skills in self.training.skills for skill in skills)
+        shares = [max(1, counts[skill]) / self.size for skill in self.spec.skills]
+        return torch.tensor(shares, device=self.device).log()
 
     def _gather(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
         """Returns training trajectories, each from a random phase of the stride on."""

@@ -24,6 +24,8 @@ _LEAST_EVIDENCE = -5.0
 
 _STEPS, _BATCH, _LR = 300, 256, 3e-3
 
+_LOG_SHARE = "log_share"
+
 
 @dataclass(frozen=True, eq=False)
 class Teacher:
@@ -35,6 +37,7 @@ class Teacher:
         switching_cost: Cost of each change of the skill, in nats.
         action_evidence: Weight of the action model's log posterior.
         context: Future timesteps that the network sees.
+        log_share: Logarithm of each skill's share of trajectories, float (K,), which is taken off its scores, or None.
     """
 
     network: SegmentationNetwork
@@ -42,6 +45,7 @@ class Teacher:
     switching_cost: float
     action_evidence: float
     context: Context
+    log_share: Tensor | None
 
     @classmethod
     def load(
@@ -63,7 +67,14 @@ class Teacher:
                 part.load_state_dict(found, assign=True)
                 part.to(device)
         has_actions = any(key.startswith("actions.") for key in tensors)
-        return cls(network.eval(), actions if has_actions else None, switching_cost, action_evidence, context)
+        return cls(
+            network.eval(),
+            actions if has_actions else None,
+            switching_cost,
+            action_evidence,
+            context,
+            tensors.get(_LOG_SHARE),
+        )
 
     @property
     def tensors(self) -> dict[str, Tensor]:
@@ -71,7 +82,8 @@ class Teacher:
         parts: dict[str, nn.Module] = {"network": self.network}
         if self.actions is not None:
             parts["actions"] = self.actions
-        return {f"{part}.{name}": tensor for part in parts for name, tensor in parts[part].state_dict().items()}
+        tensors = {f"{part}.{name}": tensor for part in parts for name, tensor in parts[part].state_dict().items()}
+        return tensors if self.log_share is None else {**tensors, _LOG_SHARE: self.log_share}
 
     @torch.no_grad()
     def label(self, batch: TrajectoryBatch) -> Tensor:
@@ -79,6 +91,8 @@ class Teacher:
         features = self.network.features(batch.frames, batch.actions)  # (N, D)
         scores, mask = self.network.score_batch(features, batch.lengths, context=self.context)
         emissions = scores.log_softmax(dim=2)
+        if self.log_share is not None:
+            emissions = emissions - self.log_share
         if self.actions is not None:
             log_likelihood = self.actions(
                 features[:, : self.network.image.size], self.network.spec.scaled(batch.actions)
@@ -96,10 +110,18 @@ def begin_round(
     switching_cost: float,
     action_evidence: float,
     context: Context,
+    log_share: Tensor | None,
     generator: torch.Generator,
 ) -> Teacher:
-    """Returns the teacher that a network becomes; an action model, where it has weight, is fitted to `batches`."""
+    """Returns the teacher that a network becomes; an action model, where it has weight, is fitted to `batches`.
+
+    `log_share` is for a network that sees less of the future than the one that learns its labels. By Bayes' rule,
+    P(y_t | x, tags) is as P(y_t | x) P(tags | y_t, x). What the network cannot tell from x yet is as likely as it is
+    among the trajectories with the skill: each has one over their number.
+    """
     tensors = {f"network.{name}": tensor.detach().clone() for name, tensor in network.state_dict().items()}
+    if log_share is not None:
+        tensors[_LOG_SHARE] = log_share
     teacher = Teacher.load(
         tensors,
         network.spec,
