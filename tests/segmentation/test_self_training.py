@@ -15,12 +15,13 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_segmentation.model import Context, ModelSpec
+from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.action_model import ActionModel
 from freerein_segmentation.objectives.labels import NO_SKILL, label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training import SegmentationConfig, held_out_action_loss
-from freerein_segmentation.training.self_training import action_posterior
+from freerein_segmentation.training.batches import TrajectoryBatch
+from freerein_segmentation.training.self_training import Teacher, action_posterior, begin_round
 from freerein_segmentation.training.viterbi import viterbi
 
 B, T, K = 3, 6, 4
@@ -142,6 +143,32 @@ def test_less_of_the_future_may_be_seen_while_tags_are_learned(
 def test_a_context_for_tags_needs_something_to_learn_after_them() -> None:
     with pytest.raises(InvalidInput, match="final objective"):
         SegmentationConfig(tag_context=0)
+
+
+@pytest.mark.parametrize(("bias", "expected"), [(1.5, 1), (1.7, 0)])
+def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_the_skill(
+    bias: float, expected: int
+) -> None:
+    spec = ModelSpec(
+        skills=("always", "in a fifth"), cameras=(Camera("front", 4, 4, 1),), action=ActionSpec(1, 0, ("x",))
+    )
+    network = SegmentationNetwork(spec)
+    for name, tensor in network.head.named_parameters():
+        torch.nn.init.zeros_(tensor)
+        if name == "bias":
+            tensor.data[0] = bias  # log 5 = 1.61
+    settings = {"switching_cost": 1.0, "action_evidence": 0.0, "context": 0}
+    log_share = torch.tensor([1.0, 0.2]).log()
+    teacher = begin_round(network, [], log_share=log_share, generator=torch.Generator(), **settings)
+    batch = TrajectoryBatch(
+        {"front": torch.zeros(3, 4, 4, 1, dtype=torch.uint8)},
+        torch.zeros(3, 1),
+        torch.tensor([3]),
+        torch.ones(1, 2) > 0,
+    )
+    assert teacher.label(batch).tolist() == [[expected] * 3]
+    loaded = Teacher.load(teacher.tensors, spec, device=torch.device("cpu"), **settings)
+    assert loaded.label(batch).tolist() == [[expected] * 3]
 
 
 def walks(count: int, *, seed: int) -> tuple[Trajectories, list[npt.NDArray[np.int64]]]:
