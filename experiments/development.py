@@ -9,6 +9,7 @@ from experiments.segmentation.methods import (
     LEARNING_RATES,
     WHOLE,
     objectives,
+    ours_after,
     ours_from_lse,
     supervised,
 )
@@ -29,7 +30,8 @@ trials {_TRIAL_STEPS}), and differ in
 
 After half of the steps, some rows go on from `lse_per_timestep` with another objective: `set_likelihood`, or
 `self_training` on labels within the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps
-and 6 rounds for it. `ours_from_lse` is `self_training_1` with `lse` in the place of `lse_per_timestep`.
+and 6 rounds for it. `ours_from_lse` is `self_training_1` with `lse` in the place of `lse_per_timestep`,
+`ours_after_causal` is `self_training_1` that sees nothing of the future before.
 
 {GUESSES_AND_INTERVALS}
 """
@@ -54,6 +56,7 @@ EXPERIMENT = SegmentationExperiment(
                 _then("self_training_0.3", "self_training", action_evidence=0.3),
                 _then("self_training_1", "self_training", action_evidence=1.0),
                 ours_from_lse(),
+                ours_after(CAUSAL),
                 _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
             ),
             seeds=1,
