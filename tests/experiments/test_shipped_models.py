@@ -7,7 +7,7 @@ from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein_segmentation.model.segmentation_model import load
 
 STORE = ModelStore(CLONE_MODELS / "segmentation")
-SKILLS = {"bins": 4, "dial": 5, "grid": 5}
+SKILLS = {"bins": 4, "dial": 5, "grid": 5, "tabletop": 2}
 """Skills of each demonstration: as many as in the world's test set."""
 
 
