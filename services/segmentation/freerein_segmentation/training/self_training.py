@@ -67,13 +67,9 @@ class Teacher:
                 part.load_state_dict(found, assign=True)
                 part.to(device)
         has_actions = any(key.startswith("actions.") for key in tensors)
+        log_share = tensors[_LOG_SHARE].to(device) if _LOG_SHARE in tensors else None
         return cls(
-            network.eval(),
-            actions if has_actions else None,
-            switching_cost,
-            action_evidence,
-            context,
-            tensors.get(_LOG_SHARE),
+            network.eval(), actions if has_actions else None, switching_cost, action_evidence, context, log_share
         )
 
     @property
