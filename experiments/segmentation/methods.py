@@ -22,7 +22,7 @@ trajectory ends knows the tags before the skills begin.
 
 Where there are several rows of ours, the first seed chooses whose a claim is, and no true label: of `ours` in several
 contexts, and of `ours_from_lse`, the loss of held-out tags; between the two, which labels explain held-out actions
-better. The row of `lse` that ours is compared with is chosen likewise. A row is left out where its network had decided
+better. A row is left out where its network had decided
 nothing before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal
 shares of the tags to certainty. A fit warns of that."""
 
@@ -32,8 +32,9 @@ trajectories, the table over timesteps), `majority` always the trajectory's long
 filter over time and the merging of segments under 5 timesteps.
 
 `gap closed` is (value - lse) / (supervised in the same context - lse), where that gap is at least half a point; this
-`lse` is in the context with the lower loss of held-out tags. Intervals are by bootstrap over seeds, then over
-trajectories. With one seed, and for guesses, they are over trajectories only, and say nothing about other seeds."""
+`lse` is the dissertation's, which is causal. In other contexts it is a row of its own, and may do better. Intervals are
+by bootstrap over seeds, then over trajectories. With one seed, and for guesses, they are over trajectories only, and
+say nothing about other seeds."""
 
 
 def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tuple[Method, ...]:

@@ -96,7 +96,7 @@ class Target:
             yield f"{value:.2f} is not above {above:g}"
         baseline = rows.baseline(self.row(rows), self.figure)
         if baseline is None:
-            yield f"no result of {BASELINE}"
+            yield f"no result of {BASELINE.method}"
         elif baseline < above - _CLOSE_TO_DISSERTATION:
             yield f"the dissertation's method has {baseline:.2f} here, more than 5 points under {above:g}"
 
