@@ -66,3 +66,16 @@ def test_tests_need_both_ways_to_render_and_the_services_one(
     tree: Path, kind: str, missing: tuple[str, ...], expected: set[str]
 ) -> None:
     assert asked_for(tree, kind, missing=missing) == expected
+
+
+def test_a_python_that_is_named_and_unsupported_is_not_replaced_by_another(tree: Path) -> None:
+    python = shutil.which("false")
+    ended = subprocess.run(
+        [tree / "tools" / "setup"],
+        env={**os.environ, "PYTHON": str(python)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert f"was not found; tried: {python}." in ended.stderr
