@@ -15,6 +15,7 @@ from experiments.segmentation.methods import (
     WHOLE,
     objectives,
     ours,
+    ours_after,
     ours_from_lse,
     supervised,
 )
@@ -24,7 +25,13 @@ from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 
 DIAL, BINS = "dial", "bins"
-_OURS = (Row(OURS, WHOLE), Row(OURS_FROM_LSE, WHOLE), Row(OURS, LOOKAHEAD))
+_OURS_AFTER = (ours_after(CAUSAL), ours_after(LOOKAHEAD))
+_OURS = (
+    Row(OURS, WHOLE),
+    Row(OURS_FROM_LSE, WHOLE),
+    Row(OURS, LOOKAHEAD),
+    *(Row(method.name, WHOLE) for method in _OURS_AFTER),
+)
 _TRAIN = {DIAL: 2_000, BINS: 1_000}
 _STEPS, _TRIAL_STEPS = 4_000, 1_000
 _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 16, 3, 500
@@ -62,6 +69,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
             *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
             ours(WHOLE, LOOKAHEAD),
             ours_from_lse(),
+            *_OURS_AFTER,
             supervised(WHOLE, LOOKAHEAD),
             *objectives("lse_per_timestep", contexts=(WHOLE,)),
             *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
