@@ -11,7 +11,15 @@ EXPERIMENT = SegmentationExperiment(
             data=DatasetSpec("grid", train=SplitSpec(24, 2, 4), validation=SplitSpec(6, 2, 4), test=SplitSpec(6, 5, 5)),
             methods=(Method("lse", ("causal",), {"objective": "lse"}), Method(SUPERVISED, ("causal",))),
             seeds=2,
-            settings={"steps": 24, "batch_size": 4, "evaluate_every": 4, "checkpoint_every": 2, "log_every": 2},
+            settings={
+                "encoder": "principal",  # the cheapest: the evaluation clones actions with it
+                "features": 8,
+                "steps": 24,
+                "batch_size": 4,
+                "evaluate_every": 4,
+                "checkpoint_every": 2,
+                "log_every": 2,
+            },
             train_evaluated=8,
         ),
     ),
