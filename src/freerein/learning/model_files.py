@@ -5,13 +5,14 @@
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import nn
+from torch.overrides import TorchFunctionMode
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput
@@ -69,9 +70,9 @@ def load_model(
         InvalidInput: A file is missing or malformed.
     """
     spec = _spec(read_card(folder, names=names), spec_class)
-    with torch.device("meta"):  # allocates no weights
-        network = make(spec)
     try:
+        with _WithoutInitialisation():
+            network = make(spec)
         weights = tensor_files.parse((folder / names.weights).read_bytes())
         own = network.state_dict()
         if any(name in own and tensor.dtype != own[name].dtype for name, tensor in weights.items()):
@@ -100,6 +101,20 @@ def choose_device(device: str) -> torch.device:
     """Returns the device of a name; `auto` is CUDA when available, else the CPU."""
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     return torch.device(chosen)
+
+
+class _WithoutInitialisation(TorchFunctionMode):
+    """Leaves new weights as they are, untouched memory: those of a file take their place.
+
+    The device `meta` would do as much, but its Python kernels import torch's compiler: a second, and 75 MB.
+    """
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
+    ) -> Any:
+        if getattr(func, "__module__", "") == nn.init.__name__:
+            return kwargs["tensor"] if kwargs else args[0]
+        return func(*args, **(kwargs or {}))
 
 
 def _spec(card: Mapping[str, Any], spec_class: type[C]) -> C:
