@@ -1,5 +1,6 @@
 """Runs survive: real workers and real children are killed, and every run ends as what it is, nothing done twice."""
 
+import contextlib
 import json
 import os
 import resource
@@ -342,7 +343,7 @@ def test_the_database_holds_json_and_no_pickle_and_nobody_is_called(begin):
     worker.watch(run_id)
     assert psutil.Process(worker.process.pid).net_connections("inet") == []
     worker.end(signal.SIGTERM)
-    with sqlite3.connect(worker.runs / "runs.sqlite") as database:
+    with contextlib.closing(sqlite3.connect(worker.runs / "runs.sqlite")) as database:
         rows = database.execute("SELECT serialization, output FROM operation_outputs").fetchall()
         inputs = database.execute("SELECT serialization FROM workflow_status").fetchall()
     assert {row[0] for row in rows + inputs} == {"portable_json"}
