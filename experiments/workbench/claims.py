@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from experiments.workbench.results import Sample
 
@@ -67,6 +66,8 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
 
     With one seed it is over its trials, and says nothing about other seeds.
     """
+    from scipy import stats  # half a second, which processes of arms do without
+
     arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
 
     def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
