@@ -194,6 +194,7 @@ def make_server(
         access_log=False,
         log_config=None,
         server_header=False,
+        proxy_headers=False,
         timeout_graceful_shutdown=int(limits.drain_s),
         ssl_certfile=cert,
         ssl_keyfile=key,
