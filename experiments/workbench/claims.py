@@ -71,8 +71,7 @@ def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[fl
     arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
 
     def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
-        resampled = (rng.choice(arrays[seed], arrays[seed].shape[1], axis=1) for seed in seeds)
-        return float(np.mean([_ratio(*each) for each in resampled]))
+        return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
 
     options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "rng": rng}
     if len(arrays) > 1:
@@ -107,7 +106,13 @@ def _resampled(samples: Sequence[Sample], rng: np.random.Generator) -> float:
         np.array([each.totals, each.counts], np.float64)
         for each in [samples[i] for i in rng.integers(len(samples), size=len(samples))]
     ]
-    return float(np.mean([_ratio(*rng.choice(each, each.shape[1], axis=1)) for each in chosen]))
+    return float(np.mean([_resampled_ratio(each, rng) for each in chosen]))
+
+
+def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> Any:
+    """Returns the ratio over resampled trials of a sample (2, trials): totals and counts."""
+    trials = sample.shape[1]
+    return _ratio(*sample.take(rng.integers(trials, size=trials), axis=1))  # as rng.choice draws them, sooner
 
 
 def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:
