@@ -112,8 +112,8 @@ def _resampled(samples: Sequence[Sample], rng: np.random.Generator) -> float:
 def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> Any:
     """Returns the ratio over resampled trials of a sample (2, trials): totals and counts."""
     trials = rng.integers(sample.shape[1], size=sample.shape[1])  # as rng.choice draws them, sooner
-    resampled: npt.NDArray[np.float64] = sample.take(trials, axis=1)
-    return _ratio(*resampled)
+    totals, counts = np.take(sample, trials, axis=1)
+    return _ratio(totals, counts)
 
 
 def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:
