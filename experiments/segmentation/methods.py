@@ -17,7 +17,7 @@ method is `lse` with the causal context; it has a learning rate of 1e-4 and give
 HOW_OURS = """\
 `ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
 themselves: a copy labels trajectories within their tags, and the network learns these labels. `ours_after_causal` is
-`ours` that sees nothing of the future until it trains itself, `ours_after_lookahead-10` 10 timesteps: what sees how a
+`ours` that sees nothing of the future until it trains itself, `ours_after_lookahead-L` L timesteps: what sees how a
 trajectory ends knows the tags before the skills begin.
 
 Where there are several rows of ours, the first seed chooses whose a claim is, and no true label: of `ours` in several
