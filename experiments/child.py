@@ -4,11 +4,6 @@ FOLDER holds `config.json`: names of experiment and arm, folders of results and 
 FOLDER, the result to the folder of results. Exit codes are those of `freerein.jobs.child`.
 """
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -64,6 +59,4 @@ def _result(experiment: Experiment, arm: Arm, outcome: Outcome, elapsed: Elapsed
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(main(Path(sys.argv[1])))

@@ -63,7 +63,7 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     """Starts `python -m module` and returns when it listens."""
     log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
     data_dir.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", module]
+    command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", "freerein.program", module]
     settings = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir), **environ}
     with log.open("wb") as stderr:
         process = subprocess.Popen(

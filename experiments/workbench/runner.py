@@ -116,7 +116,7 @@ def _locked(folder: Path, should_stop: Callable[[], bool]) -> Iterator[int | Non
 def _run_child(folder: Path, lock: int, should_stop: Callable[[], bool]) -> Ending:
     """Returns how the child process of an arm ended; it ends with this process."""
     with subprocess.Popen(
-        [sys.executable, "-m", "experiments.child", str(folder)],
+        [sys.executable, "-m", "freerein.program", "experiments.child", str(folder)],
         stdin=subprocess.PIPE,
         env={**KEEP_FREED_MEMORY, **os.environ},
         pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next

@@ -5,11 +5,6 @@ observation of its brightness. The policy remembers all that it saw and did, so 
 and its weights are drawn from the seed in its file, so that no two versions have one answer.
 """
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # as the services do, until their modules are loaded
-
 import json
 import time
 from collections.abc import Callable
@@ -101,6 +96,4 @@ def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, he
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(run(NAME, LearnedSettings, build_faulty))

@@ -3,11 +3,6 @@
 The file `lies` in its data directory says which nonsense to answer, and how often: `nan 3`.
 """
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # as the services do, until their modules are loaded
-
 import asyncio
 import sys
 from collections.abc import Awaitable, Callable
@@ -72,6 +67,4 @@ def build_lying(settings: RewardSettings, limits: Limits, metrics: Metrics, heal
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(run(NAME, RewardSettings, build_lying))

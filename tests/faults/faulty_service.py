@@ -4,11 +4,6 @@ The first pixel of a trajectory is (which fault, hundredths of a second to take,
 whether its first pixel's brightness is odd, so that every right answer can be told from a wrong one.
 """
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # as the services do, until their modules are loaded
-
 import json
 import logging
 import os
@@ -100,8 +95,6 @@ def write_down_what_is_touched(path: str) -> None:
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     if audit := os.environ.get("FAULTY_AUDIT"):
         write_down_what_is_touched(audit)
     raise SystemExit(run(NAME, LearnedSettings, build_faulty))

@@ -1,10 +1,5 @@
 """The imitation service as a process: `python -m freerein_imitation`."""
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -72,6 +67,4 @@ def _warm_up(policy: Policy) -> Policy:
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(run(NAME, LearnedSettings, build))

@@ -1,10 +1,5 @@
 """The orchestrator as a process: `python -m freerein_orchestrator`."""
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 import os
 import sys
 from collections.abc import Mapping
@@ -71,8 +66,6 @@ def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolve
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     code = run(NAME, OrchestratorSettings, build)
     sys.stdout.flush()
     os._exit(code)  # `sys.exit` would wait for threads of DBOS, which wait for as long as a database is away

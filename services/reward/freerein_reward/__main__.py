@@ -1,10 +1,5 @@
 """The reward service as a process: `python -m freerein_reward`."""
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -99,6 +94,4 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(run(NAME, RewardSettings, build))

@@ -3,19 +3,12 @@
 GROUNDING_FOLDER holds a version of the grounding model and is named after it. Captions are cached in FOLDER.
 """
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 import sys
 from pathlib import Path
 
 from freerein_reward.methods import METHODS
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     folder, data_dir, device, grounding = sys.argv[1:]
     raise SystemExit(
         METHODS.run_fit(Path(folder), Path(data_dir), device, grounding=Path(grounding), captions=Path(folder))

@@ -1,10 +1,5 @@
 """The segmentation service as a process: `python -m freerein_segmentation`."""
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,6 +54,4 @@ def _warm(loaded: SkillModel) -> SkillModel:
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(run(NAME, LearnedSettings, build))

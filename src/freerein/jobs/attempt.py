@@ -68,7 +68,7 @@ class AttemptRunner:
         self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden_env: Sequence[str] = ()
     ) -> None:
         self._store = store
-        self._command = (sys.executable, "-m", module)
+        self._command = (sys.executable, "-m", "freerein.program", module)
         self._arguments = arguments
         self._hidden_env = hidden_env
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from freerein import program
 from freerein.atomic_files import storage_errors
 from freerein.errors import ServiceError
 
@@ -31,6 +32,7 @@ def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
     Returns:
         The exit code: 0, `STOPPED`, `PERMANENT_FAILURE` or `OUT_OF_STORAGE`.
     """
+    program.loaded()
     die_with_parent()
     try:
         with storage_errors():

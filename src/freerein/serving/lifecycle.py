@@ -20,6 +20,7 @@ import grpc
 import uvloop
 from pydantic import ValidationError
 
+from freerein import program
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, ServiceError, Unimplemented
 from freerein.ports import PORTS, Ports
 from freerein.serving import logs
@@ -78,6 +79,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> int:
 
     No thread is waited for at the end: one may be in a decoder or a model that hangs.
     """
+    program.loaded()
     logs.configure(name)
     try:
         settings = settings_class()

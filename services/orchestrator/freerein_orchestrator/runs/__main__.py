@@ -1,10 +1,5 @@
 """The process of a run: `python -m freerein_orchestrator.runs FOLDER DATA_DIR DEVICE`."""
 
-import gc
-
-if __name__ == "__main__":
-    gc.disable()  # modules stay: to look for garbage among their objects takes a fifth of the start
-
 import os
 import sys
 from collections.abc import Mapping
@@ -44,6 +39,4 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
 
 
 if __name__ == "__main__":
-    gc.freeze()
-    gc.enable()
     raise SystemExit(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))

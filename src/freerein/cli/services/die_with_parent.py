@@ -6,21 +6,21 @@ the fork of a process with threads, which can deadlock. A kill loses nothing: se
 
 import ctypes
 import os
-import runpy
 import signal
 import sys
+
+from freerein import program
 
 _PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
     """Sets the parent death signal, then runs the module."""
-    parent, module = int(sys.argv[1]), sys.argv[2]
+    parent = int(sys.argv.pop(1))
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         sys.exit(1)  # the parent ended before the signal was set
-    sys.argv[1:] = []
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    program.main()
 
 
 if __name__ == "__main__":
