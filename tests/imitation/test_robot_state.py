@@ -21,6 +21,7 @@ from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput
 from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.model_files import read_card
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -154,6 +155,20 @@ def error_of(policy: SkillCloningPolicy, *, with_state: bool) -> float:
 def test_a_state_tells_the_action_where_images_do_not(model: Path, blind: SkillCloningPolicy) -> None:
     assert error_of(SkillCloningPolicy.load(model, "cpu"), with_state=True) < 0.25
     assert error_of(blind, with_state=False) > 0.9
+
+
+def test_states_in_other_units_are_flagged_and_others_of_its_constants_are_not(model: Path) -> None:
+    policy, rng, count = SkillCloningPolicy.load(model, "cpu"), np.random.default_rng(4), 200
+    seen, state = {"front": frames(rng, count)}, states(rng, count)
+    start = np.zeros((count, 1), np.float32), np.zeros((count, policy.spec.recurrent_size), np.float32)
+    goals, in_another_mode = policy.encode_goals(["towards"] * count), state.copy()
+    in_another_mode[:, 1] = -1e6
+
+    def flagged(given: Floats) -> float:
+        return float((policy.step(seen, goals, *start, given).in_distribution < FLAGGED).mean())
+
+    assert flagged(state) == flagged(in_another_mode) < 0.2
+    assert flagged(np.radians(state).astype(np.float32)) == 1.0
 
 
 def test_the_card_says_that_the_state_was_used(model: Path) -> None:

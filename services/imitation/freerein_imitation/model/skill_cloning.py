@@ -114,6 +114,7 @@ class SkillCloningNetwork(nn.Module):
         if spec.robot_state_size:  # others have the weights that they had before there was a state
             self.register_buffer("robot_state_mean", torch.zeros(spec.robot_state_size))
             self.register_buffer("robot_state_scale", torch.ones(spec.robot_state_size))
+            self.robot_state_in_distribution = InDistribution(spec.robot_state_size)
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Frames, actions: Tensor, *, generator: torch.Generator) -> None:
@@ -148,8 +149,26 @@ class SkillCloningNetwork(nn.Module):
         seen: Tensor = self.encoder(frames)
         if robot_state is None:
             return seen
-        felt = (robot_state - self.robot_state_mean) * self.robot_state_scale
-        return torch.cat([seen, felt.clamp(-_MOST_DEVIATION, _MOST_DEVIATION)], dim=1)
+        felt = self.standardised(robot_state).clamp(-_MOST_DEVIATION, _MOST_DEVIATION)
+        return torch.cat([seen, felt], dim=1)
+
+    def standardised(self, robot_state: Tensor) -> Tensor:
+        """Returns states, float32 (N, S), in deviations from their mean; numbers that do not vary are 0."""
+        return (robot_state - self.robot_state_mean) * self.robot_state_scale
+
+    def confidence(self, ended: Tensor, robot_state: Tensor | None) -> Tensor:
+        """Returns how sure answers are, float32 (N,): of the end, but no more than the state is like held-out ones.
+
+        Args:
+            ended: Probability that the skill has ended, float32 (N,).
+            robot_state: float32 (N, S); None where S is 0.
+        """
+        sure = confidence(ended)
+        if robot_state is None:
+            return sure
+        score = self.robot_state_in_distribution
+        familiarity: Tensor = score(score.distance(self.standardised(robot_state)), torch.ones_like(sure))
+        return torch.minimum(sure, familiarity)
 
     def forward(
         self, features: Tensor, skill: Tensor, earlier: Tensor, is_known: Tensor, executed: Tensor
@@ -229,15 +248,17 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         network, seen, skill = self._network, self._tensors(frames), self._tensor(goals)
         executed = network.encode_actions(self._tensor(previous))
         memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
-        features = network.encode(seen, None if robot_state is None else self._tensor(robot_state))
+        felt = None if robot_state is None else self._tensor(robot_state)
+        features = network.encode(seen, felt)
         chunk, termination = network(features, skill, memory.features, memory.is_known, memory.actions)
         ended, score = termination.sigmoid(), network.in_distribution
+        familiarity = score(score.distance(image_statistics(seen)), network.confidence(ended, felt))
         later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)
         return PolicyOutput(
             actions=self._actions(averaged).cpu().numpy(),
             reached=(later.ended if self.spec.predicts_reached else torch.zeros_like(ended)).cpu().numpy(),
             recurrent=later.flat().cpu().numpy(),
-            in_distribution=score(score.distance(image_statistics(seen)), confidence(ended)).cpu().numpy(),
+            in_distribution=familiarity.cpu().numpy(),
         )
 
     def _predicted(self, chunk: Tensor) -> Tensor:

@@ -21,7 +21,6 @@ from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
-from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningSpec
 from freerein_imitation.model.skill_memory import averaged_end
 from freerein_imitation.training.frame_features import sampled_statistics
@@ -212,7 +211,22 @@ class SkillCloningLearner:
             }
             statistics.append(image_statistics(frames))
         reached = torch.cat([each[: seg.stop - seg.start] for each, seg in zip(ends, self.held_out, strict=True)])
-        network.in_distribution.fit(known.to(self.device), torch.cat(statistics).to(self.device), confidence(reached))
+        felt = self._calibrate_robot_state(network) if self.spans.robot_states else None
+        network.in_distribution.fit(
+            known.to(self.device), torch.cat(statistics).to(self.device), network.confidence(reached, felt)
+        )
+
+    def _calibrate_robot_state(self, network: SkillCloningNetwork) -> Tensor:
+        """Fits the score of the robot's state; returns the states of held-out segments, float32 (N, S)."""
+        states = self.spans.robot_states
+        known = self._tensor(np.concatenate([states[item] for item in self._shown_items()]))
+        held_out = self._tensor(
+            np.concatenate([states[each.trajectory][each.start : each.stop] for each in self.held_out])
+        )
+        network.robot_state_in_distribution.fit(
+            network.standardised(known), network.standardised(held_out), torch.ones(len(held_out), device=self.device)
+        )
+        return held_out
 
     @torch.no_grad()
     def termination_threshold(self, network: SkillCloningNetwork) -> float:
