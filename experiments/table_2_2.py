@@ -25,7 +25,7 @@ from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 
 DIAL, BINS = "dial", "bins"
-_OURS_AFTER = (ours_after(CAUSAL), ours_after(LOOKAHEAD))
+_OURS_AFTER = (ours_after(CAUSAL), ours_after(LOOKAHEAD), ours_after("lookahead-10"))
 _OURS = (
     Row(OURS, WHOLE),
     Row(OURS_FROM_LSE, WHOLE),
