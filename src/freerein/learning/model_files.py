@@ -106,7 +106,7 @@ def choose_device(device: str) -> torch.device:
 class _WithoutInitialisation(TorchFunctionMode):
     """Leaves new weights as they are, untouched memory: those of a file take their place.
 
-    The device `meta` would do as much, but its Python kernels import torch's compiler: a second, and 75 MB.
+    The device `meta` would do as much, but its Python kernels import torch's compiler: a second, and 70 MB.
     """
 
     def __torch_function__(
