@@ -164,6 +164,16 @@ async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: Model
     assert error.value.hint == "Fit one: freerein fit toy"
 
 
+async def test_a_call_that_names_no_active_model_is_told_which_are(
+    store: ModelStore, publish: Publish, models: ModelCache[str]
+) -> None:
+    store.activate(publish("a", "x"))
+    publish("b", "inactive")
+    with pytest.raises(FailedPrecondition) as error:
+        await models.resolve(ModelRef())
+    assert error.value.hint == "Name one that is: x. Or fit one: freerein fit toy"
+
+
 async def test_any_version_can_be_asked_for_by_name(publish: Publish, models: ModelCache[str]) -> None:
     first, second = publish("a", "x"), publish("b", "x")
     assert [(await models.resolve(ref))[1] for ref in (first, second)] == ["a", "b"]

@@ -23,6 +23,7 @@ _log = logging.getLogger(__name__)
 M = TypeVar("M")
 
 _MAX_INACTIVE = 4
+_MAX_NAMED = 8
 
 
 class ModelCache(Generic[M]):
@@ -71,7 +72,7 @@ class ModelCache(Generic[M]):
             raise FailedPrecondition(
                 "The request needs an active model; none of that name is active.",
                 field="model",
-                hint=f"Fit one: {self._fit_command}",
+                hint=self._hint(),
             )
         full_ref = ModelRef(name, version)
         return full_ref, await self._get(full_ref)
@@ -110,6 +111,12 @@ class ModelCache(Generic[M]):
                 self._evict()
         self._loaded.move_to_end(ref)
         return self._loaded[ref]
+
+    def _hint(self) -> str:
+        """Returns how to name an active model, where there are some, or to fit one."""
+        active = [name for name in self._store.names() if self._store.active_version(name)]
+        named = f"Name one that is: {', '.join(active[:_MAX_NAMED])}. Or fit" if active else "Fit"
+        return f"{named} one: {self._fit_command}"
 
     def _evict(self) -> None:
         """Drops the least recently used inactive models above the limit; active models always stay in memory."""
