@@ -18,7 +18,10 @@ TEXTS = {side: f"a yellow block to the {side} of a green block" for side in SIDE
 SHIPPED_TEACHERS = ("yellow-right-of-green",)
 """Shipped policies that teach beside the one that the demo learns."""
 
-REWARD_MODEL = "blocks"
+_PREFIX = "demo-"
+"""Of all datasets and models, which may be stored beside a user's own and those that come with freerein."""
+
+REWARD_MODEL = f"{_PREFIX}blocks"
 PHRASES = [f"a {colour} block" for colour in ("red", "green", "yellow", "blue")]
 """Noun phrases of the reward model."""
 
@@ -50,11 +53,11 @@ def _learn_from_data() -> list[Step]:
         _collect("exploration", task="blocks", behaviour="random", count=400),
         _collect("scatter", task="blocks.scatter", behaviour="random", count=1000),
         _fit("fit-grid", "segmentation", "grid", "grid-demos", steps=300, batch_size=16, augmentation=0.0),
-        _evaluate("grid-labels", "segmentation", task="grid", model="grid", episodes=100, **_skills(5)),
+        _evaluate("grid-labels", "segmentation", task="grid", model=f"{_PREFIX}grid", episodes=100, **_skills(5)),
         _fit("fit-blocks", "segmentation", "blocks", "blocks-demos", stride=3, steps=1200, augmentation=0.0),
-        _step("label-blocks", "label", dataset="blocks-demos", model="blocks", smoothing=1),
-        _evaluate("blocks-labels", "segmentation", task="blocks", model="blocks", episodes=60, **_skills(4)),
-        _fit("fit-rewards", "reward", REWARD_MODEL, "scatter", phrases=PHRASES, epsilon=_BLOCK),
+        _step("label-blocks", "label", dataset=f"{_PREFIX}blocks-demos", model=f"{_PREFIX}blocks", smoothing=1),
+        _evaluate("blocks-labels", "segmentation", task="blocks", model=f"{_PREFIX}blocks", episodes=60, **_skills(4)),
+        _fit("fit-rewards", "reward", "blocks", "scatter", phrases=PHRASES, epsilon=_BLOCK),
         _scenes("two-blocks", "blocks-2"),
         _scenes("four-blocks", "blocks-4"),
         _fit("fit-goal-images", "imitation", "goal-images", "exploration", method="goal_cloning", steps=1500),
@@ -65,11 +68,13 @@ def _evaluate_and_practise() -> list[Step]:
     """What is measured of the policies, and PPO and distillation."""
     own, other = TASKS.values()
     return [
-        _evaluate("landmarks", "landmarks", task="blocks", policy={"model": "goal-images"}, episodes=64, num_envs=64),
+        _evaluate(
+            "landmarks", "landmarks", task="blocks", policy={"model": f"{_PREFIX}goal-images"}, episodes=64, num_envs=64
+        ),
         _returns("random-left", own, "random"),
         _returns("random-right", other, "random"),
         _fit("fit-skills", "imitation", "skills", "blocks-demos", after="label-blocks", method="skills"),
-        _evaluate("recipes", "recipes", task="blocks", policy={"model": "skills"}, episodes=40, num_envs=40),
+        _evaluate("recipes", "recipes", task="blocks", policy={"model": f"{_PREFIX}skills"}, episodes=40, num_envs=40),
         _ppo("ppo-first", own, iterations=1, lr=_NO_LR),
         _ppo("ppo", own, iterations=_ITERATIONS, init_from="ppo-first"),
         _returns("ppo-returns", own, {"run": "ppo"}, baseline={"run": "ppo-first"}),
@@ -97,14 +102,14 @@ def _step(name: str, kind: str, **config: Any) -> Step:
     return {"name": name, "kind": kind, "config": config}
 
 
-def _collect(dataset: str, **config: Any) -> Step:
-    return _step(dataset, "collect", dataset=dataset, **config)
+def _collect(name: str, **config: Any) -> Step:
+    return _step(name, "collect", dataset=_PREFIX + name, **config)
 
 
-def _fit(name: str, service: str, model: str, dataset: str, *, after: str = "", **config: Any) -> Step:
-    """A fit that begins once its dataset, or the step `after`, is done."""
-    step = _step(name, "fit", service=service, dataset=dataset, model_name=model, config=config)
-    return {**step, "after": [after or dataset]}
+def _fit(name: str, service: str, model: str, data: str, *, after: str = "", **config: Any) -> Step:
+    """A fit that begins once the step that collects its data, or the step `after`, is done."""
+    names = {"dataset": _PREFIX + data, "model_name": _PREFIX + model}
+    return {**_step(name, "fit", service=service, **names, config=config), "after": [after or data]}
 
 
 def _evaluate(name: str, form: str, **config: Any) -> Step:
