@@ -162,7 +162,7 @@ class _Served:
         return cls(config, sims, reward, to_checkpoint(state), action_repeat)
 
     def train(self) -> str:
-        retry = Retry(np.random.default_rng(), stop=lambda: False, log_line=lambda _: None)
+        retry = Retry(np.random.default_rng(), stop=lambda: False, tell=lambda _: None)
         reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
         collector = RecoveringCollector(
             lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots, self.action_repeat),

@@ -51,6 +51,7 @@ pages; and it asks for little at a time. A service may override them in its envi
 """
 
 CANCELLED_FILE = "cancelled"
+WAITING_FILE = "waiting"
 INTERNAL_ERROR = "Internal error; the log of the service has the traceback."
 
 
@@ -109,7 +110,8 @@ class AttemptRunner:
         folder, done = self._store.folder(job_id), self._store.last(job_id).step
         rows = LineReader(folder / "metrics.jsonl")
         with _locked(folder, should_stop) as lock, (folder / "log.txt").open("ab") as log:
-            (folder / CANCELLED_FILE).unlink(missing_ok=True)
+            for name in (CANCELLED_FILE, WAITING_FILE):
+                (folder / name).unlink(missing_ok=True)
             with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
                 self._store.record(job_id, "running")
             child = subprocess.Popen(
@@ -141,6 +143,7 @@ class AttemptRunner:
         self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]
     ) -> StopRequest:
         """Returns why a child must stop; empty when it has ended by itself."""
+        waits = ""
         while child.poll() is None:
             if request := should_stop():
                 if request == "cancel":
@@ -148,6 +151,7 @@ class AttemptRunner:
                         (self._store.folder(job_id) / CANCELLED_FILE).touch()
                 return request
             self._record_progress(job_id, rows)
+            waits = self._record_wait(job_id, waits)
             with suppress(subprocess.TimeoutExpired):
                 child.wait(_POLL_S)
         return ""
@@ -162,6 +166,16 @@ class AttemptRunner:
                 rows.unread()
                 return False
         return bool(new)
+
+    def _record_wait(self, job_id: str, before: str) -> str:
+        """Records why the child waits, if that is not as before; returns it."""
+        with suppress(OSError):
+            path = self._store.folder(job_id) / WAITING_FILE
+            reason = path.read_text() if path.exists() else ""
+            if reason != before:
+                self._store.record(job_id, "running", error=reason)
+            return reason
+        return before
 
 
 @contextmanager

@@ -41,13 +41,13 @@ class Retry:
     Args:
         rng: Draws the pauses.
         stop: Whether to stop; asked before each attempt and several times a second between attempts.
-        log_line: Called once per outage with the reason for waiting.
+        tell: Called when an outage begins, with the reason for waiting, and when it ends, with an empty text.
     """
 
-    def __init__(self, rng: np.random.Generator, *, stop: Callable[[], bool], log_line: Callable[[str], None]) -> None:
+    def __init__(self, rng: np.random.Generator, *, stop: Callable[[], bool], tell: Callable[[str], None]) -> None:
         self._rng = rng
         self._stop = stop
-        self._log_line = log_line
+        self._tell = tell
         self._failures = 0
         self._model_faults = 0
 
@@ -86,6 +86,8 @@ class Retry:
 
     def reset(self) -> None:
         """Starts the backoff anew: the service is available."""
+        if self._failures:
+            self._tell("")
         self._failures = self._model_faults = 0
 
     def wait(self, error: ServiceError) -> None:
@@ -103,7 +105,7 @@ class Retry:
         if self._model_faults == _MAX_MODEL_FAULTS:
             raise error
         if not self._failures:
-            self._log_line(f"Waiting for a service. {error.detail}")
+            self._tell(f"Waiting for a service. {error.detail}")
         pause_s = self._rng.uniform(0, min(_MAX_PAUSE_S, _FIRST_PAUSE_S * 2**self._failures))
         self._failures = min(self._failures + 1, _MAX_DOUBLINGS)
         until_s = time.monotonic() + pause_s

@@ -20,6 +20,7 @@ from freerein.clients import (
     SyncClient,
 )
 from freerein.clients.rpc import Client
+from freerein.jobs.attempt import WAITING_FILE
 from freerein.ports import address, addresses
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
@@ -94,7 +95,7 @@ class RunContext:
 
     def retry(self) -> Retry:
         """Returns what repeats work until services are available and the run is not to stop."""
-        return Retry(np.random.default_rng(), stop=self.stop, log_line=self.log_line)
+        return Retry(np.random.default_rng(), stop=self.stop, tell=self.tell_wait)
 
     def client(self, service: str) -> SyncClient:
         """Returns a blocking client of a service."""
@@ -124,6 +125,13 @@ class RunContext:
         with suppress(OSError):
             sys.stderr.write(f"{text}\n")
             sys.stderr.flush()
+
+    def tell_wait(self, reason: str) -> None:
+        """Tells why the run waits, in its log and to those who watch it; an empty reason when it goes on."""
+        if reason:
+            self.log_line(reason)
+        with suppress(OSError):
+            write_atomic(self.run_folder / WAITING_FILE, reason.encode())
 
     def child(self, name: str, *, first_step: int) -> "RunContext":
         """Returns the context of one step, in a folder of its own, with metrics named `<name>/<metric>`.
