@@ -177,6 +177,11 @@ def test_the_doctor_says_how_to_start_a_service_that_does_not_run(nobody_listens
     assert (result.state, result.fix) == ("warning", "Run `freerein up`.")
 
 
+def test_the_doctor_asks_what_is_installed_and_what_the_environment_says_where(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_REWARD_ADDRESS", "elsewhere:9103")
+    assert services.expected(["sim"]) == ["reward", "sim"]
+
+
 def test_the_doctor_recognises_a_port_that_another_program_holds(
     nobody_listens: Ports, listener: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,7 +47,8 @@ def _check_all() -> list[CheckResult]:
         checks.append(machine.check_video)
     if set(names) - {"sim"}:
         checks += [machine.check_torch]
-    checks += [lambda: machine.check_storage(data_dir), *(partial(services.check_service, name) for name in names)]
+    checks.append(lambda: machine.check_storage(data_dir))
+    checks += [partial(services.check_service, name) for name in services.expected(names)]
     with ThreadPoolExecutor(len(checks)) as pool:
         found = list(pool.map(lambda check: check(), checks))
     return [result for part in found for result in (part if isinstance(part, list) else [part])]

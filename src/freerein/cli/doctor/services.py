@@ -1,6 +1,7 @@
 """Checks of services: running and ready, or their ports free."""
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 import grpc
@@ -13,10 +14,15 @@ from freerein.ports import PORTS, address, addresses
 _TIMEOUT_S = 2.0
 
 
+def expected(installed: Collection[str]) -> list[str]:
+    """Returns the services that should answer: those that are installed, and those that the environment says where."""
+    return [name for name in PORTS if name in installed or os.environ.get(_variable(name))]
+
+
 def check_service(name: str) -> CheckResult:
     """Checks a service on this machine, or at its address in the environment."""
     ports = PORTS[name]
-    if os.environ.get(f"FREEREIN_{name.upper()}_ADDRESS"):
+    if os.environ.get(_variable(name)):
         return _check_remote(name)
     held = [port for port in (ports.rest, ports.grpc) if not is_free(port)]
     if not held:
@@ -34,11 +40,16 @@ def check_service(name: str) -> CheckResult:
 
 
 def _check_remote(name: str) -> CheckResult:
-    targets, variable = addresses(name, os.environ), f"FREEREIN_{name.upper()}_ADDRESS"
+    targets = addresses(name, os.environ)
     for target in targets:
         if not _is_reachable(target):
-            return CheckResult(name, "problem", f"no answer at {target}", f"Start it there, or correct {variable}.")
+            fix = f"Start it there, or correct {_variable(name)}."
+            return CheckResult(name, "problem", f"no answer at {target}", fix)
     return CheckResult(name, "ok", f"answers at {' and '.join(targets)}")
+
+
+def _variable(name: str) -> str:
+    return f"FREEREIN_{name.upper()}_ADDRESS"
 
 
 def _ask(port: int) -> httpx.Response | None:
