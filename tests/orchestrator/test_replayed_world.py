@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from freerein.data import Dataset, dataset_path
@@ -70,13 +71,18 @@ def expect(new_run: Callable[..., Any], steady: str, tmp_path: Path) -> Callable
 
 @pytest.fixture
 def finish(
-    new_run: Callable[..., Any], start_service: Callable[..., Any], packages: str, tmp_path: Path
+    new_run: Callable[..., Any],
+    start_service: Callable[..., Any],
+    wait_until: Callable[..., float],
+    packages: str,
+    tmp_path: Path,
 ) -> Callable[..., Any]:
     """A function that finishes a run in the world `replayed`, whose sim is replaced at the `replaced_at`th call."""
 
     def finish_run(kind: str, config: dict[str, Any], *, replaced_at: int) -> Any:
         environ = {"FREEREIN_SIM_WORKERS": "1", "PYTHONPATH": packages}
         sim, asked = start_service("freerein_sim", **environ), list[None]()
+        wait_until(lambda: httpx.get(f"{sim.url}/readyz", trust_env=False).is_success, 60)  # a run that waits asks, too
 
         def replace_the_sim() -> bool:
             asked.append(None)
