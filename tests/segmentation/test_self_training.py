@@ -153,6 +153,7 @@ def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_
         skills=("always", "in a fifth"), cameras=(Camera("front", 4, 4, 1),), action=ActionSpec(1, 0, ("x",))
     )
     network = SegmentationNetwork(spec)
+    weights.initialise(network, generator=torch.Generator().manual_seed(0))
     for name, tensor in network.head.named_parameters():
         torch.nn.init.zeros_(tensor)
         if name == "bias":

@@ -22,8 +22,8 @@ class ConvolutionalEncoder(nn.Module):
 
     def __init__(self, *, height: int, width: int, channels: int, features: int) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.empty(channels, 1, 1))
-        self.register_buffer("std", torch.empty(()))
+        self.register_buffer("mean", torch.zeros(channels, 1, 1))
+        self.register_buffer("std", torch.ones(()))
         inputs = [channels, *[_CHANNELS] * (_LAYERS - 1)]
         self.layers = nn.ModuleList(nn.Conv2d(each, _CHANNELS, kernel_size=3, stride=2, padding=1) for each in inputs)
         cells = math.prod(math.ceil(side / 2**_LAYERS) for side in (height, width))

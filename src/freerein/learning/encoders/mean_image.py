@@ -19,8 +19,8 @@ class PatchStem(nn.Module):
         side = math.ceil(max(height, width) / patches)
         self._padding = (0, -width % side, 0, -height % side)  # no pixel is dropped
         self.stem = nn.Conv2d(channels, outputs, kernel_size=side, stride=side)
-        self.register_buffer("mean_image", torch.empty(channels, height, width))
-        self.register_buffer("pixel_std", torch.empty(()))
+        self.register_buffer("mean_image", torch.zeros(channels, height, width))
+        self.register_buffer("pixel_std", torch.ones(()))
 
     @torch.no_grad()
     def fit_normalisation(self, frames: Tensor, *, generator: torch.Generator | None = None) -> None:
