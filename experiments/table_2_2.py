@@ -13,6 +13,7 @@ from experiments.segmentation.methods import (
     OURS,
     OURS_FROM_LSE,
     WHOLE,
+    lse_as_published,
     objectives,
     ours,
     ours_after,
@@ -71,6 +72,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
         ),
         methods=(
             *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
+            lse_as_published(),
             ours(WHOLE, LOOKAHEAD),
             ours_from_lse(),
             *_OURS_AFTER,

@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from experiments.segmentation import (
     dataset,
@@ -28,6 +27,7 @@ from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
 from freerein.learning.fit import FitResult, Learner, fit
+from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 
@@ -69,7 +69,7 @@ class SegmentationExperiment:
         config: dict[str, JSON] = {"data": asdict(study.data), "train_evaluated": study.train_evaluated}
         if not study.is_guess(arm):
             config["fit"] = {**asdict(study.fit_config(arm)), "method": arm.method}
-        if not study.is_guess(arm) and study.learning_rates:
+        if not study.is_guess(arm) and study.tries_learning_rates(arm):
             config["trials"] = {"learning_rates": list(study.learning_rates), "steps": study.trial_steps}
         return config
 
@@ -96,7 +96,7 @@ class SegmentationExperiment:
             return None if fitted is None else fitted.validation_loss
 
         config = study.fit_config(arm)
-        if study.learning_rates:
+        if study.tries_learning_rates(arm):
             lr = trials.choose_lr(
                 study, arm, fit_trial, world_hash=self.world_hash(arm.world), results=results, work=work
             )
@@ -176,7 +176,7 @@ def _action_loss(
         spec=spec,
         steps=_ACTION_STEPS,
         seed=0,
-        device=torch.device("cpu"),
+        device=choose_device("auto"),
     )
     return round(loss, 6)
 

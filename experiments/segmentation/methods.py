@@ -42,6 +42,11 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
     return tuple(Method(name, contexts, {"objective": name}) for name in names)
 
 
+def lse_as_published() -> Method:
+    """Returns the dissertation's method with its own learning rate and batch size."""
+    return Method("lse_as_published", (CAUSAL,), {"objective": "lse", "lr": 1e-4, "batch_size": 64})
+
+
 def ours(*contexts: str) -> Method:
     """Returns our method: normalised pooling, then self-training without shares, with what skills do as evidence."""
     return _self_trained(OURS, "lse_per_timestep", contexts)

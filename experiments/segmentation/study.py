@@ -42,8 +42,8 @@ class Study:
         settings: Keys of the segmentation service's configuration that all methods share.
         train_evaluated: Number of training trajectories that are evaluated.
         guesses: Names of the baselines without a network; see `guesses.GUESSES`.
-        learning_rates: What each method and context tries in shorter fits, before the first of its seeds; the lowest
-            validation loss chooses. Empty: `settings` has the learning rate.
+        learning_rates: What each method and context tries in shorter fits, before the first of its seeds, unless it
+            has one of its own; the lowest validation loss chooses. Empty: `settings` has the learning rate.
         trial_steps: Optimiser steps of these fits.
     """
 
@@ -83,12 +83,19 @@ class Study:
         """Returns whether the arm trains no network."""
         return arm.method in self.guesses
 
+    def tries_learning_rates(self, arm: Arm) -> bool:
+        """Returns whether the learning rate of an arm's network has yet to be chosen."""
+        return bool(self.learning_rates) and "lr" not in self._method(arm).settings
+
     def fit_config(self, arm: Arm) -> SegmentationConfig:
-        """Returns the configuration of an arm's network; with `learning_rates`, its `lr` has yet to be chosen."""
-        (method,) = (each for each in self.methods if each.name == arm.method)
+        """Returns the configuration of an arm's network; see `tries_learning_rates`."""
         context = context_of(arm.options["context"])
-        values = {**self.settings, **method.settings, "context": context, "seed": arm.seed}
+        values = {**self.settings, **self._method(arm).settings, "context": context, "seed": arm.seed}
         return SegmentationConfig.from_mapping(values)
+
+    def _method(self, arm: Arm) -> Method:
+        (method,) = (each for each in self.methods if each.name == arm.method)
+        return method
 
 
 def context_of(name: str) -> Context:

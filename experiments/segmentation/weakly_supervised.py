@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-import torch
-
 from experiments.segmentation.dataset import DatasetSpec, open_split
+from freerein.learning.model_files import choose_device
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
 
 
 def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> SegmentationLearner:
-    """Returns the learner of frames, actions and tags of the dataset in a folder, on the CPU."""
+    """Returns the learner of frames, actions and tags of the dataset in a folder, on a CUDA device if any."""
     world = spec.world
     return SegmentationLearner(
         config,
@@ -17,5 +16,5 @@ def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) ->
         open_split(folder, spec, "train"),
         open_split(folder, spec, "validation"),
         fingerprint=spec.hash,
-        device=torch.device("cpu"),
+        device=choose_device("auto"),
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
@@ -118,10 +119,11 @@ def load(path: Path) -> ArmResult:
 
 
 def machine() -> dict[str, JSON]:
-    """Returns the processor, its cores, the system and the versions of packages that results depend on."""
+    """Returns the processor, its cores, the CUDA device if any, the system, and the versions that results depend on."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
+        **({"cuda": torch.cuda.get_device_name()} if torch.cuda.is_available() else {}),
         "system": platform.platform(),
         "python": platform.python_version(),
         **{name: version(name) for name in _PACKAGES},

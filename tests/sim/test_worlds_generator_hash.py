@@ -1,3 +1,4 @@
+import ast
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 from freerein.errors import FailedPrecondition
 from freerein_sim.worlds.generator_hash import generator_hash
+from freerein_sim.worlds.syntax_text import syntax_text
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition
 
@@ -78,6 +80,22 @@ def test_a_wheel_that_is_missing_is_named(made_of: Callable[..., TaskDefinition]
     missing = {**SOURCES, "simulation": SOURCES["simulation"].replace("gymnasium", "no_such_wheel")}
     with pytest.raises(FailedPrecondition, match="no-such-wheel"):
         generator_hash(made_of(missing))
+
+
+def test_syntax_has_the_text_that_it_has_in_python_3_11() -> None:
+    source = "class A(B):\n    def f(x=None, *y) -> None:\n        return f'a{x:>{y}}', ''"
+    written = (
+        "Module(body=[ClassDef(name='A', bases=[Name(id='B', ctx=Load())], keywords=[], body=[FunctionDef(name='f', "
+        "args=arguments(posonlyargs=[], args=[arg(arg='x')], vararg=arg(arg='y'), kwonlyargs=[], kw_defaults=[], "
+        "defaults=[Constant(value=None)]), body=[Return(value=Tuple(elts=[JoinedStr(values=[Constant(value='a'), "
+        "FormattedValue(value=Name(id='x', ctx=Load()), conversion=-1, format_spec=JoinedStr(values=["
+        "Constant(value='>'), FormattedValue(value=Name(id='y', ctx=Load()), conversion=-1)]))]), "
+        "Constant(value='')], ctx=Load()))], decorator_list=[], returns=Constant(value=None))], decorator_list=[])], "
+        "type_ignores=[])"
+    )
+    assert syntax_text(ast.parse(source)) == written
+    if sys.version_info < (3, 12):
+        assert ast.dump(ast.parse(source)) == written
 
 
 def test_each_task_has_a_hash_of_its_own_that_another_process_finds_again() -> None:

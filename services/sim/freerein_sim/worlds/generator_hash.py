@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from freerein.errors import FailedPrecondition
+from freerein_sim.worlds.syntax_text import syntax_text
 from freerein_sim.worlds.world import TaskDefinition
 
 _WORLDS = "freerein_sim.worlds"
@@ -47,7 +48,7 @@ def generator_hash(task: TaskDefinition) -> str:
     wheels: set[str] = set()
     for name, tree in sorted(_modules(task).items()):
         wheels |= _wheels(tree)
-        digest.update(f"{name} {ast.dump(_Bare().visit(tree))}".encode())
+        digest.update(f"{name} {syntax_text(_Bare().visit(tree))}".encode())
     for wheel in sorted(wheels):
         digest.update(f"{wheel} {_version(wheel)}".encode())
     return digest.hexdigest()
