@@ -28,6 +28,8 @@ from freerein.video.records import CODECS, RECORD, TIME, Options
 
 _LUMA = np.array([299, 587, 114], np.uint32)  # ITU-R BT.601, in thousandths
 _QUARTER_DEG = 90
+_LEAST_BYTES = 2**20
+"""Memory without which nothing is decoded: with none at all, PyAV crashes in Python 3.12."""
 
 
 class _Undecodable(Exception):
@@ -41,6 +43,7 @@ def main() -> None:
         file = io.BufferedReader(raw)
         _confine(options)
         try:
+            bytearray(_LEAST_BYTES)
             for kind, *content in _records(file, options):
                 _write(kind, *content)
             _write(b"E")
