@@ -78,6 +78,11 @@ class Rows:
         """Returns the value of the dissertation's method that a network's is compared with; None for its rows."""
         return self.value(BASELINE, figure) if row.context and row.method != BASELINE.method else None
 
+    def best_baseline(self, figure: str) -> float | None:
+        """Returns the value of the dissertation's objective in the context that suits it best, by true labels."""
+        values = [self.value(row, figure) for row in self.arms if row.method == BASELINE.method]
+        return max((value for value in values if value is not None), default=None)
+
     def ceiling(self, row: Row, figure: str) -> float | None:
         """Returns the value with full supervision in a network's context; None for itself."""
         ceiling = Row(SUPERVISED, row.context)
