@@ -42,16 +42,6 @@ _CLAIM_HEADER = (
     "met",
     "missing",
 )
-    "claim",
-    "row",
-    "figure",
-    "value, % [95 % interval]",
-    "must reach",
-    "gap closed",
-    "gap, best lse",
-    "met",
-    "missing",
-)
 _SEGMENT_FIGURES = ("test.balanced_accuracy", "test.edit_score", "test.f1_at_50")
 _DECODED_FIGURES = (f"test.{DECODED_ACCURACY}", "test.decoded_edit_score")
 
