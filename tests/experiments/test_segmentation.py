@@ -174,6 +174,14 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
     assert [steps for _, steps, _ in fitted] == [2] * 3 + [4] * 3
 
 
+def test_a_method_with_a_learning_rate_of_its_own_tries_none() -> None:
+    published = Method("published", ("causal",), {"objective": "lse", "lr": 1e-4})
+    study = replace(STUDY, methods=(*STUDY.methods, published))
+    tried, set_ = (Arm("grid", name, {"context": "causal"}) for name in ("lse", "published"))
+    assert [study.tries_learning_rates(arm) for arm in (tried, set_)] == [True, False]
+    assert study.fit_config(set_).lr == 1e-4
+
+
 def test_contexts_have_names() -> None:
     contexts = ("causal", "lookahead-5", "bidirectional")
     study = replace(STUDY, methods=(Method("lse", contexts, {"objective": "lse"}),))
@@ -265,6 +273,8 @@ def test_ours_is_compared_with_the_dissertations_method_in_the_dissertations_con
     rows = Rows.of([*(each for row in rows_with(lse=0.6, ours=0.8).arms.values() for each in row), *whole], "dial")
     assert rows.baseline(Row("ours", "all"), TEST_ACCURACY) == pytest.approx(60)
     assert rows.baseline(Row("lse", "all"), TEST_ACCURACY) is None
+    assert rows.best_baseline(TEST_ACCURACY) == pytest.approx(80)
+    assert Rows.of(rows_of("ours", {"all": (0.5, 0.5)}), "dial").best_baseline(TEST_ACCURACY) is None
 
 
 @pytest.mark.parametrize(
