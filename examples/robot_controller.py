@@ -12,6 +12,7 @@ its last state when the service is away.
 import argparse
 import asyncio
 import logging
+import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator
@@ -23,7 +24,7 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.clients import Channel, ImitationClient, SimClient
-from freerein.errors import DeadlineExceeded, Overloaded, Unavailable
+from freerein.errors import DeadlineExceeded, Overloaded, ServiceError, Unavailable
 from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import Chunk, ControlRequest, Hello, Observed
 from freerein.types.sim import CreateSessionRequest, CreateSessionResponse, ResetRequest, StepRequest
@@ -185,4 +186,7 @@ if __name__ == "__main__":
     parser.add_argument("--imitation", default="127.0.0.1:9102", help="gRPC address of the imitation service")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO)
-    asyncio.run(main(arguments.task, arguments.seed, arguments.goals, arguments.sim, arguments.imitation))
+    try:
+        asyncio.run(main(arguments.task, arguments.seed, arguments.goals, arguments.sim, arguments.imitation))
+    except ServiceError as error:
+        sys.exit(f"{error.detail}\n{error.hint}")

@@ -98,4 +98,5 @@ def test_a_robot_with_the_clients_alone_calls_a_service(
     assert "freerein.serving" not in met["modules"]
     np.testing.assert_array_equal(met["frames"], expected_frames())
     assert met["code"] == "session_not_found"
-    assert "Request id: " in met["shown"]
+    assert "\nHint: " in met["shown"]
+    assert "\nRequest id: " in met["shown"]

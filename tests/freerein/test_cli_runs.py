@@ -92,6 +92,7 @@ def test_watching_it_again_tells_the_same_story() -> None:
     first = _json(*FEW, "--watch")
 
     assert _json("watch", first[0]["id"]) == first
+    assert _json("watch", first[0]["id"][:8]) == first
     assert (first[0]["state"], first[-1]["state"]) == ("queued", "succeeded")
 
 
@@ -173,7 +174,7 @@ def test_artifacts_are_listed_and_fetched_whole_or_not_at_all(tmp_path: Path) ->
         (("start", "collect", "--config", "list.json"), "config"),
         (("start", "collect", "--set", "colour=red"), "config"),
         (("watch", "0" * 32), "id"),
-        (("resume", "12"), "id"),
+        (("resume", "no-id"), "id"),
     ],
 )
 def test_what_cannot_be_asked_is_an_error_that_names_the_field(words: tuple[str, ...], field: str) -> None:

@@ -84,7 +84,7 @@ def test_a_video_file_is_labelled_drawn_and_subtitled(
 @pytest.mark.e2e
 @pytest.mark.parametrize(
     ("words", "field"),
-    [(["none.mp4"], "source"), (["demo.mp4", "--save"], "save")],
+    [(["none.mp4"], "source"), (["demo.mp4", "--save"], "save"), ([__file__], "source"), (["a/folder"], "dataset")],
 )
 def test_what_is_no_video_is_an_error(words: list[str], field: str) -> None:
     result = run(*words, "--json")

@@ -129,7 +129,7 @@ def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None
 
 
 def test_errors_of_the_service_say_what_to_mend(address: str) -> None:
-    with pytest.raises(NotFound, match="no such task") as not_found:
+    with pytest.raises(NotFound, match="name of a task") as not_found:
         SimEnv("fly", address, token=TOKEN)
     assert not_found.value.hint
     with pytest.raises(Unauthenticated):

@@ -290,7 +290,11 @@ class SimCore:
 
     def _task(self, name: str) -> sim.Task:
         if (task := self._tasks().get(name)) is None:
-            raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
+            raise NotFound(
+                "`task` must be the name of a task; there is none of that name.",
+                field="task",
+                hint="ListTasks names those that there are.",
+            )
         return task
 
     def _tasks(self) -> dict[str, sim.Task]:

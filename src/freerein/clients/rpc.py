@@ -108,6 +108,8 @@ class Rpc(Generic[Request, Response]):
             yield
         except aio.AioRpcError as error:
             raised = service_error(error, call=f"{self.descriptor.name} at {self._channel.address}")
+            if raised.hint:
+                raised.add_note(f"Hint: {raised.hint}")
             raised.add_note(f"Request id: {request_id}")
             raise raised from error
 

@@ -56,7 +56,10 @@ def read(root: Path) -> LeRobotMeta:
     """
     info = _read_json(root / layout.INFO_FILE)
     if info is None:
-        raise NotFound("There must be a dataset; nothing here looks like one.", hint="List the datasets that exist.")
+        raise NotFound(
+            "There must be a dataset of this name in the data directory; there is none.",
+            hint="`freerein dataset list` names those that there are.",
+        )
     try:
         _check_layout(info)
         images, videos = (_camera_keys(info["features"], dtype=dtype) for dtype in ("image", "video"))

@@ -119,7 +119,11 @@ class RequestHandler:
 
     def _task(self, name: str) -> TaskDefinition:
         if (task := self._tasks.get(name)) is None:
-            raise NotFound("There is no such task.", field="task", hint="ListTasks names those that there are.")
+            raise NotFound(
+                "`task` must be the name of a task; there is none of that name.",
+                field="task",
+                hint="ListTasks names those that there are.",
+            )
         return task
 
     def _envs(self, session: str) -> VectorEnv:

@@ -173,7 +173,18 @@ def _report(name: str, examine: Callable[[Path], list[Problem]], *, as_json: boo
 
 def dataset_root(name: str) -> Path:
     """Returns the folder of a dataset in the data directory, whether or not it exists."""
-    return dataset_path(CliSettings().data_dir, name)
+    return dataset_path(CliSettings().data_dir, check_no_path(name))
+
+
+def check_no_path(name: str) -> str:
+    """Returns what may be the name of a dataset; raises InvalidInput for a path."""
+    if "/" in name:
+        raise InvalidInput(
+            "A dataset of the data directory must be named; got a path.",
+            field="dataset",
+            hint="`freerein dataset list` names all; `freerein dataset import FOLDER NAME` brings a folder.",
+        )
+    return name
 
 
 def read_trajectory(dataset: Dataset, index: int) -> Trajectory:

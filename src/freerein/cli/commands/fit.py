@@ -9,10 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from freerein import wire
-from freerein.cli.commands.dataset import dataset_root, import_with_progress
+from freerein.cli.commands.dataset import check_no_path, dataset_root, import_with_progress
 from freerein.cli.connection import call, call_each, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
+from freerein.cli.jobs.ids import ID_DIGITS, whole_id
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
@@ -35,7 +36,7 @@ from freerein.types.learning import (
 app = typer.Typer(help="Fits of models.", no_args_is_help=True, add_completion=False)
 
 _Service = Annotated[str, typer.Option(help="Service that fits; all when empty.")]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, as listed by `freerein fit list`.")]
+_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, or its first digits; see `freerein fit list`.")]
 
 _Phrases = Annotated[
     list[str] | None,
@@ -63,7 +64,7 @@ def _add_start(service: str, explanation: str) -> None:
         watch: _WatchEnd = False,
         as_json: AsJson = False,
     ) -> None:
-        request = StartFitRequest(dataset, model_name, configuration(settings))
+        request = StartFitRequest(check_no_path(dataset), model_name, configuration(settings))
         fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
         _show_or_watch(service, fit, watch=watch, as_json=as_json)
 
@@ -98,7 +99,8 @@ def reward(
         import_with_progress(ImageSource(images), name, is_shown=not as_json)
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
-    fit = call(FitClient, "reward", lambda client: client.start_fit(StartFitRequest(name, model_name, config))).fit
+    request = StartFitRequest(check_no_path(name), model_name, config)
+    fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
     _show_or_watch("reward", fit, watch=watch, as_json=as_json)
 
 
@@ -120,7 +122,7 @@ def list_fits(service: _Service = "", as_json: AsJson = False) -> None:
 @command
 def watch(fit: _Id, service: _Service = "", as_json: AsJson = False) -> None:
     """Watch a fit to its end, with its curves."""
-    _watch(service or _service_of(fit), fit, as_json=as_json)
+    _watch(*_find(fit, service), as_json=as_json)
 
 
 @app.command()
@@ -129,8 +131,8 @@ def metrics(
     fit: _Id, service: _Service = "", *, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json: AsJson = False
 ) -> None:
     """Print the metrics of a fit."""
-    request = GetFitMetricsRequest(fit, from_step, max_rows)
-    rows = call(FitClient, service or _service_of(fit), lambda client: _rows(client, request))
+    found, fit_id = _find(fit, service)
+    rows = call(FitClient, found, lambda client: _rows(client, GetFitMetricsRequest(fit_id, from_step, max_rows)))
     display.show_metrics(rows, as_json=as_json)
 
 
@@ -142,7 +144,7 @@ def report(fit: _Id, as_json: AsJson = False) -> None:
     Average precision of tags is that of the model card. Frame accuracy is measured here, on trajectories with true
     labels (`freerein dataset label`), which no fit sees.
     """
-    _report(fit, as_json=as_json)
+    _report(_find(fit, "segmentation")[1], as_json=as_json)
 
 
 def _report(fit_id: str, *, as_json: bool) -> None:
@@ -195,8 +197,8 @@ def _show_warnings(card: Mapping[str, Any]) -> None:
 @command
 def cancel(fit: _Id, service: _Service = "", as_json: AsJson = False) -> None:
     """Cancel a fit; its last checkpoint is kept."""
-    found = service or _service_of(fit)
-    cancelled = call(FitClient, found, lambda client: client.cancel_fit(CancelFitRequest(fit))).fit
+    found, fit_id = _find(fit, service)
+    cancelled = call(FitClient, found, lambda client: client.cancel_fit(CancelFitRequest(fit_id))).fit
     _show([(found, cancelled)], as_json=as_json)
 
 
@@ -210,9 +212,19 @@ def resume(
     as_json: AsJson = False,
 ) -> None:
     """Resume a failed or cancelled fit from its last checkpoint."""
-    found = service or _service_of(fit)
-    resumed = call(FitClient, found, lambda client: client.resume_fit(ResumeFitRequest(fit))).fit
+    found, fit_id = _find(fit, service)
+    resumed = call(FitClient, found, lambda client: client.resume_fit(ResumeFitRequest(fit_id))).fit
     _show_or_watch(found, resumed, watch=watch, as_json=as_json)
+
+
+def _find(fit: str, service: str) -> tuple[str, str]:
+    """Returns the service and the id of the fit that is meant; an empty service is looked for."""
+    if len(fit) == ID_DIGITS:
+        return service or _service_of(fit), fit
+    answers, _ = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
+    services = {each.id: name for name, fits in answers.items() for each in fits}
+    fit_id = whole_id(fit, list(services), list_command="freerein fit list")
+    return services[fit_id], fit_id
 
 
 def _service_of(fit_id: str) -> str:

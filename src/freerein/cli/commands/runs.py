@@ -13,6 +13,7 @@ from freerein import wire
 from freerein.atomic_files import TEMP_SUFFIX
 from freerein.cli.connection import call
 from freerein.cli.jobs import display
+from freerein.cli.jobs.ids import ID_DIGITS, whole_id
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
@@ -48,7 +49,7 @@ _Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the e
 _Metrics = Annotated[
     list[str] | None, typer.Option("--metric", help="Metric to draw; repeatable. Default: the most relevant ones.")
 ]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, as listed by `freerein runs list`.")]
+_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, or its first digits; see `freerein runs list`.")]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
 _Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file, `-` for stdout; default NAME.")]
 
@@ -82,14 +83,14 @@ def list_runs(as_json: AsJson = False) -> None:
 @command
 def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
     """Watch a run to its end, with its curves."""
-    _watch(run, metrics=metrics or None, as_json=as_json)
+    _watch(_whole(run), metrics=metrics or None, as_json=as_json)
 
 
 @app.command()
 @command
 def metrics(run: _Id, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json: AsJson = False) -> None:
     """Print the metrics of a run."""
-    request = GetMetricsRequest(run, from_step, max_rows)
+    request = GetMetricsRequest(_whole(run), from_step, max_rows)
     display.show_metrics(_ask(lambda client: _rows(client, request)), as_json=as_json)
 
 
@@ -97,28 +98,38 @@ def metrics(run: _Id, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json
 @command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
     """Cancel a run; its last checkpoint is kept."""
-    _show([_ask(lambda client: client.cancel_run(CancelRunRequest(run))).run], as_json=as_json)
+    run_id = _whole(run)
+    _show([_ask(lambda client: client.cancel_run(CancelRunRequest(run_id))).run], as_json=as_json)
 
 
 @app.command()
 @command
 def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
     """Resume a failed or cancelled run from its last checkpoint."""
-    _show_or_watch(_ask(lambda client: client.resume_run(ResumeRunRequest(run))).run, watch=watch, as_json=as_json)
+    run_id = _whole(run)
+    _show_or_watch(_ask(lambda client: client.resume_run(ResumeRunRequest(run_id))).run, watch=watch, as_json=as_json)
 
 
 @app.command()
 @command
 def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
     """List the artifacts of a run, or fetch one."""
+    run_id = _whole(run)
     if not name:
-        _list_artifacts(run, as_json=as_json)
+        _list_artifacts(run_id, as_json=as_json)
     elif out == _STDOUT:
-        _ask(lambda client: _fetch(client, run, name, sys.stdout.buffer))
+        _ask(lambda client: _fetch(client, run_id, name, sys.stdout.buffer))
     else:
         path = out or Path(name)
-        size = _ask(lambda client: _download(client, run, name, path))
+        size = _ask(lambda client: _download(client, run_id, name, path))
         print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
+
+
+def _whole(run: str) -> str:
+    """Returns the id of the run that is meant."""
+    if len(run) == ID_DIGITS:
+        return run
+    return whole_id(run, [each.id for each in _ask(_all_runs)], list_command="freerein runs list")
 
 
 async def _all_runs(client: OrchestratorClient) -> list[Run]:

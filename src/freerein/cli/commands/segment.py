@@ -73,6 +73,7 @@ def segment(
             Path(source), replace(request, resize=resize), actions, is_drawn=png is not None
         )
     else:
+        _check_no_file(source)
         opened = Dataset(dataset_root(source))
         chosen = camera_or_first(opened, camera)
         if save:
@@ -84,6 +85,15 @@ def segment(
     if vtt is not None:
         write_atomic(vtt, webvtt(labelled).encode())
     print_json(wire.to_json(labelled.answer)) if as_json else timeline.show(labelled)
+
+
+def _check_no_file(source: str) -> None:
+    if Path(source).is_file():
+        raise InvalidInput(
+            "A video must be an mp4 file; this file is another.",
+            field="source",
+            hint="Encode it: ffmpeg -i IN -c:v libx264 OUT.mp4.",
+        )
 
 
 def _check_not_saved(save: bool) -> None:
@@ -100,7 +110,11 @@ def _segment_video(
 ) -> tuple[Timeline, Film]:
     """Returns the labelled video, and some of its frames where they are to be drawn."""
     if not path.is_file():
-        raise NotFound("The video must be an mp4 file; there is none of that name.", field="source", hint="Check it.")
+        raise NotFound(
+            "The video must be an mp4 file; there is none of that name.",
+            field="source",
+            hint="Give its path, relative to the current folder.",
+        )
 
     filled = replace(request, video=path.read_bytes())
 

@@ -72,7 +72,7 @@ def demonstrate(
     if as_json:
         print_json({"dataset": out, "trajectories": held})
     else:
-        typer.echo(f"The dataset {out} holds {held} trajectories.")
+        typer.echo(f"The dataset {out} holds {held} {'trajectory' if held == 1 else 'trajectories'}.")
 
 
 async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]) -> int:

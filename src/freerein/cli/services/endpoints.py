@@ -45,7 +45,7 @@ def choose(names: Iterable[str]) -> dict[str, str]:
         raise NotFound(
             f"Services must be installed; installed are {', '.join(modules) or 'none'}, and {len(missing)} of those "
             "requested are not.",
-            hint="Install the service's distribution, such as `pip install -e services/sim`.",
+            hint="Correct the name, or install the service, such as `pip install -e services/sim`.",
         )
     return {name: modules[name] for name in names} or modules
 

@@ -1,0 +1,19 @@
+"""Ids of runs and fits, which people shorten as the command line does."""
+
+from collections.abc import Sequence
+
+from freerein.errors import InvalidInput
+
+ID_DIGITS = 32
+
+
+def whole_id(given: str, ids: Sequence[str], *, list_command: str) -> str:
+    """Returns the one id that begins with the digits given; raises InvalidInput where none or several do."""
+    found = [each for each in ids if given and each.startswith(given)]
+    if len(found) != 1:
+        raise InvalidInput(
+            f"An id of {ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",
+            field="id",
+            hint=f"`{list_command}` shows all.",
+        )
+    return found[0]
