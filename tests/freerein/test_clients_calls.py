@@ -210,7 +210,8 @@ async def test_an_error_of_a_service_is_raised_as_the_class_that_it_was(
     assert caught.value.field == "actions"
     assert caught.value.hint == "Send the one thing."
     assert caught.value.retry_after_s is None
-    assert str(peer.metadata[0]["x-request-id"]) in caught.value.__notes__[0]
+    request_id = peer.metadata[0]["x-request-id"]
+    assert caught.value.__notes__ == ["Hint: Send the one thing.", f"Request id: {request_id!s}"]
 
 
 async def test_an_error_says_when_to_try_again(channel: Channel, peer: Peer) -> None:

@@ -35,7 +35,7 @@ _HINTS: dict[type[ServiceError], str] = {
     errors.DeadlineExceeded: "Allow more time with `timeout_s`, or ask for less.",
     errors.TooLarge: "Send or ask for less at a time.",
     errors.Unavailable: "Check that the service runs and that this is its gRPC address.",
-    errors.Unimplemented: "Check that this is the service's gRPC address, not its REST one, and of the client's version.",
+    errors.Unimplemented: "Check that this is the service's gRPC address, not REST's, and of the client's version.",
 }
 
 
