@@ -57,7 +57,7 @@ def read(root: Path) -> LeRobotMeta:
     info = _read_json(root / layout.INFO_FILE)
     if info is None:
         raise NotFound(
-            "There must be a dataset of this name in the data directory; there is none.",
+            "There must be a dataset of this name; there is none.",
             hint="`freerein dataset list` names those that there are.",
         )
     try:
