@@ -43,7 +43,6 @@ def open_groups(
     camera: str,
     reward_fn: RewardFn,
     action_repeat: int = 1,
-    episode_steps: int = 0,
     snapshots: Sequence[bytes] = (),
     interrupt: Callable[[], None] = lambda: None,
 ) -> "EnvGroups[RemoteVectorEnv]":
@@ -61,7 +60,6 @@ def open_groups(
                 camera=camera,
                 reward_fn=reward_fn,
                 action_repeat=action_repeat,
-                episode_steps=episode_steps,
                 snapshots=snapshots[index * len(sims) : (index + 1) * len(sims)],
                 interrupt=interrupt,
             )
@@ -86,8 +84,7 @@ class RemoteVectorEnv:
         request: The session, as if it were one.
         camera: The camera that is observed.
         reward_fn: Rewards frames; called on a thread of its own.
-        action_repeat: Timesteps that each action is held for; frames and rewards are those of the last.
-        episode_steps: Timesteps after which all episodes are cut off, a multiple of `action_repeat`; 0 for the task's.
+        action_repeat: Timesteps that each action is held for, or until the episode ends; the last is seen and rewarded.
         snapshots: One per sim service, to restore; empty for new episodes.
         interrupt: Called before each step and while waiting; raises to stop.
 
@@ -103,7 +100,6 @@ class RemoteVectorEnv:
         camera: str,
         reward_fn: RewardFn,
         action_repeat: int = 1,
-        episode_steps: int = 0,
         snapshots: Sequence[bytes] = (),
         interrupt: Callable[[], None] = lambda: None,
     ) -> None:
@@ -121,7 +117,7 @@ class RemoteVectorEnv:
         with ExitStack() as on_error:
             on_error.callback(self.close)
             for index, (sim, own) in enumerate(zip(sims, _split_request(request, shares), strict=True)):
-                session = _Session(sim, own, camera, action_repeat=action_repeat, episode_steps=episode_steps)
+                session = _Session(sim, own, camera, action_repeat)
                 self._sessions.append(session)
                 if snapshots:
                     session.restore(snapshots[index])
@@ -198,15 +194,12 @@ class _SessionStep:
 class _Session:
     """A session on one sim service."""
 
-    def __init__(
-        self, sim: SyncClient, request: CreateSessionRequest, camera: str, *, action_repeat: int, episode_steps: int
-    ) -> None:
+    def __init__(self, sim: SyncClient, request: CreateSessionRequest, camera: str, action_repeat: int) -> None:
         self._sim = sim
         self._session: str = sim.create_session(request).session
         self._num_envs = request.num_envs
         self._camera = camera
         self._action_repeat = action_repeat
-        self._episode_steps = episode_steps
         self._steps = 0
 
     def restore(self, snapshot: bytes) -> None:
@@ -217,24 +210,20 @@ class _Session:
         return cast(Frames, frames[self._camera])
 
     def step(self, actions: Actions) -> _SessionStep:
-        """Takes the actions as often as they are repeated.
-
-        An episode that ended before the last time has no final frame: nothing was rendered. Its first frame of the new
-        episode, which has begun, stands for it.
-        """
-        terminated, truncated = np.zeros((2, self._num_envs), np.bool_)
-        for left in reversed(range(self._action_repeat)):
-            cameras = () if left else (self._camera,)
-            reply: StepResponse = self._sim.step(StepRequest(self._session, self._steps + 1, actions, cameras=cameras))
-            self._steps += 1
-            if len(reply.terminated) != self._num_envs or len(reply.truncated) != self._num_envs:
-                raise _malformed()
-            done = reply.terminated | reply.truncated
-            terminated, truncated = terminated | reply.terminated, truncated | reply.truncated
+        reply: StepResponse = self._sim.step(
+            StepRequest(
+                self._session,
+                self._steps + 1,
+                actions,
+                cameras=(self._camera,),
+                action_repeat=self._action_repeat,
+            )
+        )
+        self._steps += 1
         frames = reply.frames.get(self._camera)
-        if frames is None or len(frames) != self._num_envs:
+        if frames is None or {len(frames), len(reply.terminated), len(reply.truncated)} != {self._num_envs}:
             raise _malformed()
-        final = frames
+        done, final = reply.terminated | reply.truncated, frames
         if done.any():
             last = reply.final_frames.get(self._camera)
             if last is None or last.shape != (done.sum(), *frames.shape[1:]):
@@ -242,9 +231,7 @@ class _Session:
             final = frames.copy()
             final[done] = last
         oracle = None if reply.truth is None else reply.truth.reward
-        if self._episode_steps and self._steps % self._episode_steps == 0:
-            frames, truncated = self.reset(), np.ones(self._num_envs, np.bool_)
-        return _SessionStep(frames, final, terminated, truncated, oracle)
+        return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
 
     def snapshot(self) -> bytes:
         return cast(bytes, self._sim.snapshot(SnapshotRequest(self._session)).snapshot)

@@ -67,9 +67,9 @@ class PPORunConfig(PPOConfig):
         encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or `spatial`, an
             image encoder that is trained with the policy.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
-        action_repeat: Timesteps that each action is held for, in training and after it.
-        episode_steps: Timesteps after which training cuts all episodes off, a multiple of `action_repeat`, so that more
-            of them begin; 0 for the task's own length.
+        action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
+        episode_steps: Timesteps after which training truncates an episode, so that more of them begin; 0 for the task's
+            own length.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
             the orchestrator; empty for random weights.
     """
@@ -82,17 +82,8 @@ class PPORunConfig(PPOConfig):
     encoder: Literal["goal_eye", "spatial"] = "goal_eye"
     conditions: tuple[str, ...] = ()
     action_repeat: int = bounded(2, least=1, most=16)
-    episode_steps: int = bounded(50, least=0, most=1_000_000)
+    episode_steps: int = bounded(50, least=0, most=10_000)
     init_from: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.episode_steps % self.action_repeat:
-            raise InvalidInput(
-                f"`episode_steps` must be a multiple of `action_repeat`; got {self.episode_steps}.",
-                field="config.episode_steps",
-                hint=f"Round it to a multiple of {self.action_repeat}, or choose 0 for the task's own length.",
-            )
 
 
 def run(context: RunContext, config: PPORunConfig) -> None:
@@ -253,6 +244,7 @@ class _Training:
             seed=config.seed,
             privileged=self._privileged,
             conditions=config.conditions,
+            max_episode_steps=config.episode_steps if snapshots else 0,  # explorations begin new episodes themselves
         )
         return open_groups(
             self.sims,
@@ -260,7 +252,6 @@ class _Training:
             camera=camera,
             reward_fn=reward_fn,
             action_repeat=config.action_repeat,
-            episode_steps=config.episode_steps if snapshots else 0,  # explorations begin new episodes themselves
             snapshots=snapshots,
             interrupt=self.retry.interrupt,
         )
