@@ -21,6 +21,7 @@ from freerein.types.orchestrator import GetArtifactResponse
 
 STREAMS = 2
 EVENTS, FILE = "/v1/watch-fit", "/v1/get-artifact"
+COMMENT = b":\n\n"
 UNKNOWN = "1" * 32
 FIT = Fit("0" * 32, "running", {}, dataset="demos", model_name="default")
 
@@ -65,16 +66,19 @@ class Call:
     """One GET request to an ASGI app, whose client may leave, or take no byte of the reply.
 
     Attributes:
+        body: What has arrived.
         status: The reply's status, 0 until it begins.
         asked: Set when the app waits for the first item, or for the client to leave.
         begun: Set when the reply begins.
         received: Set when the first part of the body arrives.
+        commented: Set when two comments arrive, one after another.
         reading: Whether the client takes the reply.
     """
 
     def __init__(self, app: FastAPI, path: str, *, run_id: str = "0" * 32, reads: bool = True) -> None:
-        self.status = 0
+        self.status, self.body = 0, b""
         self.asked, self.begun, self.received = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self.commented = asyncio.Event()
         self.reading, self._gone = asyncio.Event(), asyncio.Event()
         if reads:
             self.reading.set()
@@ -92,12 +96,15 @@ class Call:
         self.begun.set()
         await self.reading.wait()
         if message.get("body"):
+            self.body += message["body"]
             self.received.set()
+        if self.body.endswith(2 * COMMENT):
+            self.commented.set()
 
     async def leave(self) -> None:
         """Closes the connection; returns when the app is done with it."""
         self._gone.set()
-        await asyncio.wait_for(self._task, 5)
+        await asyncio.wait_for(self._task, 60)
 
 
 @pytest.fixture
@@ -107,13 +114,26 @@ def core() -> Core:
 
 @pytest.fixture
 def app(core: Core) -> FastAPI:
+    return make_toy(core, Limits(streams=STREAMS))
+
+
+def make_toy(core: Core, limits: Limits) -> FastAPI:
     contracts = learning_pb2.DESCRIPTOR.services_by_name, orchestrator_pb2.DESCRIPTOR.services_by_name
     methods = methods_of(contracts[0]["FitService"], core) + methods_of(contracts[1]["OrchestratorService"], core)
-    return make_app("toy", methods, health=Health(), metrics=Metrics(), limits=Limits(streams=STREAMS))
+    return make_app("toy", methods, health=Health(), metrics=Metrics(), limits=limits)
 
 
 async def soon(awaitable: Awaitable[Any]) -> None:
-    await asyncio.wait_for(awaitable, 5)
+    await asyncio.wait_for(awaitable, 60)
+
+
+@pytest.mark.parametrize("run_id", ["", "0" * 32], ids=["no event", "an event"])
+async def test_a_stream_of_events_has_comments_where_it_has_no_events(core: Core, run_id: str) -> None:
+    app = make_toy(core, Limits(keep_alive_s=0.01))
+    call = Call(app, EVENTS, run_id=run_id)
+    await soon(call.commented.wait())
+    await call.leave()
+    assert (call.status, call.body.count(b"id: 0\ndata: {"), core.open) == (200, bool(run_id), 0)
 
 
 @pytest.mark.parametrize("path", [EVENTS, FILE])

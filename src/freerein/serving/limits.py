@@ -33,6 +33,7 @@ class Limits:
         streams: Streams open at once, over REST and over gRPC each; as many WebSockets.
         websocket_bytes: Bytes of one message of a WebSocket.
         idle_s: Seconds that a WebSocket may be open without a message.
+        keep_alive_s: Seconds without an event after which a stream of them has a comment.
         ping_s: Seconds between two pings of a WebSocket, and from a ping to its answer.
         videos: Videos being decoded at once.
         concurrent_calls: gRPC calls in progress at once, without health checks.
@@ -52,6 +53,7 @@ class Limits:
     streams: int = 64
     websocket_bytes: int = 8 * 2**20
     idle_s: float = 600.0
+    keep_alive_s: float = 3.0
     ping_s: float = 10.0
     videos: int = 2
     concurrent_calls: int = 512

@@ -1,7 +1,7 @@
 """The FastAPI app of a service: one route per method, health, metrics, and errors as problem documents."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from functools import cache
@@ -29,6 +29,7 @@ from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
 from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
+_SILENCE = object()
 
 
 def make_app(
@@ -51,7 +52,7 @@ def make_app(
     app = FastAPI(title=f"freerein {name}", version=__version__, docs_url=None, redoc_url=None, redirect_slashes=False)
     slots = Slots(limits.streams, "streams may be open")
     for method in served:
-        answer = _unary(method, limits) if method.rest_form == "reply" else _stream(method, slots)
+        answer = _unary(method, limits) if method.rest_form == "reply" else _stream(method, limits, slots)
         app.add_route(method.path, answer, methods=["GET" if method.reads else "POST"], include_in_schema=False)
     _add_health_and_metrics(app, health, metrics)
     add_docs_page(app)
@@ -110,25 +111,46 @@ def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Respo
     return json_reply
 
 
-def _stream(method: Method, slots: Slots) -> _Endpoint:
+def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
     """Answers with server-sent events, or with the bytes of a file.
 
-    The id of an event is its `sequence`; the header `Last-Event-ID` resumes after it.
+    The id of an event is its `sequence`; the header `Last-Event-ID` resumes after it. Where there is no event for long,
+    a comment keeps the connection open and shows that the service lives.
     """
-    encode = _encode_event if method.rest_form == "events" else _encode_part
+    is_events = method.rest_form == "events"
+    encode, silence_s = (_encode_event, limits.keep_alive_s) if is_events else (_encode_part, None)
 
     async def answer(request: Request) -> Response:
         message = body.read_query(request, method.request)
-        if method.rest_form == "events" and (last := request.headers.get("last-event-id", "")).isdecimal():
+        if is_events and (last := request.headers.get("last-event-id", "")).isdecimal():
             message = replace(message, from_sequence=int(last[:18]) + 1)
         async with AsyncExitStack() as resources:
             resources.enter_context(slots.hold())
             items = await resources.enter_async_context(aclosing(method.call(message)))
+            heard = await resources.enter_async_context(aclosing(_with_silences(items, silence_s)))
             # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
-            first = await _unless_disconnected(request, anext(items, None), None)
-            return _StreamResponse(_encoded(first, items, encode), MEDIA_TYPES[method.rest_form], resources.pop_all())
+            first = await _unless_disconnected(request, anext(heard, None), None)
+            return _StreamResponse(_encoded(first, heard, encode), MEDIA_TYPES[method.rest_form], resources.pop_all())
 
     return answer
+
+
+async def _with_silences(items: AsyncIterator[Any], silence_s: float | None) -> AsyncGenerator[Any]:
+    """Yields the items, and `_SILENCE` whenever there is none for `silence_s`."""
+    item = asyncio.ensure_future(anext(items, None))
+    try:
+        while True:
+            await asyncio.wait({item}, timeout=silence_s)
+            if not item.done():
+                yield _SILENCE
+            elif (found := item.result()) is not None:
+                yield found
+                item = asyncio.ensure_future(anext(items, None))
+            else:
+                return
+    finally:
+        item.cancel()
+        await asyncio.gather(item, return_exceptions=True)  # a generator must not be closed while it runs
 
 
 class _StreamResponse(StreamingResponse):
@@ -151,6 +173,8 @@ async def _encoded(first: Any, rest: AsyncIterator[Any], encode: Callable[[Any],
 
 
 def _encode_event(item: Any) -> bytes:
+    if item is _SILENCE:
+        return b":\n\n"
     return b"id: %d\ndata: %s\n\n" % (item.sequence, orjson.dumps(wire.to_json(item)))
 
 
