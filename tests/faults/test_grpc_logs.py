@@ -34,14 +34,14 @@ def test_bad_metadata_and_expired_deadlines_leave_no_trace(faulty: Any, http2: A
             for path in (SEGMENT, HEALTH + "Check", "/no/Such"):
                 call = connection.call(path, field)
                 connection.send(http2.frame(http2.DATA, http2.END_STREAM, call, bytes(5)))  # an empty message
-                assert connection.wait_for_end(call, 10)
+                assert connection.wait_for_end(call, 60)
     with grpc.insecure_channel(faulty.service.address) as channel:
         for microseconds in range(0, 10_000, 100):
             with pytest.raises(grpc.RpcError) as raised:
                 channel.unary_unary(SEGMENT)(b"", timeout=microseconds / 1e6)
             assert raised.value.code() in (grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.INVALID_ARGUMENT)
-        listed = channel.unary_unary(HEALTH + "List")(b"", timeout=10)
+        listed = channel.unary_unary(HEALTH + "List")(b"", timeout=60)
     assert b"freerein.api.segmentation.v1.SegmentationService" in listed
     lines = [json.loads(line) for line in faulty.service.log.read_text().splitlines()]
-    assert {line["event"] for line in lines} <= {"listening", "ready", "call", "request"}
+    assert {line["event"] for line in lines} <= {"listening", "ready", "call"}
     assert "secret" not in faulty.service.log.read_text()

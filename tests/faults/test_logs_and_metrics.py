@@ -1,20 +1,40 @@
 """What requests leave in logs and metrics: lines of JSON without secrets, and labels from fixed sets."""
 
+import contextlib
 import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from socket import SHUT_RDWR
 from typing import Any
 
+import grpc
 import httpx
 import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from freerein import wire
+from freerein.types.learning import WatchFitRequest
 
 pytestmark = pytest.mark.e2e
 TOKEN = "correct-horse-battery"
 FORGED = '\n{"event": "forged", "level": "critical"}\r\n\x1b[31mred'
 SEGMENT = "/v1/segment"
+FITS = "/freerein.api.learning.v1.FitService/"
+PATHS = {"GetFit": "/v1/get-fit", "WatchFit": "/v1/watch-fit"}
+STREAMS = [("rest", "WatchFit"), ("grpc", "WatchFit"), ("websocket", "/")]
+METHODS = [("rest", "GetFit"), ("grpc", "GetFit"), *STREAMS]
+CALLS = [
+    *[(method, "answered", TOKEN, "ok") for method in METHODS],
+    *[(method, "refused", TOKEN, "not_found") for method in METHODS],
+    *[(method, "answered", "none", "unauthenticated") for method in METHODS],
+    *[(method, "open", TOKEN, "cancelled") for method in STREAMS],
+]
+FIELDS = {"event", "level", "timestamp", "service", "request_id", "protocol", "method", "code", "ms"}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +69,7 @@ def test_a_client_cannot_write_lines_into_the_log_nor_find_the_token_there(fault
     faulty.raw(FORGED.encode() + b"\r\n\r\n")
     text = faulty.service.log.read_text()
     lines = [json.loads(line) for line in text.splitlines()]
-    assert {"listening", "request", "the model failed"} <= {line["event"] for line in lines}
+    assert {"listening", "call", "the model failed"} <= {line["event"] for line in lines}
     assert "forged" not in text
     assert "\x1b" not in text
     assert TOKEN not in text
@@ -79,6 +99,14 @@ def test_a_crash_is_a_line_of_json_too(crash: str, tmp_path: Path) -> None:
     assert "Error" in line["exception"]
 
 
+def test_long_fields_of_a_line_are_cut(tmp_path: Path) -> None:
+    program = "import logging; from freerein.serving import logs; logs.configure('x'); "
+    program += "logging.warning('y' * 9999, extra={'field': 'z' * 9999})"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
+    line = json.loads(ended.stderr)
+    assert (line["event"], line["field"]) == ("y" * 2_000, "z" * 2_000)
+
+
 @pytest.mark.fault("C25")
 def test_the_number_of_metric_series_does_not_grow_with_what_clients_send(faulty: Any, fuzz: bool) -> None:
     def series() -> set[str]:
@@ -95,3 +123,73 @@ def test_the_number_of_metric_series_does_not_grow_with_what_clients_send(faulty
     send(range(3, 1_000 if fuzz else 20))
     assert series() == before
     assert len(before) <= 500
+
+
+# --- calls of every kind; one that asks to stay open is left without a word
+
+
+def over_rest(faulty: Any, method: str, asked: str, token: str, while_open: Callable[[], object]) -> None:
+    headers = {"authorization": f"Bearer {token}"}
+    with faulty.http.stream("GET", PATHS[method], params={"id": asked}, headers=headers) as reply:
+        while_open() if asked == "open" else reply.read()
+
+
+def over_grpc(faulty: Any, method: str, asked: str, token: str, while_open: Callable[[], object]) -> None:
+    message = wire.pack(WatchFitRequest(asked)).SerializeToString()
+    options: Any = {"metadata": [("authorization", f"Bearer {token}")], "timeout": 60}
+    with grpc.insecure_channel(faulty.service.address) as channel, contextlib.suppress(grpc.RpcError):
+        if method == "GetFit":
+            channel.unary_unary(FITS + method)(message, **options)
+        else:
+            replies = channel.unary_stream(FITS + method)(message, **options)
+            next(replies)
+            while_open() if asked == "open" else list(replies)
+
+
+def over_websocket(faulty: Any, _method: str, asked: str, token: str, while_open: Callable[[], object]) -> None:
+    url, headers = f"ws://127.0.0.1:{faulty.service.http_port}/?id={asked}", {"authorization": f"Bearer {token}"}
+    with contextlib.suppress(InvalidStatus, ConnectionClosed), connect(url, additional_headers=headers) as socket:
+        socket.recv(60)
+        if asked == "open":
+            while_open()
+            socket.socket.shutdown(SHUT_RDWR)
+
+
+OVER = {"rest": over_rest, "grpc": over_grpc, "websocket": over_websocket}
+
+
+def series(faulty: Any, metric: str) -> dict[str, float]:
+    """Returns the values of a metric by its labels, without those of requests that are no calls."""
+    found = re.findall(rf"^{metric}{{(.*)}} (\S+)$", faulty.http.get("/metrics").text, re.MULTILINE)
+    return {labels: float(value) for labels, value in found if 'method="other"' not in labels}
+
+
+@pytest.mark.parametrize("level", ["debug", "info"])
+def test_a_call_leaves_the_same_fields_and_metrics_over_every_protocol(
+    start_faulty: Callable[..., Any], wait_until: Callable[..., float], level: str
+) -> None:
+    faulty = start_faulty(script="call_kinds.py", FREEREIN_TOKEN=TOKEN, FREEREIN_LOG_LEVEL=level)
+
+    def wait_for_streams(*expected: float) -> None:
+        """Waits until so many streams of each method are open."""
+        names = [f'method="{method}",protocol="{protocol}"' for protocol, method in STREAMS]
+        wait_until(lambda: series(faulty, "freerein_open_streams") == dict(zip(names, expected, strict=True)), 60)
+
+    for (protocol, method), asked, token, _ in CALLS:
+        is_this = [stream == (protocol, method) for stream in STREAMS]
+        OVER[protocol](faulty, method, asked, token, lambda each=is_this: wait_for_streams(*each))
+        wait_for_streams(0, 0, 0)
+    expected = Counter(
+        f'code="{code}",method="{method}",protocol="{protocol}"' for (protocol, method), _, _, code in CALLS
+    )
+    wait_until(lambda: series(faulty, "freerein_calls_total") == expected, 60)
+    unary = {f'method="GetFit",protocol="{protocol}"': 3 for protocol in ("rest", "grpc")}
+    assert series(faulty, "freerein_call_seconds_count") == unary
+    lines = [json.loads(line) for line in faulty.service.log.read_text().splitlines()]
+    calls = [line for line in lines if line["event"] == "call"]
+    assert all(set(line) == FIELDS for line in calls)
+    assert Counter((line["protocol"], line["method"], line["code"], line["level"]) for line in calls) == Counter(
+        (protocol, method, code, "debug" if (method, code) == ("GetFit", "ok") else "info")
+        for (protocol, method), _, _, code in CALLS
+        if level == "debug" or (method, code) != ("GetFit", "ok")
+    )

@@ -112,7 +112,7 @@ async def test_every_route_but_health_is_refused_without_the_token(served: Serve
 async def test_every_rpc_is_refused_without_the_token(served: Served) -> None:
     for rpc, authorization in itertools.product(served.rpcs, WRONG):
         metadata = (("authorization", authorization),) if authorization is not None else ()
-        call = served.channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=10)
+        call = served.channel.stream_stream(rpc)(iter(()), metadata=metadata, timeout=60)
         with pytest.raises(grpc.aio.AioRpcError) as error:
             await call.read()
         assert error.value.code() is grpc.StatusCode.UNAUTHENTICATED, rpc
@@ -130,7 +130,7 @@ async def test_reflection_lists_no_other_service(served: Served) -> None:
 async def test_health_needs_no_token_and_the_token_opens_all(faulty: Any) -> None:
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         health = health_pb2_grpc.HealthStub(channel)
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             async for told in health.Watch(health_pb2.HealthCheckRequest()):
                 if told.status == health_pb2.HealthCheckResponse.SERVING:
                     break
@@ -146,7 +146,7 @@ def test_the_token_is_asked_for_before_the_body_is_read(faulty: Any) -> None:
 
 
 def test_the_token_is_never_logged(faulty: Any) -> None:
-    faulty.segment(0, 1)
+    faulty.segment(0, 1, fault="nan")
     log = faulty.service.log.read_text()
-    assert "/v1/segment" in log
+    assert '"Segment"' in log
     assert TOKEN not in log

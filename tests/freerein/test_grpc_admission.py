@@ -12,6 +12,7 @@ import pytest
 from freerein.api.learning.v1 import learning_pb2
 from freerein.errors import DeadlineExceeded, Overloaded
 from freerein.serving.grpc_admission import Admission, Receipts
+from freerein.serving.grpc_calls import GrpcCalls
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -173,7 +174,7 @@ async def admitted_by(admission: Admission) -> AsyncIterator[grpc.aio.Channel]:
 
 
 def admission_with(health: Health, *, token: str = "", **limits: int) -> Admission:
-    return Admission(health, replace(LIMITS, **limits), token=token, request_id=lambda _: "request")
+    return Admission(health, replace(LIMITS, **limits), token=token, calls=GrpcCalls((), Metrics()))
 
 
 async def test_calls_of_each_kind_are_answered_with_all_their_messages() -> None:

@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.middleware import RequestMiddleware
@@ -44,7 +45,9 @@ def metrics() -> Metrics:
 @pytest.fixture
 def client(reader: Reader, metrics: Metrics) -> httpx.AsyncClient:
     limits = Limits(buffered_bytes=BUDGET)
-    app = RequestMiddleware(reader, metrics=metrics, limits=limits, token="", paths={"/"})
+    recorders = {"/": CallRecorder(metrics, "rest", "Read")}
+    other = CallRecorder(metrics, "rest", OTHER)
+    app = RequestMiddleware(reader, limits=limits, token="", recorders=recorders, other=other)
     return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x")
 
 
@@ -76,28 +79,29 @@ async def test_a_length_that_is_no_number_is_malformed(client: httpx.AsyncClient
     assert (reply.status_code, reply.json()["code"]) == (400, "malformed_request")
 
 
-@pytest.mark.parametrize(("size", "status", "code"), [(1, 200, "ok"), (101, 429, "overloaded")])
+@pytest.mark.parametrize(("size", "level", "code"), [(1, "DEBUG", "ok"), (101, "INFO", "overloaded")])
 async def test_a_request_is_counted_timed_and_logged(
     client: httpx.AsyncClient,
     reader: Reader,
     metrics: Metrics,
     caplog: pytest.LogCaptureFixture,
     size: int,
-    status: int,
+    level: str,
     code: str,
 ) -> None:
     reader.answer.set()
     begun = time.perf_counter()
-    with caplog.at_level(logging.INFO, "freerein"):
+    with caplog.at_level(logging.DEBUG, "freerein"):
         async with client:
             await client.post("/", content=bytes(size))
-    most_s, labels = time.perf_counter() - begun, {"protocol": "rest", "method": "/"}
+    most_s, labels = time.perf_counter() - begun, {"protocol": "rest", "method": "Read"}
     value = metrics.registry.get_sample_value
     assert value("freerein_calls_total", {**labels, "code": code}) == 1
     assert value("freerein_call_seconds_count", labels) == 1
     assert 0 < (value("freerein_call_seconds_sum", labels) or 0) < most_s
-    (line,) = (vars(record) for record in caplog.records if record.message == "request")
-    assert (line["method"], line["route"], line["status"]) == ("POST", "/", status)
+    (line,) = (vars(record) for record in caplog.records if record.message == "call")
+    assert (line["levelname"], line["code"]) == (level, code)
+    assert labels.items() <= line.items()
     assert 0 < line["ms"] < most_s * 1e3
 
 

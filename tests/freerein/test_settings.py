@@ -50,6 +50,7 @@ def test_the_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
         ("WRITE_S", "-1"),
         ("QUEUE", "0"),
         ("INSECURE", "perhaps"),
+        ("LOG_LEVEL", "loud"),
     ],
 )
 def test_a_wrong_value_is_refused_by_its_name(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:

@@ -1,9 +1,9 @@
 """Which gRPC calls are answered: those with the token, while there is a place, whose message arrives in time."""
 
 import asyncio
-import contextlib
 import inspect
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import ExitStack, aclosing
 from functools import cache
 from typing import Any, TypeVar, cast
 
@@ -12,13 +12,11 @@ from grpc_health.v1 import health_pb2
 
 from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError
 from freerein.serving import auth
-from freerein.serving.error_replies import abort_grpc
+from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.health import Health
 from freerein.serving.limits import COPIES, Limits, Slots
 
 _HEALTH_METHODS = f"/{health_pb2.DESCRIPTOR.services_by_name['Health'].full_name}/"
-Context = grpc.aio.ServicerContext[Any, Any]
-RequestId = Callable[[Context], str]
 T = TypeVar("T")
 
 
@@ -32,23 +30,23 @@ class Admission(grpc.aio.ServerInterceptor):
         refused: Calls refused so far because of the graceful shutdown.
     """
 
-    def __init__(self, health: Health, limits: Limits, *, token: str, request_id: RequestId) -> None:
+    def __init__(self, health: Health, limits: Limits, *, token: str, calls: GrpcCalls) -> None:
         self.refused = 0
         self._health = health
         self._token = token
+        self._answered = calls.answered
         self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
         self._streams = Slots(limits.streams, "streams may be open")
         self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
         self._watches = Slots(limits.health_calls, "health watches may be open")
         self._bytes = Slots(limits.buffered_bytes, "bytes of messages and what is parsed of them may be in memory")
         self._receipts = Receipts(limits)
-        self._request_id = request_id
         self._received = cache(self._receive_first)
 
     async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
         """Returns the handler of a call, or one that refuses it."""
         is_health = details.method.startswith(_HEALTH_METHODS)
-        places = contextlib.ExitStack()
+        places = ExitStack()
         if call := asyncio.current_task():  # each call is a task of its own
             call.add_done_callback(lambda _: places.close())
         try:
@@ -64,8 +62,8 @@ class Admission(grpc.aio.ServerInterceptor):
                 if is_stream:
                     places.enter_context(self._streams.hold())
         except ServiceError as error:
-            return self._refusal(error)
-        return handler and self._received(handler)
+            return self._refusal(error, details.method)
+        return handler and self._received(handler, details.method)
 
     @property
     def in_progress(self) -> int:
@@ -77,13 +75,14 @@ class Admission(grpc.aio.ServerInterceptor):
             self.refused += 1
             raise self._health.error()
 
-    def _refusal(self, refusal: ServiceError) -> Any:
+    def _refusal(self, refusal: ServiceError, path: str) -> Any:
         async def refuse(_messages: Any, context: Context) -> None:
-            await abort_grpc(context, refusal, self._request_id(context))
+            async with self._answered(path, context):
+                raise refusal
 
         return grpc.stream_stream_rpc_method_handler(refuse)
 
-    def _receive_first(self, handler: Any) -> Any:
+    def _receive_first(self, handler: Any, path: str) -> Any:
         """Returns a handler that answers as another, but refuses a call whose first message is late."""
         answer = next(
             each
@@ -92,22 +91,20 @@ class Admission(grpc.aio.ServerInterceptor):
         )
 
         async def begun(context: Context) -> Any:
-            try:
-                first = await self._receipts.receive(context.read())
-                if first is grpc.aio.EOF:
-                    raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
-                if isinstance(first, bytes):  # not of health and reflection, whose messages are small
-                    self._bytes.take(size := COPIES * len(first))
-                    cast(Any, context).add_done_callback(lambda _: self._bytes.free(size))  # stubs want another type
-            except ServiceError as error:
-                await abort_grpc(context, error, self._request_id(context))
+            first = await self._receipts.receive(context.read())
+            if first is grpc.aio.EOF:
+                raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
+            if isinstance(first, bytes):  # not of health and reflection, whose messages are small
+                self._bytes.take(size := COPIES * len(first))
+                cast(Any, context).add_done_callback(lambda _: self._bytes.free(size))  # stubs want another type
             return _stream(first, context) if handler.request_streaming else first
 
         async def call(_messages: Any, context: Context) -> Any:
-            return await answer(await begun(context), context)
+            async with self._answered(path, context):
+                return await answer(await begun(context), context)
 
         async def generate(_messages: Any, context: Context) -> AsyncIterator[Any]:
-            async with contextlib.aclosing(answer(await begun(context), context)) as responses:
+            async with self._answered(path, context), aclosing(answer(await begun(context), context)) as responses:
                 async for response in responses:
                     yield response
 

@@ -1,36 +1,30 @@
 """The gRPC server of a service: its methods, health and reflection."""
 
 import asyncio
-import contextlib
-import logging
-import time
-import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from typing import Any, cast
+from contextlib import aclosing
+from typing import Any
 
 import grpc
-import structlog
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_health.v1.health import aio as health_aio
 from grpc_reflection.v1alpha import reflection
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, ServiceError
-from freerein.serving.error_replies import abort_grpc, internal_error
+from freerein.errors import DeadlineExceeded
 from freerein.serving.grpc_admission import Admission
+from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.grpc_messages import decode, decode_part
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.methods import Method, service_names
 from freerein.serving.metrics import Metrics
 
-_log = logging.getLogger(__name__)
 _HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
 _HEALTH_PERIOD_S = 0.2
 _QUIET_S = 0.1
 _QUIET_WITHIN_S = 1.0
 _LOOKAHEAD_BYTES = 4 * 2**20
-_Context = grpc.aio.ServicerContext[Any, Any]
 
 
 class GrpcServer:
@@ -43,11 +37,10 @@ class GrpcServer:
         self, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
     ) -> None:
         self._health = health
-        self._metrics = metrics
         self._limits = limits
         self._names = service_names(methods)
         self._health_servicer = _HealthServicer(("", *self._names))
-        self._admission = Admission(health, limits, token=token, request_id=_request_id)
+        self._admission = Admission(health, limits, token=token, calls=GrpcCalls(methods, metrics))
         self.server = grpc.aio.server(
             interceptors=[self._admission],
             options=[
@@ -111,37 +104,31 @@ class GrpcServer:
             return grpc.unary_stream_rpc_method_handler(self._streaming(method))
         return grpc.unary_unary_rpc_method_handler(self._unary(method))
 
-    def _unary(self, method: Method) -> Callable[[bytes, _Context], Awaitable[bytes]]:
-        async def answer(message: bytes, context: _Context) -> bytes:
-            async def work() -> bytes:
-                try:
-                    async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
-                        response = await method.call(await decode(message, method.request))
-                        return wire.pack(response).SerializeToString()
-                except TimeoutError:
-                    raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
-
-            return cast(bytes, await self._run(method, context, work()))
+    def _unary(self, method: Method) -> Callable[[bytes, Context], Awaitable[bytes]]:
+        async def answer(message: bytes, context: Context) -> bytes:
+            try:
+                async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
+                    response = await method.call(await decode(message, method.request))
+                    return wire.pack(response).SerializeToString()
+            except TimeoutError:
+                raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
 
         return answer
 
-    def _streaming(self, method: Method) -> Callable[[Any, _Context], Awaitable[None]]:
-        async def answer(incoming: Any, context: _Context) -> None:
-            async def work() -> None:
-                if method.descriptor.client_streaming:
-                    request: Any = _decode_stream(incoming, method.request)
-                else:
-                    request = await decode(incoming, method.request)
-                async with contextlib.aclosing(method.call(request)) as responses:
-                    unread = await self._write_all(responses, context)
-                if unread is not None:
-                    await self._end_unread(unread)
-
-            await self._run(method, context, work())
+    def _streaming(self, method: Method) -> Callable[[Any, Context], Awaitable[None]]:
+        async def answer(incoming: Any, context: Context) -> None:
+            if method.descriptor.client_streaming:
+                request: Any = _decode_stream(incoming, method.request)
+            else:
+                request = await decode(incoming, method.request)
+            async with aclosing(method.call(request)) as responses:
+                unread = await self._write_all(responses, context)
+            if unread is not None:
+                await self._end_unread(unread)
 
         return answer
 
-    async def _write_all(self, responses: AsyncIterator[object], context: _Context) -> "asyncio.Future[None] | None":
+    async def _write_all(self, responses: AsyncIterator[object], context: Context) -> "asyncio.Future[None] | None":
         """Writes responses until one is left unread for `write_s`; returns its writing, None when all are written."""
         async for response in responses:
             writing = asyncio.ensure_future(context.write(wire.pack(response).SerializeToString()))
@@ -162,37 +149,6 @@ class GrpcServer:
         writing.cancel()
         raise asyncio.CancelledError
 
-    async def _run(self, method: Method, context: _Context, work: Awaitable[Any]) -> Any:
-        """Awaits the work of a call; counts it, logs it, and turns exceptions into gRPC statuses."""
-        started, code, request_id = time.perf_counter(), "ok", _request_id(context)
-        try:
-            with (
-                structlog.contextvars.bound_contextvars(request_id=request_id),
-                self._metrics.in_flight.labels("grpc").track_inprogress(),
-            ):
-                return await work
-        except ServiceError as error:
-            code = error.code
-            await abort_grpc(context, error, request_id)
-        except asyncio.CancelledError:
-            code = Cancelled.code
-            self._metrics.cancelled.labels("grpc").inc()
-            raise
-        except Exception:
-            code = Internal.code
-            _log.exception("bug", extra={"route": method.name, "request_id": request_id})
-            await abort_grpc(context, internal_error(), request_id)
-        finally:
-            seconds = time.perf_counter() - started
-            # called after the reply has been written
-            asyncio.get_running_loop().call_soon(self._record, method, code, seconds, request_id)
-
-    def _record(self, method: Method, code: str, seconds: float, request_id: str) -> None:
-        self._metrics.calls.labels("grpc", method.name, code).inc()
-        self._metrics.latency.labels("grpc", method.name).observe(seconds)
-        fields = {"route": method.name, "code": code, "ms": round(seconds * 1e3, 3), "request_id": request_id}
-        _log.info("call", extra=fields)
-
 
 class _HealthServicer(health_aio.HealthServicer):
     """The health service of `grpc_health`, and its method `List`, which that leaves out."""
@@ -201,7 +157,7 @@ class _HealthServicer(health_aio.HealthServicer):
         super().__init__()
         self._names = names
 
-    async def List(self, _request: Any, context: _Context) -> Any:  # noqa: N802  # the RPC's name
+    async def List(self, _request: Any, context: Context) -> Any:  # noqa: N802  # the RPC's name
         """Returns the status of every service."""
         asked = [health_pb2.HealthCheckRequest(service=name) for name in self._names]
         replies = [await self.Check(request, context) for request in asked]
@@ -225,11 +181,6 @@ async def _ends(writing: "asyncio.Future[None]", *, within_s: float) -> bool:
     return writing.done()
 
 
-def _timeout_s(context: _Context, longest: float) -> float:
+def _timeout_s(context: Context, longest: float) -> float:
     remaining = context.time_remaining()
     return longest if remaining is None else min(longest, remaining)
-
-
-def _request_id(context: _Context) -> str:
-    given = dict(context.invocation_metadata() or ()).get("x-request-id", "")
-    return str(given)[:64] or uuid.uuid4().hex

@@ -85,6 +85,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> int:
         settings = settings_class()
     except ValidationError as error:
         return _cannot_start(_reason(error), CONFIGURATION_ERROR)
+    logs.set_level(settings.log_level)
     try:
         code = uvloop.run(_serve(settings, build))
     except ServiceError as error:

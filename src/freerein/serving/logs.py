@@ -12,14 +12,15 @@ _MAX_CHARACTERS = 2_000
 
 def configure(service: str) -> None:
     """Configures logging of this process: JSON lines on stderr with time, level, service and event."""
-    shared: list[structlog.typing.Processor] = [
-        structlog.contextvars.merge_contextvars,
-        structlog.processors.add_log_level,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
-        _truncate,
-    ]
     formatter = structlog.stdlib.ProcessorFormatter(
-        foreign_pre_chain=[*shared, structlog.stdlib.ExtraAdder(), structlog.processors.format_exc_info],
+        foreign_pre_chain=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.stdlib.ExtraAdder(),
+            _truncate,
+            structlog.processors.format_exc_info,
+        ],
         processors=[
             structlog.stdlib.ProcessorFormatter.remove_processors_meta,
             structlog.processors.JSONRenderer(),
@@ -35,15 +36,16 @@ def configure(service: str) -> None:
     sys.excepthook = _log_crash
     threading.excepthook = lambda crash: _log_crash(crash.exc_type, crash.exc_value, crash.exc_traceback)
     structlog.contextvars.bind_contextvars(service=service)
-    structlog.configure(
-        processors=[
-            *shared,
-            structlog.processors.format_exc_info,
-            structlog.stdlib.ProcessorFormatter.wrap_for_formatter,
-        ],
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        cache_logger_on_first_use=True,
-    )
+
+
+def set_level(level: str) -> None:
+    """Sets the least level that is logged: `debug`, `info`, `warning` or `error`.
+
+    Other libraries stay at `info`: at `debug` they write down what clients send.
+    """
+    number = logging.getLevelNamesMapping()[level.upper()]
+    logging.getLogger().setLevel(max(number, logging.INFO))
+    logging.getLogger("freerein").setLevel(number)
 
 
 def _is_not_the_callers(record: logging.LogRecord) -> bool:
@@ -56,7 +58,4 @@ def _log_crash(_kind: object, error: BaseException | None, _trace: object) -> No
 
 
 def _truncate(_logger: Any, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
-    return {
-        key: value[:_MAX_CHARACTERS] if isinstance(value, str) and key != "exception" else value
-        for key, value in event.items()
-    }
+    return {key: value[:_MAX_CHARACTERS] if isinstance(value, str) else value for key, value in event.items()}

@@ -50,6 +50,16 @@ class Method:
         return self.descriptor.name
 
     @property
+    def is_stream(self) -> bool:
+        """Whether it receives or sends a stream of messages."""
+        return bool(self.descriptor.client_streaming or self.descriptor.server_streaming)
+
+    @property
+    def grpc_path(self) -> str:
+        """The path over gRPC, such as `/freerein.api.learning.v1.ModelService/ListModels`."""
+        return f"/{self.descriptor.containing_service.full_name}/{self.name}"
+
+    @property
     def path(self) -> str:
         """The REST path, such as `/v1/list-skills`."""
         return rest_path(self.name)

@@ -10,9 +10,10 @@ class Metrics:
     """The metrics, on their own registry, so that one process can hold several services.
 
     Attributes:
-        calls: Completed calls, by protocol (rest | grpc), method and code.
-        latency: Seconds from request to reply, by protocol and method.
+        calls: Completed calls, by protocol (rest | grpc | websocket), method and code.
+        latency: Seconds from request to reply of unary calls, by protocol and method.
         in_flight: Calls in progress, by protocol.
+        open_streams: Streams that are open, by protocol and method.
         cancelled: Calls whose client disconnected, by protocol.
         queued: Items waiting for the model.
         stuck: Model threads in a call that has outlasted every deadline, 0 or 1.
@@ -26,12 +27,15 @@ class Metrics:
         )
         self.latency = Histogram(
             "freerein_call_seconds",
-            "Seconds from request to reply.",
+            "Seconds from request to reply of unary calls.",
             ("protocol", "method"),
             buckets=_LATENCY_BUCKETS_S,
             registry=self.registry,
         )
         self.in_flight = Gauge("freerein_calls_in_flight", "Calls in progress.", ("protocol",), registry=self.registry)
+        self.open_streams = Gauge(
+            "freerein_open_streams", "Streams that are open.", ("protocol", "method"), registry=self.registry
+        )
         self.cancelled = Counter(
             "freerein_cancelled_total", "Calls whose client disconnected.", ("protocol",), registry=self.registry
         )

@@ -3,7 +3,7 @@
 import re
 import ssl
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -24,6 +24,7 @@ class ServiceSettings(BaseSettings):
         tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
         tls_key: PEM file with the private key.
         insecure: Allows a bind beyond loopback without token and TLS.
+        log_level: Least level of the lines of the log; `debug` has unary calls that succeed, too.
         data_dir: Folder of datasets, models, fits and runs.
         receipt_s: Seconds that a client has to send a whole request.
         write_s: Seconds that a client may leave a reply unread.
@@ -43,6 +44,7 @@ class ServiceSettings(BaseSettings):
     tls_cert: Path | None = None
     tls_key: Path | None = None
     insecure: bool = False
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
     data_dir: Path = Path("var")
     receipt_s: float = Field(default=10.0, gt=0, le=600)
     write_s: float = Field(default=30.0, gt=0, le=600)

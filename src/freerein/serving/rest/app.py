@@ -17,6 +17,7 @@ from starlette.types import Receive, Scope, Send
 
 from freerein import __version__, wire
 from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
+from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
@@ -61,11 +62,13 @@ def make_app(
             open_websocket, health=health, metrics=metrics, limits=limits, token=token, origins=origins
         )
         app.router.add_websocket_route(PATH, endpoint.serve)
-    app.add_exception_handler(ServiceError, _answer_service_error)
     app.add_exception_handler(HTTPException, _answer_http_exception)
     app.openapi = cache(lambda: openapi_document(app, served, service=name))  # type: ignore[method-assign]  # FastAPI's documented way
-    paths = {method.path for method in served}
-    app.add_middleware(RequestMiddleware, metrics=metrics, limits=limits, token=token, paths=paths)
+    recorders = {
+        method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
+    }
+    other = CallRecorder(metrics, "rest", OTHER)
+    app.add_middleware(RequestMiddleware, limits=limits, token=token, recorders=recorders, other=other)
     if origins:  # outermost: a browser asks for leave without the token
         app.add_middleware(
             CORSMiddleware,
@@ -233,10 +236,6 @@ def _respond(request: Request, error: ServiceError) -> Response:
     request_id = request.scope.get("freerein.request_id", "")
     request.scope["freerein.code"] = error.code
     return Response(problem_document(error, request_id), error.http_status, problem_headers(error, request_id))
-
-
-async def _answer_service_error(request: Request, error: Exception) -> Response:
-    return _respond(request, cast(ServiceError, error))
 
 
 async def _answer_http_exception(request: Request, error: Exception) -> Response:

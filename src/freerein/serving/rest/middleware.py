@@ -1,19 +1,15 @@
-"""ASGI middleware of the REST API: request id, token, size limits, one log line and metrics per request."""
+"""ASGI middleware of the REST API: request id, token, size limits, and a record of each call."""
 
-import logging
 import re
-import time
 import uuid
-from collections.abc import Set
+from collections.abc import Mapping
 
-import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from freerein.atomic_files import OUT_OF_FILES, out_of_files
 from freerein.errors import (
     Cancelled,
-    Internal,
     MalformedRequest,
     Overloaded,
     ServiceError,
@@ -21,27 +17,28 @@ from freerein.errors import (
     UnsupportedMedia,
 )
 from freerein.serving import auth
-from freerein.serving.error_replies import internal_error, problem_document, problem_headers
+from freerein.serving.call_recorder import CallRecorder
+from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.limits import COPIES, Limits
-from freerein.serving.metrics import Metrics
 
 MAX_HEADER_BYTES = 16 * 1024
 
-_log = logging.getLogger(__name__)
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
 class RequestMiddleware:
-    """Pure ASGI middleware around the whole app; only known `paths` become metric labels."""
+    """Pure ASGI middleware around the whole app. `recorders` are by path; requests of no such path are `other`."""
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics, limits: Limits, token: str, paths: Set[str]) -> None:
+    def __init__(
+        self, app: ASGIApp, *, limits: Limits, token: str, recorders: Mapping[str, CallRecorder], other: CallRecorder
+    ) -> None:
         self._app = app
-        self._metrics = metrics
         self._limits = limits
         self._token = token
-        self._paths = paths
+        self._recorders = recorders
+        self._other = other
         self._buffered_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -49,28 +46,17 @@ class RequestMiddleware:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        started = time.perf_counter()
         headers = Headers(scope=scope)
         request_id = scope["freerein.request_id"] = _request_id(headers)
         reply = _Reply(send, request_id)
-        with (
-            structlog.contextvars.bound_contextvars(request_id=request_id),
-            self._metrics.in_flight.labels("rest").track_inprogress(),
-        ):
-            try:
+        recorder = self._recorders.get(scope["path"], self._other)
+        try:
+            with recorder.record(request_id) as call:
                 self._check_headers(scope, headers)
                 await self._run_app(scope, receive, reply)
-            except ServiceError as error:
-                scope["freerein.code"] = error.code
-                await reply.problem(error)
-            except Exception:  # every other exception is a bug
-                scope["freerein.code"] = Internal.code
-                _log.exception("bug", extra={"route": self._label(scope)})
-                if reply.status:
-                    raise
-                await reply.problem(internal_error())
-            finally:
-                self._record(scope, reply.status, time.perf_counter() - started)
+                call.code = scope.get("freerein.code", call.code if reply.is_complete else Cancelled.code)
+        except ServiceError as error:
+            await reply.problem(error)
 
     def _check_headers(self, scope: Scope, headers: Headers) -> None:
         size = len(scope["path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
@@ -133,45 +119,31 @@ class RequestMiddleware:
             f"The body may have at most {self._limits.message_bytes} bytes; got more.", hint="Send less per call."
         )
 
-    def _label(self, scope: Scope) -> str:
-        return scope["path"] if scope["path"] in self._paths else "other"
-
-    def _record(self, scope: Scope, status: int, seconds: float) -> None:
-        path, code = self._label(scope), scope.get("freerein.code", _code(status))
-        self._metrics.calls.labels("rest", path, code).inc()
-        self._metrics.latency.labels("rest", path).observe(seconds)
-        if code == Cancelled.code:
-            self._metrics.cancelled.labels("rest").inc()
-        if path != "other":
-            fields = {"method": scope["method"], "route": path, "status": status, "ms": round(seconds * 1e3, 3)}
-            _log.info("request", extra=fields)
-
-
-def _code(status: int) -> str:
-    """Returns the code of a reply without a `ServiceError`; status 0 means that the server stopped first."""
-    if not status:
-        return Cancelled.code
-    return "ok" if status < 400 else "other"
-
 
 class _Reply:
-    """Wraps `send`: records the status, adds the request id header, and sends at most one response."""
+    """Wraps `send`: adds the request id header, and sends at most one response.
+
+    Attributes:
+        is_complete: Whether the response has been sent to its end; else the client has left before.
+    """
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send = send
         self._request_id = request_id
-        self.status = 0
+        self._has_begun = False
+        self.is_complete = False
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
-            self.status = message["status"]
+            self._has_begun = True
             if b"x-request-id" not in dict(message["headers"]):
                 message["headers"] = [*message["headers"], (b"x-request-id", self._request_id.encode())]
         await self._send(message)
+        self.is_complete = message["type"] == "http.response.body" and not message.get("more_body", False)
 
     async def problem(self, error: ServiceError) -> None:
-        """Sends an error, unless the response has started already."""
-        if self.status:
+        """Sends an error, unless the response has begun already."""
+        if self._has_begun:
             return
         headers = [(k.encode(), v.encode()) for k, v in problem_headers(error, self._request_id).items()]
         await self({"type": "http.response.start", "status": error.http_status, "headers": headers})

@@ -5,26 +5,24 @@ is a problem document if the service refuses it to anyone (token, limits), else 
 """
 
 import asyncio
-import logging
-import time
 import uuid
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
-import structlog
 from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from freerein.errors import Cancelled, DeadlineExceeded, Internal, MalformedRequest, ServiceError, Unauthenticated
+from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, ServiceError, Unauthenticated
 from freerein.serving import auth
-from freerein.serving.error_replies import error_line, internal_error, problem_document, problem_headers
+from freerein.serving.call_recorder import CallRecorder
+from freerein.serving.error_replies import error_line, problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.metrics import Metrics
 
 PATH = "/"
-_log = logging.getLogger(__name__)
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}
+_CLEAN_CODES = (1000, 1001)
 _VIOLATION = 1008
 _MAX_REASON_BYTES = 123
 
@@ -59,7 +57,7 @@ class WebSocketEndpoint:
     ) -> None:
         self._open_session = open_session
         self._health = health
-        self._metrics = metrics
+        self._recorder = CallRecorder(metrics, "websocket", PATH, is_stream=True)
         self._limits = limits
         self._token = token
         self._origins = origins
@@ -67,25 +65,15 @@ class WebSocketEndpoint:
 
     async def serve(self, socket: WebSocket) -> None:
         """Serves one connection until the client closes it, is silent for too long, or the service drains."""
-        started, code, request_id = time.perf_counter(), "ok", uuid.uuid4().hex
-        with (
-            structlog.contextvars.bound_contextvars(request_id=request_id),
-            self._metrics.in_flight.labels("websocket").track_inprogress(),
-        ):
-            try:
-                await self._serve(socket, request_id)
-            except WebSocketDisconnect:
-                code = Cancelled.code
-                self._metrics.cancelled.labels("websocket").inc()
-            except ServiceError as error:
-                code = error.code
-                await _refuse(socket, error, request_id)
-            except Exception:
-                code = Internal.code
-                _log.exception("bug", extra={"route": PATH})
-                await _refuse(socket, internal_error(), request_id)
-            finally:
-                self._record(code, time.perf_counter() - started)
+        request_id = uuid.uuid4().hex
+        try:
+            with self._recorder.record(request_id) as call:
+                try:
+                    await self._serve(socket, request_id)
+                except WebSocketDisconnect:  # nobody is there to be told
+                    call.code = Cancelled.code
+        except ServiceError as error:
+            await _refuse(socket, error, request_id)
 
     async def _serve(self, socket: WebSocket, request_id: str) -> None:
         self._check(socket)
@@ -118,6 +106,8 @@ class WebSocketEndpoint:
         if event is None:
             raise self._health.error()
         if event["type"] == "websocket.disconnect":
+            if event["code"] not in _CLEAN_CODES:
+                raise WebSocketDisconnect(event["code"])
             return None
         message: bytes | str = event["text"] if event.get("bytes") is None else event["bytes"]
         return message
@@ -128,11 +118,6 @@ class WebSocketEndpoint:
                 await (socket.send_text(message) if isinstance(message, str) else socket.send_bytes(message))
         except TimeoutError:
             raise WebSocketDisconnect(1006) from None
-
-    def _record(self, code: str, seconds: float) -> None:
-        self._metrics.calls.labels("websocket", PATH, code).inc()
-        self._metrics.latency.labels("websocket", PATH).observe(seconds)
-        _log.info("websocket", extra={"route": PATH, "code": code, "ms": round(seconds * 1e3, 3)})
 
 
 async def _reply(session: MessageSession, message: bytes | str, request_id: str) -> bytes | str:
