@@ -205,6 +205,7 @@ SEGMENTATION_CASES = (
     segment("invalid_input", frames=None, video=b"\0\0\0\x18ftypmp42"),
     segment("unsupported_media", frames=None, video=b"GIF89a"),
     segment("invalid_input", frames=None, video=b"GIF89a", actions=ACTIONS + np.float32(1.5)),
+    segment("invalid_input", frames=None, video=b"GIF89a", actions=np.array(0, np.float32)),
     segment("invalid_input", frames=None, images=(png(2, 3), png(3, 2)), actions=ACTIONS[:2]),
     segment("unsupported_media", frames=None, images=(Image("png", 0, 0, b"GIF89a"),)),
     segment("invalid_input", frames=None, images=(Image("raw_rgb8", 2, 3, b"\0"),)),

@@ -79,8 +79,12 @@ def check_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -
 
     `timesteps` is T; None while it is not known.
     """
-    expected = (len(actions) if timesteps is None and actions is not None else timesteps, action.size)
-    if actions is None or actions.dtype != action.dtype or actions.shape != expected:
+    if (
+        actions is None
+        or actions.dtype != action.dtype
+        or actions.ndim != 2
+        or actions.shape != (len(actions) if timesteps is None else timesteps, action.size)
+    ):
         got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
         raise InvalidInput(
             f"`actions` must be {action.dtype} ({timesteps or 'T'}, {action.size}), one row per frame; got {got}.",
