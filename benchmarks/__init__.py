@@ -1,5 +1,5 @@
 """Compares freerein with its peers: `python -m benchmarks`.
 
 A figure is a ratio of two measurements that take turns in one run, so that a slow or busy machine slows both. Required
-values are bars. Nothing imports this package, and no test judges a time.
+values are bars. Only `experiments` imports this package, and no test judges a time.
 """

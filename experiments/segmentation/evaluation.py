@@ -20,8 +20,10 @@ Probabilities = npt.NDArray[np.float32]
 
 FRAME_ACCURACY, DECODED_ACCURACY, KEPT_ACCURACY = "frame_accuracy", "decoded_accuracy", "kept_accuracy"
 CONFIDENT_ACCURACY = "confident_kept_accuracy"
-ACTION_LOSS = "action_loss"
 TAG_LOSS = "validation_loss"
+"""Loss of held-out tags."""
+
+ACTION_LOSS = "action_loss"
 """Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
 see `freerein_segmentation.training.held_out_action_loss`."""
 
