@@ -47,9 +47,9 @@ _WatchEnd = Annotated[bool, typer.Option("--watch", help="Wait for the end and d
 _SERVICES = ("segmentation", "imitation", "reward")
 _EXPLANATIONS = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
-    "imitation": "Fit a policy to a dataset: goal images as in the dissertation by default, `--set "
-    "method=goal_cloning` for what reaches more of them, `--set method=inverse_model` for the baseline without memory, `--set "
-    "method=skills` or `skill_cloning` for recipes of skills, `--set method=language` for language goals.",
+    "imitation": "Fit a policy to a dataset: goal images as in the dissertation by default, `--set method=goal_cloning` "
+    "to reach more of them, `inverse_model` for the baseline without memory, `skills` or `skill_cloning` for recipes of "
+    "skills, `language` for language goals.",
 }
 
 
