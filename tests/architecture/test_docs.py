@@ -19,6 +19,8 @@ import pytest
 from pydantic import SecretStr
 from pydantic_core import PydanticUndefined
 
+from freerein.serving.metrics import Metrics
+
 ROOT = Path(__file__).parents[2]
 TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)\n*")
 TEXT_BELOW_TABLE = re.compile(r"^\|.*\n(?P<text>[^|\n].*)", re.MULTILINE)
@@ -58,6 +60,13 @@ def test_a_table_says_what_its_classes_say(page: Path, classes: str, table: str)
 def test_a_blank_line_follows_a_table(page: Path) -> None:
     glued = [match["text"] for match in TEXT_BELOW_TABLE.finditer(page.read_text())]
     assert not glued, "without a blank line such a text is shown as a row"
+
+
+def test_the_table_of_metrics_has_them_all() -> None:
+    rows = re.findall(
+        r"^\| `(freerein_\w+?)(?:_total)?` \| (\w+) \|", (ROOT / "docs/protocol.md").read_text(), re.MULTILINE
+    )
+    assert set(rows) == {(metric.name, metric.type) for metric in Metrics().registry.collect()}
 
 
 def test_whatever_can_be_chosen_is_in_a_table() -> None:

@@ -172,14 +172,18 @@ def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked
 
 
 def test_the_doctor_says_how_to_start_a_service_that_does_not_run(nobody_listens: Ports) -> None:
-    result = services.check_service("sim")
+    (check,) = services.checks(["sim"])
+    result = check()
 
     assert (result.state, result.fix) == ("warning", "Run `freerein up`.")
 
 
 def test_the_doctor_asks_what_is_installed_and_what_the_environment_says_where(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FREEREIN_REWARD_ADDRESS", "elsewhere:9103")
-    assert services.expected(["sim"]) == ["reward", "sim"]
+    assert services.expected(["sim"], ()) == ["reward", "sim"]
+    assert services.expected(["sim"], ["segmentation"]) == ["segmentation"]
+    with pytest.raises(InvalidInput, match="one of orchestrator, "):
+        services.expected(["sim"], ["simulator"])
 
 
 def test_the_doctor_recognises_a_port_that_another_program_holds(
@@ -187,10 +191,18 @@ def test_the_doctor_recognises_a_port_that_another_program_holds(
 ) -> None:
     monkeypatch.setitem(PORTS, "sim", Ports(listener, nobody_listens.grpc))
 
-    result = services.check_service("sim")
+    (check,) = services.checks(["sim"])
+    result = check()
 
     assert result.state == "problem"
     assert str(listener) in result.detail
+
+
+def test_the_doctor_says_that_a_host_is_no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_HOST", "192.0.2.1")  # of no machine
+    (check,) = services.checks(["sim"])
+
+    assert (check().state, check().fix) == ("problem", "Correct FREEREIN_HOST.")
 
 
 def test_the_doctor_finds_the_wheels_that_are_data() -> None:

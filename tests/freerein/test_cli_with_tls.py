@@ -8,7 +8,6 @@ import pytest
 from freerein.cli.connection import connect
 from freerein.cli.doctor import services
 from freerein.clients import SimClient
-from freerein.ports import PORTS, Ports
 from freerein.types.sim import ListTasksRequest
 
 pytestmark = pytest.mark.e2e
@@ -16,17 +15,21 @@ pytestmark = pytest.mark.e2e
 
 @pytest.fixture
 def sim(start_service: Any, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A sim service with a certificate, which the command line knows, where sim services usually are."""
+    """A sim service with a certificate, at all addresses and at other ports than usual, as the environment says."""
     key, chain = map(str, certificate)
-    service = start_service("freerein_sim", FREEREIN_TLS_CERT=chain, FREEREIN_TLS_KEY=key, FREEREIN_SIM_WORKERS="1")
-    monkeypatch.setitem(PORTS, "sim", Ports(service.http_port, int(service.address.rpartition(":")[2])))
-    monkeypatch.setenv("FREEREIN_TLS_CERT", chain)
+    shared = {"FREEREIN_HOST": "0.0.0.0", "FREEREIN_TLS_CERT": chain}
+    service = start_service("freerein_sim", FREEREIN_TLS_KEY=key, FREEREIN_SIM_WORKERS="1", **shared)
+    ports = {"FREEREIN_HTTP_PORT": str(service.http_port), "FREEREIN_GRPC_PORT": str(service.grpc_port)}
+    for variable, value in (shared | ports).items():
+        monkeypatch.setenv(variable, value)
     return service
 
 
-async def test_the_doctor_and_the_command_line_speak_tls(sim: Any) -> None:
-    while (found := services.check_service("sim")).state == "warning":
+async def test_the_doctor_and_the_command_line_speak_tls(sim: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (check,) = services.checks(["sim"])
+    while (found := check()).state == "warning":
         pass  # its workers start
-    assert found.state == "ok", found
+    assert (found.state, found.detail) == ("ok", f"ready at {sim.url.replace('http', 'https')}, gRPC {sim.address}")
+    monkeypatch.setenv("FREEREIN_SIM_ADDRESS", sim.address)
     async with connect(SimClient, "sim") as client:
         assert (await client.list_tasks(ListTasksRequest())).tasks

@@ -1,9 +1,9 @@
 """`freerein doctor`: checks this machine and the services, all at once, and prints a line per result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from functools import partial
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -18,14 +18,17 @@ from freerein.cli.settings import CliSettings
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("note", "yellow"), "problem": ("problem", "bold red")}
 
+_HELP = "Services to look at; by default those installed, and those with an address in the environment."
+_Chosen = Annotated[list[str] | None, typer.Argument(metavar="SERVICES", help=_HELP)]
+
 app = typer.Typer(add_completion=False)
 
 
 @app.command()
 @command
-def doctor(as_json: AsJson = False) -> None:
+def doctor(chosen: _Chosen = None, as_json: AsJson = False) -> None:
     """Check this machine and the services; exit code 1 where something required is missing."""
-    results = _check_all()
+    results = _check_all(chosen or ())
     if as_json:
         for result in results:
             print_json(asdict(result))
@@ -35,8 +38,9 @@ def doctor(as_json: AsJson = False) -> None:
         raise typer.Exit(1)
 
 
-def _check_all() -> list[CheckResult]:
-    names = installed()
+def _check_all(chosen: Sequence[str]) -> list[CheckResult]:
+    looked_at = services.expected(installed(), chosen)
+    names = installed().keys() & looked_at
     data_dir = CliSettings().data_dir
     checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
     if "sim" in names:
@@ -45,10 +49,10 @@ def _check_all() -> list[CheckResult]:
         checks.append(machine.check_text_encoder)
     if "segmentation" in names:
         checks.append(machine.check_video)
-    if set(names) - {"sim"}:
+    if names - {"sim"}:
         checks += [machine.check_torch]
     checks.append(lambda: machine.check_storage(data_dir))
-    checks += [partial(services.check_service, name) for name in services.expected(names)]
+    checks += services.checks(looked_at)
     with ThreadPoolExecutor(len(checks)) as pool:
         found = list(pool.map(lambda check: check(), checks))
     return [result for part in found for result in (part if isinstance(part, list) else [part])]

@@ -1,42 +1,60 @@
 """Checks of services: running and ready, or their ports free."""
 
 import os
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from pathlib import Path
 
 import grpc
 import httpx
 
 from freerein.cli.doctor.machine import CheckResult
-from freerein.cli.services.endpoints import LOOPBACK, is_free, tls_context
-from freerein.ports import PORTS, address, addresses
+from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free, tls_context
+from freerein.ports import PORTS, Ports, addresses
 
 _TIMEOUT_S = 2.0
 
 
-def expected(installed: Collection[str]) -> list[str]:
-    """Returns the services that should answer: those that are installed, and those that the environment says where."""
-    return [name for name in PORTS if name in installed or os.environ.get(_variable(name))]
+def expected(installed: Collection[str], chosen: Collection[str]) -> list[str]:
+    """Returns the services to look at: those chosen, else those installed or with an address in the environment.
+
+    Raises InvalidInput when one that is chosen does not exist.
+    """
+    for name in chosen:
+        addresses(name, os.environ)
+    return [name for name in PORTS if name in (chosen or installed) or (not chosen and os.environ.get(_variable(name)))]
 
 
-def check_service(name: str) -> CheckResult:
-    """Checks a service on this machine, or at its address in the environment."""
-    ports = PORTS[name]
-    if os.environ.get(_variable(name)):
-        return _check_remote(name)
-    held = [port for port in (ports.rest, ports.grpc) if not is_free(port)]
+def checks(names: Sequence[str]) -> list[Callable[[], CheckResult]]:
+    """Returns a check of each service: at its address in the environment, else at its configured ports here.
+
+    Raises InvalidInput when the environment sets the port of one service, and several are here.
+    """
+    away = [name for name in names if os.environ.get(_variable(name))]
+    here = [name for name in names if name not in away]
+    ports = configured_ports(here, os.environ) if here else {}
+    remote = (partial(_check_remote, name) for name in away)
+    return [*remote, *(partial(_check_local, name, pair) for name, pair in ports.items())]
+
+
+def _check_local(name: str, ports: Ports) -> CheckResult:
+    host = configured_host(os.environ)
+    if not is_free(0, host=host):
+        return CheckResult(name, "problem", f"{host} is no address of this machine", "Correct FREEREIN_HOST.")
+    held = [port for port in (ports.rest, ports.grpc) if not is_free(port, host=host)]
     if not held:
         detail = f"not running; ports {ports.rest} and {ports.grpc} are free"
         return CheckResult(name, "warning", detail, "Run `freerein up`.")
-    answer = _ask(ports.rest)
+    url, target = f"{_scheme()}://{connectable(host)}:{ports.rest}", f"{connectable(host)}:{ports.grpc}"
+    answer = _ask(url)
     if answer is None:
         detail = f"port {' and '.join(map(str, held))} is used by another program"
         return CheckResult(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held[0]}` names it.")
     if not answer.is_success:
         return CheckResult(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
-    if not _is_reachable(address(name, os.environ)):
+    if not _is_reachable(target):
         return CheckResult(name, "problem", f"gRPC port {ports.grpc} does not answer", "Restart `freerein up`.")
-    return CheckResult(name, "ok", f"ready at {_scheme()}://{LOOPBACK}:{ports.rest}, gRPC {LOOPBACK}:{ports.grpc}")
+    return CheckResult(name, "ok", f"ready at {url}, gRPC {target}")
 
 
 def _check_remote(name: str) -> CheckResult:
@@ -52,9 +70,8 @@ def _variable(name: str) -> str:
     return f"FREEREIN_{name.upper()}_ADDRESS"
 
 
-def _ask(port: int) -> httpx.Response | None:
+def _ask(url: str) -> httpx.Response | None:
     """Returns the readiness reply; None where no freerein service listens."""
-    url = f"{_scheme()}://{LOOPBACK}:{port}"
     with httpx.Client(timeout=_TIMEOUT_S, trust_env=False, verify=tls_context(_certificate())) as client:
         try:
             live = client.get(f"{url}/healthz")

@@ -12,6 +12,7 @@ from freerein.ports import PORTS, Ports, address
 
 GROUP = "freerein.services"
 LOOPBACK = "127.0.0.1"
+_WILDCARDS = ("0.0.0.0", "::")  # clients cannot connect to these
 _MAX_PORT = 65535
 
 
@@ -81,6 +82,17 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
         port = int(value) or getattr(free_ports([name])[name], attribute)
         ports[name] = replace(ports[name], **{attribute: port})
     return ports
+
+
+def configured_host(environ: Mapping[str, str]) -> str:
+    """Returns the address that services bind: `FREEREIN_HOST`, by default loopback."""
+    return environ.get("FREEREIN_HOST") or LOOPBACK
+
+
+def connectable(host: str) -> str:
+    """Returns where clients of this machine connect to a service that binds a host, as part of a URL."""
+    reachable = LOOPBACK if host in _WILDCARDS else host
+    return f"[{reachable}]" if ":" in reachable else reachable
 
 
 def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:

@@ -14,13 +14,12 @@ from typing import Self
 
 import httpx
 
-from freerein.cli.services.endpoints import LOOPBACK, check_free, tls_context
+from freerein.cli.services.endpoints import check_free, configured_host, connectable, tls_context
 from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
 
 _RESTARTS = RestartPolicy()
-_WILDCARDS = ("0.0.0.0", "::")  # clients cannot connect to these
 _PROBE_TIMEOUT_S = 2.0
 
 
@@ -52,9 +51,8 @@ class Stack:
         policy: RestartPolicy = _RESTARTS,
     ) -> None:
         self._ports = {name: (ports or PORTS)[name] for name in services}
-        self._host = environ.get("FREEREIN_HOST") or LOOPBACK
-        host = LOOPBACK if self._host in _WILDCARDS else self._host
-        host = f"[{host}]" if ":" in host else host
+        self._host = configured_host(environ)
+        host = connectable(self._host)
         certificate = environ.get("FREEREIN_TLS_CERT")
         scheme = "https" if certificate else "http"
         self.addresses = {name: f"{host}:{pair.grpc}" for name, pair in self._ports.items()}
