@@ -47,8 +47,8 @@ _WatchEnd = Annotated[bool, typer.Option("--watch", help="Wait for the end and d
 _SERVICES = ("segmentation", "imitation", "reward")
 _EXPLANATIONS = {
     "segmentation": "Fit a skill segmentation model to demonstrations tagged with the skills that occur.",
-    "imitation": "Fit a policy to a dataset: goal images as in the dissertation by default, `--set method=goal_cloning` "
-    "to reach more of them, `inverse_model` for the baseline without memory, `skills` or `skill_cloning` for recipes of "
+    "imitation": "Fit a policy to a dataset: the dissertation's goal images by default, `--set method=goal_cloning` "
+    "to reach more, `inverse_model` for the baseline without memory, `skills` or `skill_cloning` for recipes of "
     "skills, `language` for language goals.",
 }
 
