@@ -1,11 +1,11 @@
-"""A service with calls of every kind, which do what their id asks: `answered`, `refused`, or `open` until they end."""
+"""A service with calls of every kind: their ids ask to be `answered`, `refused`, `broken` off, or to stay `open`."""
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from freerein.api.learning.v1 import learning_pb2
-from freerein.errors import NotFound
+from freerein.errors import NotFound, OutOfStorage
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
@@ -22,6 +22,11 @@ def check(asked: str) -> None:
         raise NotFound("There is no such fit.", field="id", hint="List them.")
 
 
+def break_off(asked: str) -> None:
+    if asked == "broken":
+        raise OutOfStorage("The disk must work; it does not.", hint="Replace it.")
+
+
 class Core:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -35,6 +40,7 @@ class Core:
     async def watch_fit(self, request: Any) -> AsyncIterator[WatchFitResponse]:
         check(request.id)
         yield WatchFitResponse(0, FIT)
+        break_off(request.id)
         if request.id == "open":
             await asyncio.Event().wait()
 

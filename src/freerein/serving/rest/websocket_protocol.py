@@ -60,6 +60,12 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
     def shutdown(self) -> None:
         """Does nothing, when the server stops: the endpoint sends what the model still answers, then closes."""
 
+    async def send(self, message: Any) -> None:
+        """Sends a message. A refusal in place of the handshake completes it, too, which uvicorn would call an error."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body":
+            self.handshake_complete = True
+
     async def run_asgi(self) -> None:
         """Runs the endpoint. What it sent last must be read in time."""
         await super().run_asgi()
