@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 import torch
 
 from freerein.learning.action_scaling import ActionScaling, UnscaledActionSpec
@@ -33,3 +34,21 @@ def test_actions_in_their_own_unit_are_bounded_by_what_is_finite_alone() -> None
     low, high = UnscaledActionSpec(2, 0, ("x", "y")).bounds
     assert low < -1e38 < 1e38 < high < np.inf
     assert ActionSpec(2, 0, ("x", "y")).bounds == (-1, 1)
+
+
+@pytest.mark.parametrize("constant", [0.3, -(2.0**24), 1.7e7, -3e9, 1e30])
+def test_a_constant_of_any_magnitude_becomes_0(constant: float) -> None:
+    actions = torch.full((50, 1), constant)
+    scaled = ActionScaling.of(actions.numpy()).scaled(torch.cat([actions, -actions]))
+    torch.testing.assert_close(scaled[:50], torch.zeros(50, 1), atol=1e-6, rtol=0)
+    assert torch.isfinite(scaled).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "other"),
+    [(0.5, np.nextafter(np.float32(0.5), np.float32(1))), (np.finfo(np.float32).min, np.finfo(np.float32).min)],
+)
+def test_what_float32_hardly_tells_apart_is_scaled_to_finite_numbers(value: float, other: float) -> None:
+    actions = np.full((1000, 1), value, np.float32)
+    actions[:10] = other
+    assert torch.isfinite(ActionScaling.of(actions).scaled(torch.from_numpy(actions))).all()

@@ -12,6 +12,10 @@ _QUANTILES = (0.01, 0.99)
 _FARTHEST = 10.0
 """Scaled values beyond which a network sees no difference: a broken sensor must not drown the rest."""
 
+_LEAST_MARGIN = 2.0**-22
+"""Around a constant, relative to it: at least two steps of float32."""
+_MOST = float(np.finfo(np.float32).max)
+
 
 @dataclass(frozen=True)
 class ActionScaling:
@@ -32,9 +36,11 @@ class ActionScaling:
         A number whose quantiles are equal is scaled by its extremes, and a constant becomes 0.
         """
         low, high = np.quantile(actions.astype(np.float64), _QUANTILES, axis=0)  # (A,) each
-        least, greatest = np.where(low < high, (low, high), (actions.min(axis=0), actions.max(axis=0)))
-        constant = least >= greatest
-        return cls(tuple((least - constant).tolist()), tuple((greatest + constant).tolist()))
+        differ = low.astype(np.float32) < high.astype(np.float32)  # as `scaled` sees them
+        least, greatest = np.where(differ, (low, high), (actions.min(axis=0), actions.max(axis=0)))
+        margin = np.where(least < greatest, 0, np.maximum(1, np.abs(least) * _LEAST_MARGIN))
+        bounds = np.clip((least - margin, greatest + margin), -_MOST, _MOST)
+        return cls(*(tuple(each) for each in bounds.tolist()))
 
     def scaled(self, actions: Tensor) -> Tensor:
         """Returns actions, float (..., A), scaled for a network."""
@@ -48,5 +54,4 @@ class UnscaledActionSpec(ActionSpec):
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and greatest finite value."""
-        most = float(np.finfo(np.float32).max)
-        return -most, most
+        return -_MOST, _MOST
