@@ -13,6 +13,7 @@
 """
 
 from freerein.data.action_table import read_actions as read_actions
+from freerein.data.action_table import read_choices as read_choices
 from freerein.data.annotations import label as label
 from freerein.data.annotations import tag as tag
 from freerein.data.cache import StepCache as StepCache

@@ -19,7 +19,7 @@ from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
 from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
-from freerein.data import Dataset, labels, read_actions
+from freerein.data import Dataset, labels, read_actions, read_choices
 from freerein.data.labels import LabelsInfo
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
@@ -27,6 +27,7 @@ from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, S
 from freerein.video import open_video
 
 _TIMEOUT_S = 600.0
+_WRITER = "freerein segment"
 _FILM_HEIGHT = 120
 
 Film = Sequence[npt.NDArray[np.uint8]]
@@ -135,8 +136,10 @@ def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
         raise InvalidInput(
             "The actions must be a CSV file; there is none of that name.", field="actions", hint="Name the file."
         )
+    if skills.action_choices:
+        return read_choices(path.read_bytes(), file=path.name, choices=skills.action_choices)
     _, values = read_actions(path.read_bytes(), file=path.name)
-    return values.astype(np.int64 if skills.action_choices else np.float32)
+    return values.astype(np.float32)
 
 
 def _film_of(path: Path, count: int) -> Film:
@@ -194,7 +197,7 @@ async def label_all(
     with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
-    labels.discard(root)
+    labels.begin(root, writer=_WRITER)
     for index, trajectory in enumerate(Dataset(root)):
         frames, actions = trajectory.frames[camera], trajectory.actions
         answer = await client.segment(replace(request, model=skills.model, frames=frames, actions=actions))
