@@ -26,7 +26,7 @@ from freerein.errors import (
     TooLarge,
     WorkerLost,
 )
-from freerein.types.common import Error
+from freerein.types.common import Error, error_from
 from freerein.types.sim import (
     CloseSessionRequest,
     CloseSessionResponse,
@@ -360,7 +360,7 @@ def answer(handler: RequestHandler, request: object) -> ServiceError | None:
     header, body = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=1)
     header, body = handler.reply(protocol.decode_header(header), bytearray(body))
     refused = protocol.decode_header(header).call == protocol.REFUSED
-    return protocol.error_from(protocol.decode(body, Error)) if refused else None
+    return error_from(protocol.decode(body, Error)) if refused else None
 
 
 @pytest.mark.fault("C14")

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from freerein.errors import InvalidInput, ServiceError
 from freerein.serving.health import Health
 from freerein.serving.methods import InvalidMessage
-from freerein.types.common import Draining
+from freerein.types.common import Draining, error_message
 from freerein.types.sim import ConnectRequest, ConnectResponse
 from freerein_sim.core import SimCore
-from freerein_sim.workers.protocol import error_message
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from freerein import images
 from freerein.clients.channel import MAX_MESSAGE_BYTES
 from freerein.clients.rpc import DEADLINE_S, StreamRpc, UnaryRpc
-from freerein.errors import Internal, TooLarge, Unavailable, by_code
-from freerein.types.common import Error, Timing
+from freerein.errors import Internal, TooLarge, Unavailable
+from freerein.types.common import Timing, error_from
 from freerein.types.segmentation import (
     SegmentHello,
     SegmentRequest,
@@ -62,7 +62,7 @@ class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
                 if reply.labels is not None:
                     parts.append(reply.labels)
                 if reply.error is not None:
-                    raise _error(reply.error)
+                    raise error_from(reply.error)
                 if reply.draining is not None:
                     raise Unavailable(
                         "The service must stay until the end of the stream; it is stopping.", hint="Retry."
@@ -128,7 +128,3 @@ def _joined(opened: SegmentStreamOpened, parts: list[StreamLabels]) -> SegmentRe
             batch_size=max(each.timing.batch_size for each in parts),
         ),
     )
-
-
-def _error(error: Error) -> Exception:
-    return by_code(error.code)(error.detail, field=error.field, hint=error.hint)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, ServiceError, by_code
 
 Encoding = Literal["raw_rgb8", "raw_gray8", "png", "jpeg", "webp"]
 
@@ -198,6 +198,18 @@ class Error:
     field: str = ""
     hint: str = ""
     retry_after_s: float = 0.0
+
+
+def error_message(error: ServiceError) -> Error:
+    """Returns an error as a message."""
+    return Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
+
+
+def error_from(message: Error) -> ServiceError:
+    """Returns the error of a message."""
+    return by_code(message.code)(
+        message.detail, field=message.field, hint=message.hint, retry_after_s=message.retry_after_s or None
+    )
 
 
 @dataclass(frozen=True)

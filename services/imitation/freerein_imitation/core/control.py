@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.serving.health import Health
-from freerein.types.common import Camera, Draining, Error
+from freerein.types.common import Camera, Draining, error_message
 from freerein.types.imitation import Chunk, ControlResponse, GetSpecResponse, Hello
 from freerein_imitation.core.act import Policies
 from freerein_imitation.core.act_context import ActContext, spec_response
@@ -120,8 +120,7 @@ class _ControlSession:
 
 
 def _error(seq: int, error: ServiceError) -> ControlResponse:
-    message = Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
-    return ControlResponse(seq=seq, error=message)
+    return ControlResponse(seq=seq, error=error_message(error))
 
 
 def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:

@@ -9,7 +9,7 @@ from freerein.serving.call_timer import CallTimer
 from freerein.serving.health import Health
 from freerein.serving.methods import InvalidMessage
 from freerein.serving.model_cache import ModelCache
-from freerein.types.common import Draining, Error, ModelRef
+from freerein.types.common import Draining, ModelRef, error_message
 from freerein.types.segmentation import (
     SegmentHello,
     SegmentStreamOpened,
@@ -171,5 +171,4 @@ def _labels(finished: Finished, provisional: Labels, timer: CallTimer) -> Stream
 
 
 def _error(seq: int, error: ServiceError) -> SegmentStreamResponse:
-    message = Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
-    return SegmentStreamResponse(seq, error=message)
+    return SegmentStreamResponse(seq, error=error_message(error))

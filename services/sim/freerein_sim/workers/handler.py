@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
 from freerein.types import sim
+from freerein.types.common import error_message
 from freerein_sim.workers import demonstrations, protocol
 from freerein_sim.workers.checks import check
 from freerein_sim.workers.vector_env import VectorEnv
@@ -179,7 +180,7 @@ def serve(connection: socket.socket, handler: RequestHandler) -> None:
 
 
 def _refusal(error: ServiceError, header: protocol.Header) -> tuple[bytes, bytes]:
-    return protocol.encode(protocol.error_message(error), call=protocol.REFUSED, number=header.number)
+    return protocol.encode(error_message(error), call=protocol.REFUSED, number=header.number)
 
 
 def _receive(connection: socket.socket, length: int) -> bytearray | None:

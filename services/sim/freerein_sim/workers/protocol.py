@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 from freerein import wire
-from freerein.errors import InvalidInput, ServiceError, TooLarge, by_code
+from freerein.errors import InvalidInput, TooLarge
 from freerein.types import sim
 from freerein.types.common import Error
 
@@ -73,18 +73,6 @@ def decode(data: bytes | bytearray, cls: type[wire.T]) -> wire.T:
     message = wire.message_type(cls)()
     message.MergeFromString(cast(bytes, data))  # it reads any buffer; its stub knows bytes only
     return wire.unpack(message, cls)
-
-
-def error_message(error: ServiceError) -> Error:
-    """Returns an error as a message."""
-    return Error(error.code, error.detail, error.field, error.hint, error.retry_after_s or 0.0)
-
-
-def error_from(message: Error) -> ServiceError:
-    """Returns the error of a message."""
-    return by_code(message.code)(
-        message.detail, field=message.field, hint=message.hint, retry_after_s=message.retry_after_s or None
-    )
 
 
 def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: int, images: int) -> None:

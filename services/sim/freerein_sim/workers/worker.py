@@ -12,7 +12,7 @@ import sys
 from typing import TypeVar, cast
 
 from freerein.errors import WorkerLost
-from freerein.types.common import Error
+from freerein.types.common import Error, error_from
 from freerein.types.sim import ListTasksRequest, ListTasksResponse
 from freerein_sim.workers import protocol
 
@@ -159,7 +159,7 @@ class Connection(asyncio.BufferedProtocol):
         if answer is None or answer.done():
             return  # the caller was cancelled
         if header.call == protocol.REFUSED:
-            answer.set_exception(protocol.error_from(protocol.decode(message, Error)))
+            answer.set_exception(error_from(protocol.decode(message, Error)))
         else:
             answer.set_result(message)
 
