@@ -36,7 +36,12 @@ class Summing:
         )
         self.encoded: list[list[str]] = []
         self.batches: list[int] = []
+        self.skipped: list[list[int]] = []
         self.scored: int | None = None
+
+    def skip_steps(self, recurrent: Floats, steps: npt.NDArray[np.int64]) -> Floats:
+        self.skipped.append(steps.tolist())
+        return recurrent
 
     def encode_goals(self, goals: Sequence[str]) -> Floats:
         self.encoded.append(list(goals))
@@ -124,6 +129,13 @@ def test_a_goal_that_takes_too_long_is_given_up_and_then_not_all_are_reached() -
 def test_time_passes_by_what_was_executed() -> None:
     (result,) = run([item(Summing(), 9, elapsed=3)])
     assert (result.state.goal_index, result.state.abandoned) == (1, True)
+
+
+def test_a_policy_is_told_of_control_steps_without_an_observation() -> None:
+    policy = Summing()
+    run([item(policy, 9, elapsed=0), item(policy, 9)])
+    run([item(policy, 9), item(policy, 1, elapsed=2)])
+    assert policy.skipped == [[0, 1], [1]]  # the second is at its goal, and acts for the next
 
 
 def test_a_goal_reached_at_the_last_moment_is_reached() -> None:

@@ -140,6 +140,17 @@ def test_fingers_do_not_count_as_places() -> None:
     assert recognizer.counts.tolist() == [True, True, False]
 
 
+def test_an_observation_from_longer_ago_than_a_control_step_counts_as_none(policy: GoalCloningPolicy) -> None:
+    frames = {"front": explore(1, seed=6).frames["front"][0]}
+    goals, (previous, none) = policy.encode_goals(frames), _nothing(policy, 40)
+    recurrent = np.roll(policy.step(frames, goals, previous, none).recurrent, 1, axis=0)
+    states = policy.skip_steps(recurrent, np.arange(40) % 2)
+    actions = [policy.step(frames, goals, previous, each).actions for each in (states, recurrent, none)]
+    np.testing.assert_array_equal(actions[0][::2], actions[1][::2])
+    np.testing.assert_array_equal(actions[0][1::2], actions[2][1::2])
+    assert not np.array_equal(actions[1][1::2], actions[2][1::2])
+
+
 def _nothing(policy: GoalCloningPolicy, count: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Returns no previous actions, and no previous observations."""
     return np.zeros((count, 2), np.float32), np.zeros((count, policy.spec.recurrent_size), np.float32)

@@ -22,7 +22,7 @@ from freerein.types.common import Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, GetSpecRequest, PublishPolicyRequest
 from freerein_imitation.core import ActService, PolicyRunner, PublishService
 from freerein_imitation.methods import METHODS
-from freerein_orchestrator.rl.policy_files import NetworkPolicy
+from freerein_orchestrator.rl.network_policy import NetworkPolicy
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution
 
 RUN = "0" * 32
@@ -106,6 +106,21 @@ async def test_the_served_policy_acts_as_the_stored_one(
         state, executed = reply.state, reply.actions
         assert reply.goal_reached is None
         assert 0 <= reply.in_distribution <= 1
+
+
+async def test_an_action_is_held_for_as_many_control_steps_whatever_is_observed_of_them(
+    served: Served, tmp_path: Path
+) -> None:
+    network = make(recurrent=False, action_repeat=3)
+    leave(tmp_path, network)
+    model, state, acted = await served.publish(), b"", []
+    for frame, steps in zip(FRAMES, (0, 2, 1, 5, 1), strict=False):
+        executed = np.zeros((steps, 3), np.float32)
+        reply = await served.acts.act(ActRequest(seen(frame), Goal(text=GOAL), executed, state, model=model))
+        state = reply.state
+        acted.append(reply.actions)
+    chosen = [NetworkPolicy(network).act(frame[None], np.ones(1, np.bool_)) for frame in FRAMES]
+    np.testing.assert_allclose(acted, [chosen[at] for at in (0, 0, 2, 3, 3)], atol=1e-6)
 
 
 async def test_a_model_is_named_after_the_task_and_says_what_it_is(served: Served, tmp_path: Path) -> None:

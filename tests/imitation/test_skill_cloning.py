@@ -114,8 +114,10 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillCloningPolicy:
     return SkillCloningPolicy(fitted.network, control(learner, learner.termination_threshold(fitted.network)))
 
 
-def observe(policy: SkillCloningPolicy, light: Light, recipe: Sequence[str], state: PolicyState) -> InferenceResult:
-    """Returns what the service's core answers to a frame, one control step after the last."""
+def observe(
+    policy: SkillCloningPolicy, light: Light, recipe: Sequence[str], state: PolicyState, *, elapsed: int = 1
+) -> InferenceResult:
+    """Returns what the service's core answers to a frame, some control steps after the last."""
     goals = tuple(Subgoal(name.encode(), name) for name in recipe)
     request = InferenceRequest(
         policy=policy,
@@ -124,7 +126,7 @@ def observe(policy: SkillCloningPolicy, light: Light, recipe: Sequence[str], sta
         frames={"front": light.picture()},
         previous=np.zeros(1, np.float32),
         state=state,
-        elapsed=1,
+        elapsed=elapsed,
         max_steps=policy.spec.step_limit(recipe[min(state.goal_index, len(recipe) - 1)]),
     )
     (result,) = PolicyRunner().run_batch([request])
@@ -149,6 +151,20 @@ def test_recipes_longer_than_any_demonstration_are_executed_and_the_end_head_goe
         light.step(float(result.actions[0, 0]))
     assert (state.goal_index, state.abandoned) == (4, False)
     np.testing.assert_allclose(switches, [ENDS[SKILLS.index(skill)] for skill in recipe], atol=2.5)
+
+
+@pytest.mark.parametrize("executed", [2, 3])
+def test_a_robot_that_executes_several_actions_of_a_chunk_is_moved_as_far(
+    policy: SkillCloningPolicy, executed: int
+) -> None:
+    state, light = start(policy), Light(6.0)
+    for _ in range(24 // executed):
+        result = observe(policy, light, ("right",), state, elapsed=executed)
+        state = result.state
+        for action in result.actions[:executed]:
+            light.step(float(action[0]))
+    assert abs(light.place - ENDS[1]) < 2
+    assert abs(light.velocity) < 0.5
 
 
 def test_a_budget_goes_on_to_the_next_skill_after_as_many_steps_as_three_quarters_of_the_segments_have() -> None:
@@ -220,6 +236,7 @@ def test_shifted_frames_have_replicated_edges(rows: int, columns: int) -> None:
 # --- memory
 
 SIZES = MemorySizes(frames=2, features=3, actions=1, action_size=1, chunk=2, outputs=1)
+COUNTING = MemorySizes(frames=2, features=1, actions=2, action_size=1, chunk=5, outputs=1)
 
 
 def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_skill() -> None:
@@ -228,7 +245,7 @@ def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_s
         torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]), torch.tensor([0.8])
     )
     memory = Memory.parse(memory.flat(), SIZES)
-    assert memory.is_known.tolist() == [[True, False]]
+    assert memory.rates.tolist() == [[1, 0]]
     same_skill, same = memory.advanced(
         torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
     )
@@ -240,6 +257,36 @@ def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_s
     assert other.flatten().tolist() == [4, 5]
     ends = [each.ended.item() for each in (memory, same_skill, other_skill)]
     assert ends == pytest.approx([0.4, 0.5, 0.3])
+
+
+def predicting(memory: Memory, first: int) -> tuple[Memory, list[float]]:
+    """Returns the memory after a frame whose predictions are their own timesteps, and the averaged ones."""
+    chunk = torch.arange(first, first + COUNTING.chunk).float()[None, :, None]
+    later, averaged = memory.advanced(torch.full((1, 1), float(first)), torch.tensor([0]), chunk, torch.zeros(1))
+    return later, averaged.flatten().tolist()
+
+
+@pytest.mark.parametrize("executed", range(1, 8))
+def test_predictions_are_for_their_own_timesteps_however_many_actions_were_executed(executed: int) -> None:
+    memory, none = Memory.parse(torch.zeros(1, COUNTING.total), COUNTING), torch.full((1,), -1.0)
+    for first in range(0, 4 * executed, executed):
+        memory, averaged = predicting(memory, first)
+        assert averaged == pytest.approx(range(first, first + COUNTING.chunk))
+        memory = memory.skipped(torch.tensor([executed - 1]), no_action=none)
+
+
+def test_timesteps_are_skipped_together_as_one_by_one_and_each_memory_for_itself() -> None:
+    memory, none = Memory.parse(torch.zeros(1, COUNTING.total), COUNTING), torch.full((1,), -1.0)
+    for first in range(3):
+        memory, _ = predicting(memory.with_action(torch.full((1, 1), float(first))), first)
+    one_by_one = [memory]
+    for _ in range(6):
+        one_by_one.append(one_by_one[-1].skipped(torch.tensor([1]), no_action=none))
+    batch = Memory.parse(memory.flat().repeat(7, 1), COUNTING).skipped(torch.arange(7), no_action=none)
+    torch.testing.assert_close(batch.flat(), torch.cat([each.flat() for each in one_by_one]))
+    assert torch.equal(batch.flat()[:1], memory.flat())
+    assert batch.rates[2].tolist() == pytest.approx([1 / 3, 1])
+    assert [each.tolist() for each in batch.actions[:2, :, 0]] == [[2, 1], [-1, -1]]
 
 
 def test_any_finite_state_gives_finite_actions_in_range(policy: SkillCloningPolicy) -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from freerein.errors import OutputNotFinite, ServiceError
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, takes_robot_state
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, TimedPolicy, takes_robot_state
 
 _CACHE_BYTES = 32 * 2**20
 
@@ -111,7 +111,7 @@ class PolicyRunner:
             _stack_frames([request.frames for request in requests]),
             self._encode_goals(requests),
             _stack([request.previous for request in requests]),
-            _stack([request.state.recurrent for request in requests]),
+            _recurrent_states(requests),
         )
         if takes_robot_state(policy):
             states = [request.robot_state for request in requests if request.robot_state is not None]
@@ -143,6 +143,15 @@ class PolicyRunner:
         while self._cached_bytes > self._max_cache_bytes:
             self._cached_bytes -= self._goal_cache.popitem(last=False)[1].nbytes
         return _stack(found)
+
+
+def _recurrent_states(requests: Sequence[InferenceRequest]) -> npt.NDArray[np.float32]:
+    """Returns the recurrent states just before the requests' observations, (B, R)."""
+    policy, recurrent = requests[0].policy, _stack([request.state.recurrent for request in requests])
+    unobserved = np.array([max(request.elapsed - 1, 0) for request in requests], np.int64)
+    return (
+        policy.skip_steps(recurrent, unobserved) if unobserved.any() and isinstance(policy, TimedPolicy) else recurrent
+    )
 
 
 def _stack(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

@@ -81,6 +81,8 @@ class GoalCloningNetwork(nn.Module):
 class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
     """Follows goal images. Its recurrent state is the features of the last observation; zeros for none.
 
+    Training saw the observation one control step earlier, or none. One from longer ago counts as none.
+
     Args:
         network: Trained.
         control: Rate and limits.
@@ -97,6 +99,11 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
         parts = [self._encode(self._tensors({name: each[batch] for name, each in goals.items()})) for batch in batches]
         features: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
         return features
+
+    def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states after control steps without an observation; see `TimedPolicy`."""
+        later: npt.NDArray[np.float32] = recurrent * (steps == 0)[:, None]
+        return later
 
     @torch.inference_mode()
     def step(

@@ -125,6 +125,9 @@ def proximity_logit(observation: Tensor, goal: Tensor) -> Tensor:
 class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
     """Follows goal images.
 
+    A recurrent network moves on once per observation. Its training saw one of every control step, so it acts best where
+    it observes each; of steps that it did not see it is told no more than the last action.
+
     Args:
         network: Trained.
         control: Rate and limits.

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -162,6 +162,21 @@ class Policy(Protocol):
             goals: Goal embeddings, float32 (B, G).
             previous: Actions executed last, float32 (B, A) or int64 (B, 1); `ActionSpec.no_action` for none.
             recurrent: Recurrent state, float32 (B, R); zeros at the start of a goal.
+        """
+
+
+@runtime_checkable
+class TimedPolicy(Protocol):
+    """A policy whose recurrent state depends on how many control steps there are between two observations."""
+
+    def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states after control steps without an observation, float32 (B, R).
+
+        `Policy.step` takes its observations for those of consecutive control steps.
+
+        Args:
+            recurrent: Recurrent states, float32 (B, R).
+            steps: Control steps without an observation, int64 (B,); with 0 a state stays as it is.
         """
 
 

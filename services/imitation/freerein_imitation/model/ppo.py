@@ -93,6 +93,15 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
         """Returns nothing of goals, float32 (N, 0): there is only one."""
         return np.zeros((len(goals), 0), np.float32)
 
+    def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states after control steps without an observation; see `TimedPolicy`.
+
+        The action was held meanwhile. Where that was as long as in training, or longer, the next one is due.
+        """
+        held, repeat = recurrent[:, -1:], self._network.spec.network.action_repeat
+        later = np.where(held == 0, held, np.minimum(held + steps[:, None], repeat) % repeat)
+        return np.concatenate([recurrent[:, :-1], later.astype(np.float32)], axis=1)
+
     @torch.inference_mode()
     def step(
         self,

@@ -171,7 +171,7 @@ class SkillCloningNetwork(nn.Module):
         return torch.minimum(sure, familiarity)
 
     def forward(
-        self, features: Tensor, skill: Tensor, earlier: Tensor, is_known: Tensor, executed: Tensor
+        self, features: Tensor, skill: Tensor, earlier: Tensor, rates: Tensor, executed: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Returns standardised actions or logits of choices, float32 (B, K, O), and termination logits (B,).
 
@@ -179,11 +179,11 @@ class SkillCloningNetwork(nn.Module):
             features: Of the newest timestep, float32 (B, D), of `encode`.
             skill: One-hot, float32 (B, skills).
             earlier: Features of earlier timesteps, float32 (B, n, D), newest first.
-            is_known: Which of them there are, bool (B, n).
+            rates: Of each, 1 / timesteps to the next newer one, 0 for none, (B, n): in training, which ones there are.
             executed: Encoded actions executed before, float32 (B, m, E), newest first.
         """
         newer = torch.cat([features[:, None], earlier[:, :-1]], dim=1)[:, : earlier.shape[1]]
-        motion = _MOTION_CONTRAST * (newer - earlier) * is_known[..., None]  # (B, n, D)
+        motion = _MOTION_CONTRAST * (newer - earlier) * rates[..., None]  # (B, n, D)
         x = torch.cat([features, motion.flatten(1), executed.flatten(1)], dim=1)
         for layer, film in zip(self.layers, self.film, strict=True):
             scale, shift = film(skill).chunk(2, dim=1)
@@ -236,6 +236,14 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         return one_hot_skills(self.spec.skills, goals)
 
     @torch.inference_mode()
+    def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states after control steps without an observation; see `TimedPolicy` and `Memory`."""
+        no_action = self._network.encode_actions(self._tensor(self.spec.action.no_action()))
+        memory = Memory.parse(self._tensor(recurrent), self._sizes)
+        later: npt.NDArray[np.float32] = memory.skipped(self._tensor(steps), no_action=no_action).flat().cpu().numpy()
+        return later
+
+    @torch.inference_mode()
     def step(
         self,
         frames: CameraFrames,
@@ -250,7 +258,7 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
         felt = None if robot_state is None else self._tensor(robot_state)
         features = network.encode(seen, felt)
-        chunk, termination = network(features, skill, memory.features, memory.is_known, memory.actions)
+        chunk, termination = network(features, skill, memory.features, memory.rates, memory.actions)
         ended, score = termination.sigmoid(), network.in_distribution
         familiarity = score(score.distance(image_statistics(seen)), network.confidence(ended, felt))
         later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)

@@ -5,9 +5,14 @@ predicted for the next timesteps are averaged (temporal ensembling; Zhao et al.,
 manipulation with low-cost hardware", 2023); those for another skill are dropped.
 
 Whether a skill has ended is averaged over frames, too, with more weight on later ones: a robot that passes what looks
-like an end does not stay there.
+like an end does not stay there. A frame counts once, however many timesteps there are to the next.
 
-Callers may change a state, so that any finite numbers must be taken: flags are compared with 0, counts are clamped.
+Where a robot executes several actions before it observes again, predictions for the timesteps in between drop out. As
+training saw frames of consecutive timesteps, a motion counts per timestep; to take earlier frames for unknown, as at
+the start of an episode, would lose velocities. Of the executed actions a policy is told the last, and training saw none
+before it only at that start: those before it count as unknown.
+
+Callers may change a state, so that any finite numbers must be taken: rates and counts are clamped.
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +54,7 @@ class MemorySizes:
 
     @property
     def parts(self) -> tuple[int, ...]:
-        """Numbers of each part: flags and features of frames, actions, skill, end, weights and sums of predictions."""
+        """Numbers of each part: rates and features of frames, actions, skill, end, weights and sums of predictions."""
         window = (self.frames, self.frames * self.features, self.actions * self.action_size)
         return (*window, 1, 1, self.chunk, self.chunk * self.outputs)
 
@@ -59,7 +64,7 @@ class Memory:
     """Memories of B robots.
 
     Attributes:
-        is_known: Whether there was such an earlier frame, bool (B, n), newest first.
+        rates: Of earlier frames, 1 / timesteps from each to the next frame, 0 for none: float32 (B, n), newest first.
         features: Of earlier frames, float32 (B, n, D), newest first.
         actions: Executed ones, float32 (B, m, E), newest first; zeros for none.
         skill: Index of the skill that predictions are for, plus 1; 0 for none: float32 (B,).
@@ -68,7 +73,7 @@ class Memory:
         sums: Weighted sums of them, float32 (B, K, O).
     """
 
-    is_known: Tensor
+    rates: Tensor
     features: Tensor
     actions: Tensor
     skill: Tensor
@@ -79,9 +84,9 @@ class Memory:
     @classmethod
     def parse(cls, flat: Tensor, sizes: MemorySizes) -> "Memory":
         """Returns the memories in flat vectors, float32 (B, R), of any finite numbers."""
-        known, features, actions, skill, ended, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
+        rates, features, actions, skill, ended, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
         return cls(
-            known > 0,
+            rates.clamp(0, 1),
             features.reshape(len(flat), sizes.frames, sizes.features),
             actions.reshape(len(flat), sizes.actions, sizes.action_size),
             skill[:, 0],
@@ -92,9 +97,26 @@ class Memory:
 
     def flat(self) -> Tensor:
         """Returns the flat vectors, float32 (B, R)."""
-        window = (self.is_known.float(), self.features, self.actions)
+        window = (self.rates, self.features, self.actions)
         parts = (*window, self.skill[:, None], self.ended[:, None], self.weights, self.sums)
         return torch.cat([each.flatten(1) for each in parts], dim=1)
+
+    def skipped(self, steps: Tensor, *, no_action: Tensor) -> "Memory":
+        """Returns the memories after timesteps without a frame.
+
+        Args:
+            steps: How many, int64 (B,); with 0 a memory stays as it is.
+            no_action: Stands for an unknown action, float32 (E,).
+        """
+        weights, sums = self.weights, self.sums
+        for past in range(min(int(steps.max()), weights.shape[1])):
+            is_later = steps > past
+            weights = torch.where(is_later[:, None], _later(weights), weights)
+            sums = torch.where(is_later[:, None, None], _later(sums), sums)
+        latest = self.rates[:, :1]  # (B, 1), or (B, 0)
+        rates = torch.cat([latest / (1 + steps[:, None] * latest), self.rates[:, 1:]], dim=1)
+        actions = torch.where((steps > 0)[:, None, None], no_action, self.actions)
+        return replace(self, rates=rates, actions=actions, weights=weights, sums=sums)
 
     def with_action(self, action: Tensor) -> "Memory":
         """Returns the memories after an action (B, E) was executed."""
@@ -114,9 +136,9 @@ class Memory:
         weights = torch.where(same[:, None], self.weights, 0.0) + 1
         sums = torch.where(same[:, None, None], self.sums, 0.0) + chunk
         ended = averaged_end(torch.where(same, self.ended, 0.0), ended)
-        known = torch.cat([torch.ones_like(self.is_known[:, :1]), self.is_known], dim=1)[:, : self.is_known.shape[1]]
+        rates = torch.cat([torch.ones_like(self.rates[:, :1]), self.rates], dim=1)[:, : self.rates.shape[1]]
         seen = torch.cat([features[:, None], self.features], dim=1)[:, : self.features.shape[1]]
-        later = Memory(known, seen, self.actions, (skill + 1).float(), ended, _later(weights), _later(sums))
+        later = Memory(rates, seen, self.actions, (skill + 1).float(), ended, _later(weights), _later(sums))
         return later, sums / weights[..., None]
 
 
