@@ -137,21 +137,24 @@ def from_checkpoint(
     config = cast(Mapping[str, JSON], then.get("config", {}))
     _check_identity({**then, "config": {**(defaults or {}), **config}}, identity)
     state, rng = fresh.state, fresh.sampler.rng
-    state.network.load_state_dict(_under("network/", checkpoint.tensors))
+    state.network.load_state_dict(tensors_under("network/", checkpoint.tensors))
     _load_moments(state.optimiser, checkpoint.tensors)
     state.generator.set_state(checkpoint.tensors["generator"])
     rng.bit_generator.state = cast(Mapping[str, object], document["rng"])
     best = cast(Mapping[str, float] | None, document["best"])
     return FitLoopState(
-        replace(state, step=checkpoint.step, carried=_under("carried/", checkpoint.tensors)),
+        replace(state, step=checkpoint.step, carried=tensors_under("carried/", checkpoint.tensors)),
         BatchSampler(rng, checkpoint.tensors["order"].numpy(), cast(int, document["position"])),
-        BestWeights(int(best["step"]), best["loss"], _under("best/", checkpoint.tensors)) if best else BestWeights(),
+        BestWeights(int(best["step"]), best["loss"], tensors_under("best/", checkpoint.tensors))
+        if best
+        else BestWeights(),
         cast(Mapping[str, float], document["metric_sums"]),
         cast(int, document["metric_count"]),
     )
 
 
-def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def tensors_under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Returns the tensors whose names begin with a prefix, by the rest of their names."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
@@ -168,7 +171,7 @@ def _load_moments(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor
     """Gives each moment its parameter's memory layout: another layout may round differently."""
     parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
-    for path, tensor in _under("optimiser/", tensors).items():
+    for path, tensor in tensors_under("optimiser/", tensors).items():
         index, _, name = path.partition("/")
         parameter = parameters[int(index)]
         moment = torch.empty_like(parameter).copy_(tensor) if tensor.shape == parameter.shape else tensor

@@ -19,7 +19,7 @@ from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
-from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
+from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
@@ -270,10 +270,11 @@ def from_checkpoint(
     learner = train_state.from_checkpoint(checkpoint, fresh, _identity(config, fresh.state.network, inputs))
     reward_learner = make_reward_learner(learner.state.network)
     reward = cast(dict[str, JSON], checkpoint.document["reward"])
-    reward_learner.restore(Checkpoint(cast(int, reward["step"]), _under("reward/", checkpoint.tensors), reward))
-    collector = _under("collector/", checkpoint.tensors)
+    tensors = tensors_under("reward/", checkpoint.tensors)
+    reward_learner.restore(Checkpoint(cast(int, reward["step"]), tensors, reward))
+    collector = tensors_under("collector/", checkpoint.tensors)
     normaliser = ReturnNormaliser(collector["discounted"], collector["moments"]) if "moments" in collector else None
-    snapshots = [collector[f"env/{index}"] for index in range(len(_under("env/", collector)))]
+    snapshots = [collector[f"env/{index}"] for index in range(len(tensors_under("env/", collector)))]
     return PPOState(
         config=config,
         learner=learner,
@@ -330,7 +331,3 @@ def _collector_tensors(state: PPOState) -> dict[str, Tensor]:
     for index, snapshot in enumerate(collector.env_snapshots):
         tensors[f"env/{index}"] = torch.from_numpy(np.frombuffer(snapshot, np.uint8).copy())
     return tensors
-
-
-def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
