@@ -14,8 +14,8 @@ from freerein.errors import FailedPrecondition, InvalidInput, Overloaded
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
+    CameraFrames,
     CreateSessionRequest,
-    Frames,
     ResetRequest,
     ResetResponse,
     StepRequest,
@@ -182,7 +182,7 @@ class EnvSession:
         return np.asarray(actions, np.float32)
 
 
-def frames_of(frames: Frames, index: int) -> dict[str, Pixels]:
+def frames_of(frames: CameraFrames, index: int) -> dict[str, Pixels]:
     """Returns one environment's frames by camera, each uint8 (H, W, C)."""
     return {camera: pixels[index] for camera, pixels in frames.items()}
 

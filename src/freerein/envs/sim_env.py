@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 
 from freerein.envs.env_session import ADDRESS, EnvSession, Observation, Pixels, SessionOptions, frames_of, truth_info
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.sim import Frames, StepResponse
+from freerein.types.sim import CameraFrames, StepResponse
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
@@ -113,7 +113,7 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
         self.single_action_space = self._session.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._latest: Frames | None = None
+        self._latest: CameraFrames | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from freerein.types.common import ActionSpec, Camera, Draining, Error, Trajectory
 
 Behaviour = Literal["expert", "random"]
-Frames = dict[str, npt.NDArray[np.uint8]]
+CameraFrames = dict[str, npt.NDArray[np.uint8]]
 """By camera: uint8 (N, H, W, C)."""
 
 
@@ -158,7 +158,7 @@ class ResetRequest:
 class ResetResponse:
     """The first observations of all environments; `truth` only in a privileged session."""
 
-    frames: Frames
+    frames: CameraFrames
     truth: Truth | None = None
 
 
@@ -195,12 +195,12 @@ class StepResponse:
     """
 
     step_id: int
-    frames: Frames
+    frames: CameraFrames
     reward: npt.NDArray[np.float32]
     terminated: npt.NDArray[np.bool_]
     truncated: npt.NDArray[np.bool_]
     diverged: npt.NDArray[np.bool_]
-    final_frames: Frames
+    final_frames: CameraFrames
     truth: Truth | None = None
 
 
@@ -241,7 +241,7 @@ class RenderRequest:
 class RenderResponse:
     """The frames, by camera: uint8 (N, H, W, C)."""
 
-    frames: Frames
+    frames: CameraFrames
 
 
 @dataclass(frozen=True)

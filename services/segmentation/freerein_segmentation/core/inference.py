@@ -12,14 +12,14 @@ from freerein.serving.batcher import Batcher
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import Prediction
 
-Frames: TypeAlias = npt.NDArray[np.uint8]
+Pixels: TypeAlias = npt.NDArray[np.uint8]
 Actions: TypeAlias = npt.NDArray[Any] | None
 
 
 class PredictionStream(Protocol):
     """Predictions for one trajectory that arrives bit by bit; see `SegmentationStream`."""
 
-    def push(self, frames: Frames, actions: Actions) -> Prediction:
+    def push(self, frames: Pixels, actions: Actions) -> Prediction:
         """Returns the prediction of the timesteps that the next ones finish."""
 
     def finish(self) -> Prediction:
@@ -41,10 +41,10 @@ class SkillModel(Protocol):
     action: ActionSpec | None
     lag: int | None
 
-    def predict(self, frames: Frames, actions: Actions) -> Prediction:
+    def predict(self, frames: Pixels, actions: Actions) -> Prediction:
         """Returns the prediction for frames (T, H, W, C) and actions (T, A), in bounded memory."""
 
-    def encode(self, frames: Frames, actions: Actions) -> Any:
+    def encode(self, frames: Pixels, actions: Actions) -> Any:
         """Returns a few timesteps of a trajectory in a form that `predict_encoded` takes."""
 
     def predict_encoded(self, parts: Sequence[Any]) -> Prediction:
@@ -66,7 +66,7 @@ class WholeTrajectory:
     """The prediction for a trajectory."""
 
     model: SkillModel
-    frames: Frames
+    frames: Pixels
     actions: Actions
 
     def run(self) -> Prediction | ServiceError:
@@ -81,7 +81,7 @@ class Encoding:
     """Some timesteps of a trajectory that is not in memory as a whole."""
 
     model: SkillModel
-    frames: Frames
+    frames: Pixels
     actions: Actions
 
     def run(self) -> Any:
@@ -107,7 +107,7 @@ class StreamStep:
     """The next timesteps of a stream. It changes the stream, so its batch holds nothing that could run it again."""
 
     stream: PredictionStream
-    frames: Frames
+    frames: Pixels
     actions: Actions
 
     def run(self) -> tuple[Prediction, Prediction] | ServiceError:

@@ -9,7 +9,7 @@ from freerein import images
 from freerein.errors import InvalidInput, TooLarge
 from freerein.types.common import ActionSpec, Camera, Image
 from freerein.types.segmentation import SegmentRequest, Timesteps
-from freerein_segmentation.core.inference import Actions, Frames, SkillModel
+from freerein_segmentation.core.inference import Actions, Pixels, SkillModel
 
 MAX_TIMESTEPS = 20_000
 MAX_MIN_SEGMENT = 1_000
@@ -39,7 +39,7 @@ def check_options(smoothing: float, min_confidence: float, **lengths: int) -> No
         )
 
 
-async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps) -> tuple[Frames, Actions]:
+async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps) -> tuple[Pixels, Actions]:
     """Returns the frames, uint8 (T, H, W, C), and the actions (T, A) of a request, None for a model without actions.
 
     Encoded images are decoded off the event loop.
@@ -100,7 +100,7 @@ def check_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -
         )
 
 
-def _decode(encoded: Sequence[Image], camera: Camera) -> Frames:
+def _decode(encoded: Sequence[Image], camera: Camera) -> Pixels:
     if len(encoded) > MAX_TIMESTEPS:
         raise InvalidInput(
             f"`images` must hold at most {MAX_TIMESTEPS} images; got {len(encoded)}.",
@@ -125,7 +125,7 @@ def _decode(encoded: Sequence[Image], camera: Camera) -> Frames:
     return frames
 
 
-def _check_frames(camera: Camera, frames: Frames) -> None:
+def _check_frames(camera: Camera, frames: Pixels) -> None:
     if len(frames) > MAX_TIMESTEPS:
         raise TooLarge(
             f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",

@@ -24,7 +24,7 @@ _MAX_GRAD_NORM = 1.0
 _NORMALISATION_FRAMES = 2000
 _FRAMES_AT_ONCE = 1024
 
-Labels = Sequence[npt.NDArray[np.int64]]
+TrajectoryLabels = Sequence[npt.NDArray[np.int64]]
 """int64 (T,) per trajectory: a skill, or -1 for none."""
 
 
@@ -46,9 +46,9 @@ class _Policy(nn.Module):
 
 def held_out_action_loss(
     training: Trajectories,
-    training_labels: Labels,
+    training_labels: TrajectoryLabels,
     validation: Trajectories,
-    validation_labels: Labels,
+    validation_labels: TrajectoryLabels,
     *,
     spec: ModelSpec,
     steps: int,
@@ -97,7 +97,7 @@ def held_out_action_loss(
 class _Timesteps:
     """The timesteps of trajectories, one after the other."""
 
-    def __init__(self, seen: Trajectories, labels: Labels, spec: ModelSpec) -> None:
+    def __init__(self, seen: Trajectories, labels: TrajectoryLabels, spec: ModelSpec) -> None:
         self._seen = seen
         self._labels = np.concatenate(list(labels))
         self._none = len(spec.skills)

@@ -9,7 +9,15 @@ import numpy.typing as npt
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera
-from freerein.types.sim import ExpertActionsResponse, Frames, Recipe, RenderResponse, ResetResponse, StepResponse, Truth
+from freerein.types.sim import (
+    CameraFrames,
+    ExpertActionsResponse,
+    Recipe,
+    RenderResponse,
+    ResetResponse,
+    StepResponse,
+    Truth,
+)
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.varied_world import build
@@ -207,7 +215,7 @@ class VectorEnv:
         self._steps[env] = 0
         self._experts.pop(env, None)
 
-    def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> Frames:
+    def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> CameraFrames:
         frames = {view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views}
         for row, env in enumerate(envs):
             for view in views:
