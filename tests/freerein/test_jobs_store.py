@@ -52,6 +52,22 @@ def test_each_event_is_read_once_and_watchers_come_back_for_the_rest(store):
     assert read() == []
 
 
+@pytest.mark.parametrize(("from_sequence", "seen"), [(3, [3, 4]), (5, []), (9, [])])
+async def test_a_watcher_that_comes_back_parses_no_event_that_it_has_seen(store, from_sequence, seen):
+    run_id = store.create(REQUEST, {})
+    for step in (1, 2, 3):
+        store.record(run_id, "running", step=step)
+    store.record(run_id, "cancelled")
+    path = store.folder(run_id) / "events.jsonl"
+    path.write_bytes(b"no JSON\n" * 2 + b"".join(path.read_bytes().splitlines(keepends=True)[2:]))
+
+    async def pause(_is_new: bool) -> bool:
+        pytest.fail("the job has ended")
+
+    events = store.watch(run_id, from_sequence=from_sequence, pause=pause)
+    assert [sequence async for sequence, _ in events] == seen
+
+
 def test_an_end_is_noted_once_and_only_queueing_follows_it(store):
     run_id = store.create(REQUEST, {})
     store.record(run_id, "cancelled")
@@ -220,3 +236,12 @@ def test_a_file_of_lines_that_is_replaced_is_read_from_its_start(tmp_path):
     MetricsWriter(path, last_step=2).append(3, {"loss": 0.5})
     assert reader.read() == [{"step": 1}, {"step": 2}, {"step": 3, "loss": 0.5}]
     assert reader.read() == []
+
+
+@pytest.mark.parametrize(("count", "skipped"), [(0, 0), (1, 1), (4, 4), (7, 6), (9, 6)])
+def test_lines_of_many_reads_are_passed_over_but_for_the_last(tmp_path, count, skipped):
+    path = tmp_path / "lines.jsonl"
+    append(path, lambda _: [{"line": line, "text": "a" * 400_000} for line in range(7)])
+    reader = LineReader(path)
+    assert reader.skip(count) == skipped
+    assert reader.read()[0]["line"] == skipped

@@ -5,6 +5,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,14 @@ from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
-from freerein.types.learning import Fit, ListFitsRequest, ResumeFitResponse, StartFitResponse, WatchFitResponse
+from freerein.types.learning import (
+    Fit,
+    GetFitResponse,
+    ListFitsRequest,
+    ResumeFitResponse,
+    StartFitResponse,
+    WatchFitResponse,
+)
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
@@ -158,20 +166,17 @@ def test_the_steps_of_a_fit_are_those_asked_for() -> None:
 
 
 def test_the_old_end_of_a_fit_that_was_resumed_is_not_its_end(new_run: Callable[..., Any], tmp_path: Path) -> None:
-    server = grpc.server(ThreadPoolExecutor(4))
-    learning_pb2_grpc.add_FitServiceServicer_to_server(ResumedFits(), server)
-    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
-    server.start()
-    run = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=address)
-    assert run.do()
+    with serving(ResumedFits()) as address:
+        run = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=address)
+        assert run.do()
     assert (run.model, [row["step"] for row in run.rows]) == (ModelRef("default", "new"), [1, 2])
-    server.stop(None).wait()
 
 
 class ResumedFits(learning_pb2_grpc.FitServiceServicer):
     """One fit, which has failed; the events after its old end come later than any watcher waits at a time."""
 
     FIT = Fit("0" * 32, "failed", {}, step=1, metrics={"loss": 2.0}, error="Old.", dataset="play", model_name="default")
+    ENDED = replace(FIT, state="succeeded", step=2, error="", model=ModelRef("default", "new"))
 
     def StartFit(self, _request, _context):
         return wire.pack(StartFitResponse(self.FIT))
@@ -179,15 +184,56 @@ class ResumedFits(learning_pb2_grpc.FitServiceServicer):
     def ResumeFit(self, _request, _context):
         return wire.pack(ResumeFitResponse(replace(self.FIT, state="queued", error="")))
 
+    def GetFit(self, _request, _context):
+        return wire.pack(GetFitResponse(replace(self.FIT, state="running", error="")))
+
     def WatchFit(self, request, context):
-        ended = replace(self.FIT, state="succeeded", step=2, error="", model=ModelRef("default", "new"))
         if request.from_sequence == 0:
-            gone = threading.Event()
-            context.add_callback(gone.set)
             yield wire.pack(WatchFitResponse(0, self.FIT))
-            gone.wait()
+            wait_until_gone(context)
         else:
-            yield wire.pack(WatchFitResponse(1, ended))
+            yield wire.pack(WatchFitResponse(1, self.ENDED))
+
+
+def test_a_fit_ends_for_a_run_that_finds_its_last_events_only_after_long(
+    new_run: Callable[..., Any], tmp_path: Path
+) -> None:
+    with serving(FitsOfManyEvents()) as address:
+        run = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=address)
+        assert run.do()
+    assert (run.model, [row["step"] for row in run.rows]) == (ModelRef("default", "new"), [1, 2])
+
+
+class FitsOfManyEvents(ResumedFits):
+    """One fit, which has succeeded; a watcher who waits for a moment only has gone before its last event is found."""
+
+    def GetFit(self, _request, _context):
+        return wire.pack(GetFitResponse(self.ENDED))
+
+    def WatchFit(self, request, context):
+        if request.from_sequence == 0:
+            yield wire.pack(WatchFitResponse(0, self.FIT))
+        if context.time_remaining() < 1:
+            wait_until_gone(context)
+        yield wire.pack(WatchFitResponse(1, self.ENDED))
+
+
+@contextmanager
+def serving(fits: ResumedFits) -> Iterator[str]:
+    """Yields the address of a service that knows nothing but fits."""
+    server = grpc.server(ThreadPoolExecutor(4))
+    learning_pb2_grpc.add_FitServiceServicer_to_server(fits, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    yield f"127.0.0.1:{port}"
+    server.stop(None).wait()
+
+
+def wait_until_gone(context: Any) -> None:
+    """Returns when the caller has gone."""
+    gone = threading.Event()
+    context.add_callback(gone.set)
+    gone.wait()
 
 
 class Nth:

@@ -42,6 +42,18 @@ class LineReader:
 
     def read(self) -> list[dict[str, Any]]:
         """Returns the next documents, at most 1 MiB of them; empty when there are no new ones."""
+        return [json.loads(line) for line in self._read_lines()]
+
+    def skip(self, count: int) -> int:
+        """Passes over the next `count` lines unparsed, but not over the last one; returns how many it passed over."""
+        skipped = 0
+        while passed := self._read_lines()[:-1][: count - skipped]:
+            self._offset = self._previous + sum(map(len, passed))
+            skipped += len(passed)
+        self.unread()
+        return skipped
+
+    def _read_lines(self) -> list[bytes]:
         if not self._path.is_file():
             return []
         with self._path.open("rb") as file:
@@ -51,9 +63,10 @@ class LineReader:
                 self._inode, self._offset = inode, 0
                 file.seek(0)
             self._previous = self._offset
-            whole, newline, _ = file.read(_READ_BYTES).rpartition(b"\n")
-        self._offset += len(whole) + len(newline)
-        return [json.loads(line) for line in whole.splitlines()]
+            data = file.read(_READ_BYTES)
+        lines = data[: data.rfind(b"\n") + 1].splitlines(keepends=True)
+        self._offset += sum(map(len, lines))
+        return lines
 
     def unread(self) -> None:
         """Makes the next `read` return the same documents again."""

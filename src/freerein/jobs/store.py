@@ -162,7 +162,7 @@ class JobStore:
 
     def events(self, job_id: str) -> Callable[[], list[JobEvent]]:
         """Returns a function whose every call returns the events that are new since the last one; at first, all."""
-        reader = LineReader(self.folder(job_id) / "events.jsonl")
+        reader = self._reader(job_id)
         return lambda: [_event(document) for document in reader.read()]
 
     async def watch(
@@ -179,13 +179,14 @@ class JobStore:
         while there is no new event, with whether there was one since the last pause; it returns False to end the
         stream. Files are read on `threads`, by default the default executor of the event loop.
         """
-        run, events = partial(asyncio.get_running_loop().run_in_executor, threads), self.events(job_id)
-        config = await run(self.config, job_id)
-        sequence, ended, is_new = 0, False, False
+        run = partial(asyncio.get_running_loop().run_in_executor, threads)
+        config, reader = await run(self.config, job_id), self._reader(job_id)
+        sequence = await run(reader.skip, max(0, from_sequence - 1))  # the one before tells whether the job has ended
+        ended = is_new = False
         while True:
-            while new := await run(events):
+            while new := await run(reader.read):
                 is_new = True
-                for event in new:
+                for event in map(_event, new):
                     ended = event.ended
                     if sequence >= from_sequence:
                         model = await run(self._model, job_id) if event.state == "succeeded" else None
@@ -230,6 +231,9 @@ class JobStore:
         if not path.is_file():
             raise NotFound(f"The {self.noun} has no artifact of this name.", field="name", hint="List its artifacts.")
         return path
+
+    def _reader(self, job_id: str) -> LineReader:
+        return LineReader(self.folder(job_id) / "events.jsonl")
 
     def _model(self, job_id: str) -> ModelRef | None:
         path = self.folder(job_id) / "model.json"

@@ -15,13 +15,21 @@ from freerein.clients import SyncClient
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
 from freerein.learning.config import parse
 from freerein.types.common import check_name
-from freerein.types.learning import CancelFitRequest, Fit, ResumeFitRequest, StartFitRequest, WatchFitRequest
+from freerein.types.learning import (
+    CancelFitRequest,
+    Fit,
+    GetFitRequest,
+    ResumeFitRequest,
+    StartFitRequest,
+    WatchFitRequest,
+)
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind, RemoteWork
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
 from freerein_orchestrator.rl.errors import Stopped
 
 _WATCH_S = 0.5
+_REST_S = 30.0
 _CANCEL_S = 1.0
 _MAX_STEPS = 2**31
 
@@ -136,14 +144,15 @@ class _FitWatch:
         self._step = 0
 
     def poll(self) -> None:
-        """Watches for a moment.
+        """Watches for a moment; once the fit has ended, for as long as its last events take.
 
         Raises:
             Unavailable: The service went away.
         """
-        request = WatchFitRequest(self.fit.id, from_sequence=self._sequence)
+        fit: Fit = self._fits.get_fit(GetFitRequest(self.fit.id)).fit
+        request = WatchFitRequest(fit.id, from_sequence=self._sequence)
         with suppress(DeadlineExceeded):
-            for event in self._fits.watch_fit(request, timeout_s=_WATCH_S):
+            for event in self._fits.watch_fit(request, timeout_s=_REST_S if fit.ended else _WATCH_S):
                 self._sequence = event.sequence + 1
                 self.fit = event.fit
                 if self.fit.step > self._step and self.fit.metrics:  # a killed fit repeats some steps
