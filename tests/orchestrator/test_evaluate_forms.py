@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,9 @@ def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_dr
         first, again, other = (
             run_episodes(sim, request, policy, lambda: None, cameras=("front",), max_steps=4)[1] for policy in policies
         )
+        seeing = replace(policies[0], cameras=("front",))
+        unrecorded = run_episodes(sim, request, seeing, lambda: None, max_steps=4)[1]
+    assert unrecorded.frames == {}
     assert first.frames["front"].shape == (5, 64, 64, 3)
     np.testing.assert_array_equal(first.states, again.states)
     np.testing.assert_array_equal(first.frames["front"], again.frames["front"])

@@ -1,8 +1,8 @@
 """Whole episodes of a policy in a task of the sim service."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -34,7 +34,7 @@ class Episode:
     """An episode of T timesteps, or its first T.
 
     Attributes:
-        frames: By camera: uint8 (T + 1, H, W, C), frame t before action t, and the frame after the last action.
+        frames: By recorded camera: uint8 (T + 1, H, W, C), frame t before action t, and that after the last action.
         actions: As executed, float32 (T, A) or int64 (T, 1).
         terminated: bool (T,), whether the episode terminated after action t; not where a time limit ended it.
         states: float64 (T + 1, S), true states at the frames; S = 0 unless the session was privileged.
@@ -80,25 +80,25 @@ def run_episodes(
         interrupt: Called before each step; raises to stop.
         goals: The goal of each environment; empty for a policy that takes none.
         recipes: What each episode requires; empty for what the worlds draw.
-        cameras: Cameras to record beside those of the policy.
+        cameras: Cameras to record, whether the policy sees them or not. None by default: each frame is kept in memory.
         max_steps: Steps after which episodes are cut off; 0 for whole episodes.
 
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
     """
     session: str = sim.create_session(request).session
-    recorded = tuple(dict.fromkeys((*policy.cameras, *cameras)))
+    rendered = tuple(dict.fromkeys((*policy.cameras, *cameras)))
     steps: list[_Step] = []
     lengths = np.zeros(request.num_envs, np.int64)
     try:
         acting = policy.start(PolicySession(session, request.seed or 0, goals))
-        first = sim.reset(ResetRequest(session, cameras=recorded, recipes=tuple(recipes)))
+        first = sim.reset(ResetRequest(session, cameras=rendered, recipes=tuple(recipes)))
         frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
         while not lengths.all() and (not max_steps or len(steps) < max_steps):
             interrupt()
             output = acting.act(frames, starts)
-            reply: StepResponse = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=recorded))
-            steps.append(_Step(frames, output, reply))
+            reply: StepResponse = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=rendered))
+            steps.append(_Step(frames, output, reply).recorded(cameras))
             frames, starts = reply.frames, reply.terminated | reply.truncated
             lengths[starts & (lengths == 0)] = len(steps)
     finally:
@@ -115,6 +115,15 @@ class _Step:
     frames: dict[str, Frames]
     output: PolicyOutput
     reply: StepResponse
+
+    def recorded(self, cameras: Sequence[str]) -> "_Step":
+        """Returns the step with the frames of these cameras alone."""
+
+        def chosen(frames: Mapping[str, Frames]) -> dict[str, Frames]:
+            return {camera: each for camera, each in frames.items() if camera in cameras}
+
+        reply = replace(self.reply, frames=chosen(self.reply.frames), final_frames=chosen(self.reply.final_frames))
+        return _Step(chosen(self.frames), self.output, reply)
 
 
 def _episode(first: Truth | None, steps: Sequence[_Step], env: int) -> Episode:

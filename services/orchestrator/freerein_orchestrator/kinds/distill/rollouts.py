@@ -160,7 +160,7 @@ class _Recording:
         """Returns the episodes to keep of a teacher."""
         policy, handle = self._policies[each.teacher], self._teacher(each, stochastic=self._plan.stochastic)
         request = self._session(each, handle)
-        return self._to_keep(policy, run_episodes(self._sim, request, handle, self._retry.interrupt))
+        return self._to_keep(policy, self._run(request, handle))
 
     def _run_student(self, each: _Round) -> Sequence[Episode]:
         """Returns episodes of the student with the most likely actions of the teacher."""
@@ -171,8 +171,14 @@ class _Recording:
         request = self._session(each, teacher)
         with ExitStack() as closing:
             student = served_policy(self._imitation, self._students[-1], self._tasks[each.teacher], closing=closing)
-            episodes = run_episodes(self._sim, request, student, self._retry.interrupt, goals=[goal] * each.count)
+            episodes = self._run(request, student, goals=[goal] * each.count)
         return relabelled(episodes, teacher)
+
+    def _run(
+        self, request: CreateSessionRequest, policy: PolicyHandle, *, goals: Sequence[Goal] = ()
+    ) -> Sequence[Episode]:
+        cameras = (self._camera.name,)
+        return run_episodes(self._sim, request, policy, self._retry.interrupt, goals=goals, cameras=cameras)
 
     def _teacher(self, each: _Round, *, stochastic: bool) -> PolicyHandle:
         return stored_policy(self._policies[each.teacher], self._tasks[each.teacher], stochastic=stochastic)

@@ -151,7 +151,7 @@ class LandmarksEvaluation:
         explored = run(random(stream=_EXPLORATION), cameras=self._cameras, max_steps=int(self._steps[-1]))
         goals = [self._goal(each) for each in explored]
         steps = self._max_steps * len(self._steps)
-        followed = run(policy, goals=goals, cameras=self._cameras, max_steps=steps)
+        followed = run(policy, goals=goals, cameras=self._cameras[:1], max_steps=steps)
         baseline = run(random(stream=_BASELINE), max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
             at = _at_landmarks(truth, followed, self._landmark_states(explored))
