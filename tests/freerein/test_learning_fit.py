@@ -1,6 +1,7 @@
 """The training loop under kill -9, SIGTERM and damage. This file is also the process that gets killed: see `main`."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -261,6 +262,21 @@ def test_a_finished_fit_is_saved_with_its_figures(tmp_path: Path) -> None:
     [(path, figures)] = saved
     assert path == tmp_path / "model"
     assert set(figures) == {"validation_loss", "best_step"}
+
+
+def test_rows_are_synced_before_the_checkpoint_that_counts_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced, fsync = list[str](), os.fsync
+
+    def noted_fsync(descriptor: int) -> None:
+        fsync(descriptor)
+        synced.append(Path(f"/proc/self/fd/{descriptor}").readlink().name)
+
+    monkeypatch.setattr(os, "fsync", noted_fsync)
+    run(tmp_path)
+    kept = [name for name in synced if name in ("metrics.jsonl", "manifest.json.tmp")]
+    assert kept == ["metrics.jsonl", "manifest.json.tmp"] * 3
 
 
 def test_a_torn_last_row_of_metrics_is_dropped(tmp_path: Path, undisturbed: tuple[str, str]) -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -333,3 +334,16 @@ def test_the_checkpoints_of_a_training_are_readable_by_name(tmp_path: Path) -> N
     found = checkpoints.newest(tmp_path / "checkpoints", on_corrupt=lambda *_: pytest.fail("damaged"))
     assert found is not None
     assert found.step == SHORT.iterations * SHORT.steps_per_iteration
+
+
+def test_a_row_is_synced_before_the_checkpoint_that_counts_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced, fsync = list[str](), os.fsync
+
+    def noted_fsync(descriptor: int) -> None:
+        fsync(descriptor)
+        synced.append(Path(f"/proc/self/fd/{descriptor}").readlink().name)
+
+    monkeypatch.setattr(os, "fsync", noted_fsync)
+    train(tmp_path)
+    kept = [name for name in synced if name in ("metrics.jsonl", "manifest.json.tmp")]
+    assert kept == ["manifest.json.tmp", *["metrics.jsonl", "manifest.json.tmp"] * SHORT.iterations]

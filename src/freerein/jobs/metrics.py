@@ -33,6 +33,11 @@ class MetricsWriter:
                 file.truncate(end)
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    def sync(self) -> None:
+        """Makes the rows durable, before a checkpoint that counts them. Raises OSError when the disk is broken."""
+        with self._path.open("rb") as file:
+            os.fsync(file.fileno())
+
 
 def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
     """Returns at most `max_rows` rows from a step on, evenly decimated, with the first and the last.

@@ -145,8 +145,8 @@ def fit(
     while progress.state.step < config.steps and not stop():
         progress = _advance(learner, progress, rows, on_event)
         if progress.state.step % config.checkpoint_every == 0:
-            checkpointer.save(progress)
-    checkpointer.save(progress)
+            checkpointer.save(progress, rows)
+    checkpointer.save(progress, rows)
     if progress.state.step < config.steps:
         on_event(FitEvent("stopped", progress.state.step))
         return None
@@ -238,12 +238,13 @@ class _Checkpointer:
         self._on_event(FitEvent("resumed", checkpoint.step))
         return progress
 
-    def save(self, progress: FitLoopState[N]) -> None:
+    def save(self, progress: FitLoopState[N], rows: MetricsWriter) -> None:
         """Saves a checkpoint unless this step has one; ends the fit when several in a row cannot be written."""
         step = progress.state.step
         if step == self._saved_step:
             return
         try:
+            rows.sync()  # a power cut leaves no checkpoint without its rows, which would not be written again
             checkpoints.save(self._folder, to_checkpoint(progress, self._identity))
         except OSError as error:
             self._failures += 1

@@ -18,7 +18,7 @@ def last_step(folder: Path) -> int:
 
 
 class MetricsLogger:
-    """Writes `metrics.jsonl` and `tensorboard/` in a run's folder; every row is on disk when `append` returns.
+    """Writes `metrics.jsonl` and `tensorboard/` in a run's folder; a row is durable when `append` returns.
 
     A full disk ends no training: rows that cannot be written are dropped, and TensorBoard's file from then on.
 
@@ -42,6 +42,7 @@ class MetricsLogger:
         step, metrics = self._first_step + step, {f"{self._prefix}{name}": value for name, value in metrics.items()}
         with suppress(OSError):
             self._rows.append(step, metrics)
+            self._rows.sync()
         if self._events is not None:
             try:
                 for name, value in metrics.items():
