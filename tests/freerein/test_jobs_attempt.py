@@ -117,6 +117,29 @@ def test_an_attempt_without_files_to_begin_with_is_tried_again_after_a_pause(sto
     )
 
 
+@pytest.mark.fault("C22")
+def test_an_attempt_whose_files_cannot_be_read_ends_its_child_and_is_tried_again_after_a_pause(store, runner):
+    run_id = store.create(START, {"config": {"steps": 1, "wait_at": 1}})
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with ExitStack() as taken:
+        taken.callback(resource.setrlimit, resource.RLIMIT_NOFILE, before)
+
+        def take_all_files() -> StopRequest:
+            if (store.folder(run_id) / "metrics.jsonl").exists():
+                resource.setrlimit(resource.RLIMIT_NOFILE, (psutil.Process().num_fds(), before[1]))
+                with suppress(OSError):
+                    while True:
+                        taken.callback(os.close, os.dup(0))
+            return ""
+
+        attempt = runner.run(run_id, take_all_files)
+    assert (attempt.outcome, attempt.error) == (
+        "killed",
+        "The child process was ended, for its files could not be read: Too many open files.",
+    )
+    assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))
+
+
 @pytest.mark.fault("O10")
 def test_a_child_that_will_not_end_is_killed_within_two_seconds_of_a_cancel(store, runner, monkeypatch):
     monkeypatch.setenv("FREEREIN_DATABASE_URL", "postgresql://user:secret@host/name")

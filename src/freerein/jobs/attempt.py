@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -86,13 +86,16 @@ class AttemptRunner:
                 error="The data directory of this worker must hold the job; it does not. Workers that share a database "
                 "must share FREEREIN_DATA_DIR.",
             )
-        try:
-            self._wait(job_id, should_stop, pause)
-            return self._run(job_id, should_stop)
-        except OSError as error:  # the next attempt may succeed: after a pause, where the machine is short of something
-            _log.exception("an attempt could not be started", extra={"job": job_id})
-            outcome: Literal["killed", "crashed"] = "killed" if error.errno in _SHORTAGES else "crashed"
-            return AttemptResult(outcome, error=f"The child process could not be started: {error.strerror}.")
+        with ExitStack() as held:
+            try:
+                self._wait(job_id, should_stop, pause)
+                child = self._start(job_id, should_stop, held)
+            except OSError as error:
+                return _broken_off(job_id, "The child process could not be started", error)
+            try:
+                return self._follow(job_id, child, should_stop)
+            except OSError as error:
+                return _broken_off(job_id, "The child process was ended, for its files could not be read", error)
 
     def _wait(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause) -> None:
         """Waits out a pause, which the job's events show."""
@@ -106,15 +109,16 @@ class AttemptRunner:
                 raise AttemptStopped
             time.sleep(min(left_s, _POLL_S))
 
-    def _run(self, job_id: str, should_stop: Callable[[], StopRequest]) -> AttemptResult:
-        folder, done = self._store.folder(job_id), self._store.last(job_id).step
-        rows = LineReader(folder / "metrics.jsonl")
-        with _locked(folder, should_stop) as lock, (folder / "log.txt").open("ab") as log:
-            for name in (CANCELLED_FILE, WAITING_FILE):
-                (folder / name).unlink(missing_ok=True)
-            with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
-                self._store.record(job_id, "running")
-            child = subprocess.Popen(
+    def _start(self, job_id: str, should_stop: Callable[[], StopRequest], held: ExitStack) -> "subprocess.Popen[bytes]":
+        """Returns a new child process; `held` has the lock of the job's folder from then on."""
+        folder = self._store.folder(job_id)
+        lock = held.enter_context(_locked(folder, should_stop))
+        for name in (CANCELLED_FILE, WAITING_FILE):
+            (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
+            self._store.record(job_id, "running")
+        with (folder / "log.txt").open("ab") as log:
+            return subprocess.Popen(
                 [*self._command, str(folder), *self._arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
@@ -123,13 +127,21 @@ class AttemptRunner:
                 pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
                 process_group=0,  # Ctrl-C in a terminal reaches us, and the child in order
             )
-            request: StopRequest = "interrupt"
-            try:
-                request = self._watch(job_id, child, rows, should_stop)
-            finally:
-                _end(child, _CANCEL_S if request == "cancel" else _SAVE_S)
-                while self._record_progress(job_id, rows):
-                    pass
+
+    def _follow(
+        self, job_id: str, child: "subprocess.Popen[bytes]", should_stop: Callable[[], StopRequest]
+    ) -> AttemptResult:
+        """Records the child's progress until it ends or must stop; it has ended, or was killed, however this ends."""
+        folder = self._store.folder(job_id)
+        rows = LineReader(folder / "metrics.jsonl")
+        request: StopRequest = "interrupt"
+        try:
+            done = self._store.last(job_id).step
+            request = self._watch(job_id, child, rows, should_stop)
+        finally:
+            _end(child, _CANCEL_S if request == "cancel" else _SAVE_S)
+            while self._record_progress(job_id, rows):
+                pass
         if request:
             raise AttemptStopped
         progressed = self._store.last(job_id).step > done
@@ -176,6 +188,12 @@ class AttemptRunner:
                 self._store.record(job_id, "running", error=reason)
             return reason
         return before
+
+
+def _broken_off(job_id: str, what: str, error: OSError) -> AttemptResult:
+    """Returns the end of an attempt; the next may succeed: after a pause, where the machine is short of something."""
+    _log.error("an attempt was broken off", exc_info=error, extra={"job": job_id})
+    return AttemptResult("killed" if error.errno in _SHORTAGES else "crashed", error=f"{what}: {error.strerror}.")
 
 
 @contextmanager
