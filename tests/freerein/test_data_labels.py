@@ -36,10 +36,18 @@ def test_labels_come_back_with_the_model_that_made_them(root: Path) -> None:
 
 
 def test_labels_that_are_not_whole_do_not_count(root: Path) -> None:
-    labels.discard(root)
+    labels.begin(root, writer="run")
     with pytest.raises(FailedPrecondition, match="skill for every timestep") as refused:
         labels.all_labels(root, LENGTHS)
     assert "freerein segment NAME --save" in refused.value.hint
+
+
+def test_a_writer_goes_on_only_where_no_other_has_begun_since(root: Path) -> None:
+    assert not labels.begin(root, writer="run")
+    assert labels.begin(root, writer="run")
+    assert not labels.begin(root, writer="another")
+    labels.finish(root, INFO)
+    assert not labels.begin(root, writer="run")
 
 
 def test_a_dataset_that_has_grown_since_must_be_labelled_again(root: Path) -> None:

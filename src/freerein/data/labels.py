@@ -2,6 +2,7 @@
 
     <root>/labels/chunk-000/file-000.parquet    the labels of data/chunk-000/file-000.parquet
     <root>/labels/info.json                     skills and model; written last, so that it marks the labels complete
+    <root>/labels/writer.json                   who wrote the labels, complete or not
 
 Ground truth lies elsewhere; this module does not know where.
 """
@@ -22,7 +23,7 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import NO_SKILL
 
-_FOLDER, _INFO = "labels", "labels/info.json"
+_FOLDER, _INFO, _WRITER = "labels", "labels/info.json", "labels/writer.json"
 _HINT = "Label the dataset first: freerein segment NAME --save."
 
 
@@ -39,6 +40,19 @@ class LabelsInfo:
     model: ModelRef
 
 
+def begin(root: Path, *, writer: str) -> bool:
+    """Marks the labels incomplete, durably, before a writer such as a run saves its own.
+
+    Returns:
+        Whether this writer was the last to begin: only then are those that it has saved still there.
+    """
+    path, document = root / _WRITER, json.dumps({"writer": writer}).encode()
+    is_own = path.is_file() and path.read_bytes() == document
+    (root / _INFO).unlink(missing_ok=True)
+    write_atomic(path, document)  # syncs the folder, so that the description stays away after a power cut
+    return is_own
+
+
 def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
     """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""
     write_labels(layout.trajectory_path(root / _FOLDER, index), values)
@@ -47,11 +61,6 @@ def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
 def finish(root: Path, info: LabelsInfo) -> None:
     """Marks the labels complete, once those of every trajectory are saved."""
     write_atomic(root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
-
-
-def discard(root: Path) -> None:
-    """Marks the labels incomplete, before they are overwritten."""
-    (root / _INFO).unlink(missing_ok=True)
 
 
 def info(root: Path) -> LabelsInfo:

@@ -62,7 +62,8 @@ class LabelConfig:
 def run(context: RunContext, config: LabelConfig) -> None:
     """Labels all trajectories by one version of the model; a killed run continues with the next trajectory.
 
-    The labels count only once all trajectories have theirs.
+    It begins anew where another one has labelled the dataset since. The labels count only once all trajectories have
+    theirs.
 
     Raises:
         Stopped: The run is to stop.
@@ -78,9 +79,8 @@ def run(context: RunContext, config: LabelConfig) -> None:
     saved = json.loads(path.read_bytes()) if path.is_file() else None
     asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
     model: ListSkillsResponse = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
-    first = saved["labelled"] if saved else 0
+    first = saved["labelled"] if labels.begin(root, writer=context.key) and saved else 0
     metrics = context.metrics_logger(first)
-    labels.discard(root)
     for index in range(first, len(dataset)):
         request = _request(config, model, dataset[index], camera)
         answer: SegmentResponse = retry.call(partial(segmentation.segment, request))

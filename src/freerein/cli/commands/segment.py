@@ -27,6 +27,7 @@ from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, S
 from freerein.video import open_video
 
 _TIMEOUT_S = 600.0
+_WRITER = "freerein segment"
 _FILM_HEIGHT = 120
 
 Film = Sequence[npt.NDArray[np.uint8]]
@@ -196,7 +197,7 @@ async def label_all(
     with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
-    labels.discard(root)
+    labels.begin(root, writer=_WRITER)
     for index, trajectory in enumerate(Dataset(root)):
         frames, actions = trajectory.frames[camera], trajectory.actions
         answer = await client.segment(replace(request, model=skills.model, frames=frames, actions=actions))
