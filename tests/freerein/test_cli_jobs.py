@@ -4,15 +4,17 @@ import asyncio
 import io
 from collections.abc import AsyncGenerator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.jobs.terminal_plot import plot
-from freerein.errors import Unavailable
+from freerein.errors import InvalidInput, Unavailable
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
 
@@ -104,3 +106,10 @@ async def test_a_service_that_stays_away_is_given_up() -> None:
     away = Flaky(*[0.0] * 100)
     with pytest.raises(Unavailable, match="went away"):
         await anext(reconnecting(away.open, timeout_s=TIMEOUT_S))
+
+
+def test_a_configuration_file_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"missing\.json is not: No such file") as refused:
+        configuration(None, tmp_path / "missing.json")
+    assert refused.value.field == "config"
+    assert "--set" in refused.value.hint

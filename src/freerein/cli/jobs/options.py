@@ -35,6 +35,12 @@ def configuration(settings: Sequence[str] | None, file: Path | None = None) -> d
     """Returns the configuration in a file, overridden by settings."""
     try:
         values = json.loads(file.read_bytes()) if file else {}
+    except OSError as error:
+        raise InvalidInput(
+            f"A configuration file must be readable; {file} is not: {error.strerror}.",
+            field="config",
+            hint="Correct the path, or leave out --config and give the keys by --set KEY=VALUE.",
+        ) from error
     except ValueError:
         values = None
     if not isinstance(values, dict):
