@@ -7,10 +7,10 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import load_policy, save_policy
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.rl.policy_files import load_policy, save_policy
 from freerein_orchestrator.rl.state import init_network
 
 FIELD = "config.teachers"
@@ -48,6 +48,19 @@ def test_a_name_is_an_earlier_steps_or_a_models_or_refused(run: RunContext, tmp_
     assert (teacher(run), teacher(step)) == (model, model)
     policy = make_policy(run.folder / "parts" / "teacher" / "artifacts", 1)
     assert (teacher(run), teacher(step)) == (model, policy)
+
+
+@pytest.mark.parametrize("made", [True, False])
+def test_a_run_that_has_made_no_policy_is_refused_with_the_field_that_names_it(
+    run: RunContext, tmp_path: Path, made: bool
+) -> None:
+    other = "b" * 32
+    if made:
+        (tmp_path / "runs" / other / "checkpoints").mkdir(parents=True)
+    with pytest.raises(InvalidInput, match="must have made a policy" if made else "must exist") as error:
+        run.policies.load(other, field=FIELD)
+    assert error.value.field == FIELD
+    assert error.value.hint
 
 
 def test_a_pinned_name_keeps_the_version_that_was_active(run: RunContext, tmp_path: Path) -> None:

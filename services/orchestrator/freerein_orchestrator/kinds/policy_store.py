@@ -8,9 +8,9 @@ from pathlib import Path
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound
+from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef, check_name
-from freerein_orchestrator.rl.policy_files import StoredPolicy, load_policy
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 
@@ -49,7 +49,7 @@ class PolicyStore:
             device: `auto`, `cpu` or `cuda:N`.
 
         Raises:
-            InvalidInput: There is none of that name.
+            InvalidInput: There is none of that name, or the run has not made one.
         """
         return load_policy(self.folder(name, field=field), device=device)
 
@@ -57,9 +57,12 @@ class PolicyStore:
         """Returns a policy's folder; arguments and errors as of `load`."""
         check_name(name, field=field)
         version = self._pinned().get(name) or self._active_version(name)
-        if not version:
-            return self.run_folder(name) / "artifacts"
-        return self.model_folder(ModelRef(name, version), field=field)
+        if version:
+            return self.model_folder(ModelRef(name, version), field=field)
+        folder = self.run_folder(name, field=field) / "artifacts"
+        if not (folder / NAMES.card).is_file():
+            raise no_policy(field=field, hint="Name a ppo run that has succeeded.")
+        return folder
 
     def model_folder(self, ref: ModelRef, *, field: str) -> Path:
         """Returns the folder of a stored policy; without a version, of its active one.
@@ -87,19 +90,19 @@ class PolicyStore:
             )
         return ModelRef(ref.name, version)
 
-    def run_folder(self, name: str) -> Path:
+    def run_folder(self, name: str, *, field: str) -> Path:
         """Returns the folder of a run, by its id, or of an earlier step of the same pipeline, by its name.
 
         Raises:
             InvalidInput: There is neither.
         """
-        check_name(name, field="config")
+        check_name(name, field=field)
         for parent in (self.siblings, self.runs):
             if parent is not None and (parent / name).is_dir():
                 return parent / name
         raise InvalidInput(
             "A run to build on must exist, or be an earlier step of the pipeline; there is none of that name.",
-            field="config",
+            field=field,
             hint="`freerein runs list` names the runs.",
         )
 
@@ -115,3 +118,8 @@ class PolicyStore:
 
     def _pinned(self) -> Mapping[str, str]:
         return dict(json.loads(self.pins.read_bytes())) if self.pins is not None and self.pins.is_file() else {}
+
+
+def no_policy(*, field: str, hint: str) -> InvalidInput:
+    """Returns the error of a run that has made no policy: it failed, goes on, or is of another kind."""
+    return InvalidInput("The run must have made a policy; this one has not.", field=field, hint=hint)

@@ -6,15 +6,16 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
 from freerein.learning.config import parse
 from freerein.types.common import Goal, ModelRef
 from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy, served_policy, stored_policy
 from freerein_orchestrator.envs.random_policies import uniform_policy
 from freerein_orchestrator.kinds.evaluate.form import FormConfig, Setup
-from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.rl.policy_files import NAMES, StoredPolicy, load_policy
+from freerein_orchestrator.kinds.policy_store import PolicyStore, no_policy
 
 _FIELD = "config.policy"
+_RUN_FIELD = "config.policy.run"
 
 
 @dataclass(frozen=True)
@@ -198,13 +199,11 @@ def _made_by_run(store: PolicyStore, name: str, *, device: str) -> StoredPolicy 
     Raises:
         InvalidInput: There is no such run, or it has made neither.
     """
-    folder = store.run_folder(name)
+    folder = store.run_folder(name, field=_RUN_FIELD)
     if (folder / "artifacts" / NAMES.card).is_file():
         return load_policy(folder / "artifacts", device=device)
     if (folder / "model.json").is_file():
         return ModelRef(**json.loads((folder / "model.json").read_bytes()))
-    raise InvalidInput(
-        "The run must have made a policy; this one has not.",
-        field="config.policy.run",
-        hint="Name a ppo run that has succeeded, or one that made a model of the imitation service.",
+    raise no_policy(
+        field=_RUN_FIELD, hint="Name a ppo run that has succeeded, or one that made a model of the imitation service."
     )
