@@ -14,12 +14,12 @@ from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import save_policy
 from freerein.types.reward import RewardRequest
 from freerein_orchestrator.envs.episodes import Episode
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
-from freerein_orchestrator.rl.policy_files import save_policy
 from freerein_orchestrator.rl.state import init_network
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]

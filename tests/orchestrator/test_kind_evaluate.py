@@ -11,8 +11,8 @@ import torch
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import save_policy
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.rl.policy_files import save_policy
 from freerein_orchestrator.rl.state import init_network
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]

@@ -14,9 +14,10 @@ from typer.testing import CliRunner
 from freerein.cli.__main__ import app
 from freerein.clients import Channel, ImitationClient, SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.learning.actor_critic.policy_files import load_policy
 from freerein.types.common import Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse
-from freerein_orchestrator.rl.policy_files import NetworkPolicy, load_policy
+from freerein_orchestrator.rl.network_policy import NetworkPolicy
 
 pytestmark = pytest.mark.e2e
 TASK = "blocks.red-on-top-of-yellow"

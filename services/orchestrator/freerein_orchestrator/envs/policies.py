@@ -13,12 +13,13 @@ import torch
 from freerein import images
 from freerein.clients import SyncClient
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Encoding, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein.types.sim import ExpertActionsRequest, ExpertActionsResponse, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.envs.reward_fns import Frames
-from freerein_orchestrator.rl.policy_files import NetworkPolicy, StoredPolicy
+from freerein_orchestrator.rl.network_policy import NetworkPolicy
 from freerein_orchestrator.rl.vec_env import Actions
 
 _MAX_THREADS = 64

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GetSpecResponse
 from freerein.types.sim import Task
-from freerein_orchestrator.rl.policy_files import StoredPolicy
 
 _FIELD = "config.teachers"
 

@@ -4,7 +4,7 @@ An unprivileged session returns frames only, and rewards are computed from them.
 with, takes a privileged session.
 
 <run>/checkpoints/   freerein_orchestrator.rl.trainer
-      artifacts/     the policy, freerein_orchestrator.rl.policy_files
+      artifacts/     the policy, freerein.learning.actor_critic.policy_files
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +18,7 @@ import torch
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.actor_critic.policy_files import save_in_distribution
+from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, parse
 from freerein.learning.in_distribution import InDistribution
@@ -35,7 +35,6 @@ from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
-from freerein_orchestrator.rl.policy_files import StoredPolicy, save_policy
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames

@@ -25,6 +25,7 @@ import torch
 from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.errors import AlreadyExists, InvalidInput
+from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_teachers
@@ -35,7 +36,6 @@ from freerein_orchestrator.kinds.distill.rollouts import ROLLOUTS, Keep, Rollout
 from freerein_orchestrator.kinds.fit import FitRunConfig
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.rl.policy_files import StoredPolicy
 
 _TORCH_THREADS = 1
 _FIELD = "config.teachers"

@@ -23,6 +23,7 @@ from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
 from freerein.errors import FailedPrecondition
+from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Goal, ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
@@ -30,7 +31,6 @@ from freerein_orchestrator.envs.policies import PolicyHandle, PolicySession, ser
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
 from freerein_orchestrator.envs.reward_fns import LearnedReward
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.rl.policy_files import StoredPolicy
 
 ROLLOUTS = "rollouts"
 Keep = Literal["all", "rewarded"]

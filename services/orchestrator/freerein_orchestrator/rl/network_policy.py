@@ -1,0 +1,85 @@
+"""Acting with the policy of a ppo run; `freerein.learning.actor_critic` has its files and its network."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein_orchestrator.rl.vec_env import Actions, Observations, env_actions, observation_tensor
+
+
+class NetworkPolicy:
+    """Acts with a network in N environments, holding each action for as many timesteps as the network's spec says.
+
+    Args:
+        network: Not changed.
+        generator: Samples the actions, on the CPU; None for the mode of the distribution.
+    """
+
+    def __init__(self, network: ActorCritic, *, generator: torch.Generator | None = None) -> None:
+        self._network = network
+        self._generator = generator
+        self._memory: _Memory | None = None
+
+    @torch.no_grad()
+    def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
+        """Returns an action per environment.
+
+        Args:
+            frames: uint8 (N, H, W, C).
+            episode_starts: bool (N,); the recurrent state is reset there.
+
+        Raises:
+            InvalidInput: The frames are not what the network takes.
+        """
+        spec, starts = self._network.spec, torch.from_numpy(episode_starts)
+        observations = observation_tensor(frames, spec, len(starts))
+        memory = _Memory.init(spec, len(starts)) if self._memory is None else self._memory.reset(starts)
+        due = memory.held == 0
+        if due.any():
+            actions, recurrent_state = self._choose(observations[due], starts[due], memory, due)
+            memory.actions[due], memory.recurrent_state[due] = actions, recurrent_state
+        held = (memory.held + 1) % spec.action_repeat
+        self._memory = _Memory(memory.actions, memory.recurrent_state, held)
+        return env_actions(memory.actions)
+
+    def _choose(self, observations: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns new actions and recurrent states of the environments that are `due`."""
+        device = next(self._network.parameters()).device
+        seen = self._network.observe(observations, memory.actions[due].clamp(-1, 1))
+        state = memory.recurrent_state[due].to(device)
+        outputs = self._network(seen[None].to(device), starts[None].to(device), state)
+        actions = outputs.actions.mode() if self._generator is None else outputs.actions.sample(self._generator)
+        return actions[0].cpu(), outputs.recurrent_state.cpu()
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What a policy remembers of each environment.
+
+    Attributes:
+        actions: The present one, float32 (N, A) or int64 (N, 1); 0 before the first.
+        recurrent_state: float32 (N, recurrent_size).
+        held: Timesteps that it has been held for; 0 where a new one is due. int64 (N,).
+    """
+
+    actions: Tensor
+    recurrent_state: Tensor
+    held: Tensor
+
+    @classmethod
+    def init(cls, spec: ActorCriticSpec, num_envs: int) -> "_Memory":
+        """Returns the memory before the first action."""
+        dtype = torch.int64 if spec.action_choices else torch.float32
+        return cls(
+            torch.zeros(num_envs, spec.action_size, dtype=dtype),
+            torch.zeros(num_envs, spec.recurrent_size),
+            torch.zeros(num_envs, dtype=torch.int64),
+        )
+
+    def reset(self, starts: Tensor) -> "_Memory":
+        """Returns the memory without that of the episodes that ended; recurrent states are reset by the network."""
+        return _Memory(self.actions * ~starts[:, None], self.recurrent_state, self.held * ~starts)
