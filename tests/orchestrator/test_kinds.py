@@ -39,3 +39,17 @@ def test_a_configuration_survives_json_and_says_how_many_steps_there_are(kind: R
     assert KINDS[kind].steps(config) == steps
     with pytest.raises(InvalidInput):
         KINDS[kind].parse({**values, "unknown": 1})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("batch_size", 7), ("num_steps", 65_536), ("final_log_std", 1e9), ("final_log_std", -6.0)]
+)
+def test_hyperparameters_that_do_not_fit_are_refused_by_their_key(key: str, value: float) -> None:
+    with pytest.raises(InvalidInput) as error:
+        KINDS["ppo"].parse({"task": "grid", key: value})
+    assert error.value.field == f"config.{key}"
+    assert error.value.hint
+
+
+def test_the_last_log_standard_deviation_may_be_learned() -> None:
+    assert KINDS["ppo"].parse({"task": "grid", "final_log_std": None}).final_log_std is None

@@ -26,7 +26,12 @@ def bounded(default: N, *, least: float, most: float) -> N:
 
 def bounded_or_all(default: int | Literal["all"], *, least: int, most: int) -> int | Literal["all"]:
     """Returns a dataclass field for a whole number as in `bounded`, or the word `all`."""
-    return cast(int | Literal["all"], _BoundedOrAll(default, least, most))
+    return cast(int | Literal["all"], _BoundedOr("all", default, least, most))
+
+
+def bounded_or_none(default: float | None, *, least: float, most: float) -> float | None:
+    """Returns a dataclass field for a number as in `bounded`, or None."""
+    return cast(float | None, _BoundedOr(None, default, least, most))
 
 
 def one_of(names: Collection[str], default: str) -> str:
@@ -70,7 +75,7 @@ class _OneOf(_Checked):
 
 
 class _Bounded(_Checked):
-    def __init__(self, default: float | str, least: float, most: float) -> None:
+    def __init__(self, default: float | str | None, least: float, most: float) -> None:
         super().__init__(default)
         self._least = least
         self._most = most
@@ -82,9 +87,13 @@ class _Bounded(_Checked):
             )
 
 
-class _BoundedOrAll(_Bounded):
+class _BoundedOr(_Bounded):
+    def __init__(self, other: str | None, default: float | str | None, least: float, most: float) -> None:
+        super().__init__(default, least, most)
+        self._other = other
+
     def check(self, value: Any, *, field: str, hint: str) -> None:
-        if value != "all":
+        if value != self._other:
             super().check(value, field=field, hint=hint)
 
 

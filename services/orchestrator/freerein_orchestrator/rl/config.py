@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
+from freerein.learning.config import bounded, bounded_or_none
 
 _MAX_ROLLOUT = 131_072
 
@@ -59,7 +59,7 @@ class PPOConfig:
     hidden_size: int = bounded(128, least=2, most=1024)
     layer_norm: bool = True
     init_log_std: float = bounded(-1.2, least=-5.0, most=2.0)
-    final_log_std: float | None = -2.0
+    final_log_std: float | None = bounded_or_none(-2.0, least=-5.0, most=2.0)
     approach_weight: float = bounded(1.0, least=0.0, most=100.0)
     explorations: int = bounded(40, least=1, most=1000)
     seed: int = bounded(0, least=0, most=2**31 - 1)
@@ -69,14 +69,14 @@ class PPOConfig:
         if self.rollout_size > _MAX_ROLLOUT:
             raise InvalidInput(
                 f"num_envs * num_steps must be at most {_MAX_ROLLOUT}; got {self.rollout_size}.",
-                field="num_steps",
+                field="config.num_steps",
                 hint="Use more iterations of fewer steps.",
             )
         if self.rollout_size % self.batch_size or self.batch_size % self.sequence_length:
             raise InvalidInput(
                 f"`batch_size` must divide num_envs * num_steps = {self.rollout_size} and be a multiple of "
                 f"{self.sequence_length}; got {self.batch_size}.",
-                field="batch_size",
+                field="config.batch_size",
                 hint=f"Choose {self.rollout_size // next(n for n in (4, 2, 1) if self.num_envs % n == 0)}.",
             )
 

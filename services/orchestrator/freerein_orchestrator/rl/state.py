@@ -156,7 +156,9 @@ def init_state(
         InvalidInput: The environments' number or observations are not the configuration's.
     """
     if envs.num_envs != config.num_envs:
-        raise InvalidInput(f"There must be {config.num_envs} environments; got {envs.num_envs}.", field="num_envs")
+        raise InvalidInput(
+            f"There must be {config.num_envs} environments; got {envs.num_envs}.", field="config.num_envs"
+        )
     learner = _init_learner(config, spec, device)
     network, generator = learner.state.network, learner.state.generator
     if init_from is not None:
