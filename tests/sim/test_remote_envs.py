@@ -10,7 +10,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from gymnasium.utils.env_checker import check_env
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.clients.tasks import find_task
+from freerein.clients.tasks import find_camera, find_task
 from freerein.envs import SimEnv, SimVectorEnv
 from freerein.errors import InvalidInput, NotFound, SessionNotFound, Unauthenticated
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest
@@ -159,6 +159,15 @@ def test_a_task_is_found_by_its_name(address: str) -> None:
         with pytest.raises(NotFound, match="must name one") as not_found:
             find_task(sim, "gri")
         assert not_found.value.field == "config.task"
+
+
+def test_a_camera_is_found_by_its_name_and_the_first_by_none(address: str) -> None:
+    with SyncClient(SimClient(Channel(address, token=TOKEN))) as sim:
+        task = find_task(sim, "grid")
+    assert find_camera(task, "").name == find_camera(task, "top").name == "top"
+    with pytest.raises(InvalidInput, match="must be one of the task's, top; got another") as refused:
+        find_camera(task, "below")
+    assert (refused.value.field, refused.value.hint) == ("config.camera", "Leave it out for the first.")
 
 
 @pytest.mark.slow

@@ -1,7 +1,8 @@
-"""Looks up a task of the sim service by its name."""
+"""Looks up a task of the sim service, and a camera of a task, by name."""
 
 from freerein.clients.sync_client import SyncClient
-from freerein.errors import NotFound
+from freerein.errors import InvalidInput, NotFound
+from freerein.types.common import Camera
 from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 
 
@@ -20,3 +21,15 @@ def select_task(tasks: ListTasksResponse, name: str, *, field: str = "task") -> 
         field=field,
         hint="`freerein sim tasks` lists them.",
     )
+
+
+def find_camera(task: Task, name: str, *, field: str = "config.camera") -> Camera:
+    """Returns the task's camera of that name, its first for an empty one. Raises InvalidInput if there is none."""
+    cameras = {camera.name: camera for camera in task.cameras}
+    if name and name not in cameras:
+        raise InvalidInput(
+            f"`camera` must be one of the task's, {', '.join(cameras)}; got another.",
+            field=field,
+            hint="Leave it out for the first.",
+        )
+    return cameras[name] if name else task.cameras[0]

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, cast
 
 import torch
 
-from freerein.clients.tasks import find_task
+from freerein.clients.tasks import find_camera, find_task
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
@@ -145,7 +145,7 @@ class _Training:
     def init(self) -> PPOState:
         """Returns the state before the first iteration."""
         config, task = self._config, find_task(self.sims[0], self._config.task)
-        camera, goal_text = self._camera(task), config.goal_text or task.goal_text
+        camera, goal_text = find_camera(task, config.camera), config.goal_text or task.goal_text
         eye = self._eye(goal_text, camera) if config.encoder == "goal_eye" else None
         encoder = None if eye is None else self._object_encoder(eye, camera)
         spec = network_spec(
@@ -214,15 +214,6 @@ class _Training:
     def _object_encoder(self, eye: RewardResponse, camera: Camera) -> ObjectEncoder:
         folder = self._context.reward_models.folder(eye.model)
         return load_object_encoder(folder, goal_caption=eye.texts[0], camera=camera)
-
-    def _camera(self, task: Task) -> Camera:
-        cameras = {camera.name: camera for camera in task.cameras}
-        name = self._config.camera or task.cameras[0].name
-        if name not in cameras:
-            raise InvalidInput(
-                f"`camera` must be one of the task's, {', '.join(cameras)}; got another.", field="config.camera"
-            )
-        return cameras[name]
 
     def _reward_model(self, goal_text: str, camera: Camera) -> ModelRef:
         if self._privileged:

@@ -12,6 +12,7 @@ from typing import Any, Literal, cast
 import numpy as np
 import numpy.typing as npt
 
+from freerein.clients.tasks import find_camera
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning.config import bounded
 from freerein.metrics import majority_accuracy
@@ -56,7 +57,7 @@ class RelationsEvaluation:
         config, task = setup.config, setup.task
         self._setup = setup
         self._groups = caption_groups(task)
-        self._camera = _camera(config, task)
+        self._camera = find_camera(task, config.camera).name
         self._reward = setup.context.client("reward")
         asked = setup.subject.get("model", {"name": config.model, "version": config.version})
         self._model = self._knowing(ModelRef(**asked))
@@ -187,17 +188,6 @@ def caption_groups(task: Task) -> dict[str, list[Predicate]]:
             hint="Choose a task of a world that offers them, or another form.",
         )
     return groups
-
-
-def _camera(config: RelationsConfig, task: Task) -> str:
-    names = [camera.name for camera in task.cameras]
-    if config.camera and config.camera not in names:
-        raise InvalidInput(
-            f"`camera` must be one of the task's, {', '.join(names)}; got another.",
-            field="config.camera",
-            hint="Leave it out for the first.",
-        )
-    return config.camera or names[0]
 
 
 def _trial(scenes: Sequence[Sequence[Mapping[str, Any]]], frames: Frames) -> Trial:
