@@ -191,6 +191,15 @@ def test_the_base_reward_is_the_grounding_models_similarity(ppo: Callable[..., A
     assert not run.artifact("policy.json")["privileged"]
 
 
+def test_the_eye_for_the_base_reward_is_the_reward_models_whichever_grounding_model_rewards(
+    ppo: Callable[..., Any],
+) -> None:
+    run = ppo("run", reward="base", reward_model="grounding", iterations=1)
+    assert run.do()
+    card = run.artifact("policy.json")
+    assert (card["model"]["name"], card["eye"]["name"]) == ("grounding", "default")
+
+
 def test_the_oracles_reward_marks_a_policy_and_those_initialised_from_it_as_privileged(ppo: Callable[..., Any]) -> None:
     run, more = ppo("run", reward="oracle", iterations=1), ppo("more", init_from="run", iterations=1)
     assert run.do()

@@ -64,7 +64,8 @@ class PPORunConfig(PPOConfig):
         reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
             that is active when the run starts is used to its end.
         encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or `spatial`, an
-            image encoder that is trained with the policy.
+            image encoder that is trained with the policy. The eye has the encoder of `reward_model`; for `base`, that
+            of the service's default reward model.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         episode_steps: Timesteps after which training truncates an episode, so that more of them begin; 0 for the task's
@@ -208,7 +209,8 @@ class _Training:
 
     def _eye(self, goal_text: str, camera: Camera) -> RewardResponse:
         """Returns the answer of the reward model whose encoder the policy sees with."""
-        model = self._learned_reward(goal_text, camera.name, ModelRef(self._config.reward_model))
+        name = "" if self._config.reward == "base" else self._config.reward_model  # a grounding model has no encoder
+        model = self._learned_reward(goal_text, camera.name, ModelRef(name))
         return model.resolve(camera.height, camera.width, camera.channels)
 
     def _object_encoder(self, eye: RewardResponse, camera: Camera) -> ObjectEncoder:
