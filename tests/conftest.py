@@ -5,19 +5,29 @@ import json
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
+import hypothesis
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-_START_S = 60.0
+from freerein.ports import Ports
+
+_START_S = 300.0  # of a machine with much else to do
+hypothesis.settings.register_profile(
+    "any machine",
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
+)
+hypothesis.settings.load_profile("any machine")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: a second thread only fights the services
 
 
@@ -48,15 +58,29 @@ class RunningService:
         return int(self.address.rpartition(":")[2])
 
     def is_ready(self) -> bool:
-        return httpx.get(f"{self.url}/readyz", trust_env=False).status_code == 200
+        return httpx.get(f"{self.url}/readyz", timeout=60, trust_env=False).status_code == 200
 
     def stop(self) -> int:
         """Sends SIGTERM; returns the exit code."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(15)
+        return self.process.wait(60)
 
 
 StartService = Callable[..., RunningService]
+
+
+_reserved: list[socket.socket] = []
+
+
+def reserve_port() -> int:
+    """Returns a port of loopback that no other process is given before a service binds it, or binds it again.
+
+    It stays bound here: where all set SO_REUSEADDR, a port that nobody listens at can be bound twice.
+    """
+    _reserved.append(socket.socket())
+    _reserved[-1].setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    _reserved[-1].bind(("127.0.0.1", 0))
+    return int(_reserved[-1].getsockname()[1])
 
 
 def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
@@ -64,7 +88,8 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
     data_dir.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", "freerein.program", module]
-    settings = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir), **environ}
+    places = {"FREEREIN_HTTP_PORT": str(reserve_port()), "FREEREIN_GRPC_PORT": str(reserve_port())}
+    settings = {**places, "FREEREIN_DATA_DIR": str(data_dir), **environ}
     with log.open("wb") as stderr:
         process = subprocess.Popen(
             command,
@@ -111,6 +136,12 @@ def encode_video() -> Callable[..., bytes]:
         return file.getvalue()
 
     return encode
+
+
+@pytest.fixture(scope="session")
+def reserve_ports() -> Callable[[Iterable[str]], dict[str, Ports]]:
+    """A function like `free_ports`, whose ports no other process is given."""
+    return lambda names: {name: Ports(reserve_port(), reserve_port()) for name in names}
 
 
 @pytest.fixture(scope="session")
@@ -173,6 +204,6 @@ def _end_all(started: list[RunningService]) -> None:
     for service in started:
         if service.process.poll() is None:
             service.process.kill()
-        service.process.wait(15)
+        service.process.wait(60)
         if service.process.stdout is not None:
             service.process.stdout.close()

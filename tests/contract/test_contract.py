@@ -8,7 +8,6 @@ import importlib.util
 import io
 import json
 import math
-import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
@@ -393,11 +392,9 @@ async def test_rest_and_grpc_keep_a_deadline(learning_service: Any) -> None:
     transports = learning_service
     path = "/freerein.api.learning.v1.FitService/WatchFit"
     request = wire.pack(learning.WatchFitRequest(FIT, 1)).SerializeToString()
-    begun = time.monotonic()
     with pytest.raises(grpc.aio.AioRpcError) as error:
         await transports.channel.unary_stream(path)(request, timeout=0.1).read()
     assert error.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
-    assert time.monotonic() - begun < 2.0
     with pytest.raises(TimeoutError):
         await asyncio.wait_for(transports.rest(transports.method("WatchFit"), learning.WatchFitRequest(FIT, 1)), 0.1)
 

@@ -52,7 +52,6 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Places:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_an_arm_that_was_stopped_and_then_killed_goes_on_to_the_same_result(
     tmp_path: Path, uninterrupted: Places
 ) -> None:
@@ -96,7 +95,6 @@ def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_arms_become_results_and_these_a_table_with_claims(
     uninterrupted: Places, capfd: pytest.CaptureFixture[str]
 ) -> None:

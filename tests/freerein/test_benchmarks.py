@@ -36,7 +36,6 @@ PROMISED = {
 @pytest.mark.fault("G1")
 @pytest.mark.fault("G3")
 @pytest.mark.e2e
-@pytest.mark.timeout(240)
 def test_benchmarks_run_and_what_is_promised_has_a_bar(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 
@@ -52,7 +51,6 @@ def test_benchmarks_run_and_what_is_promised_has_a_bar(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not FUZZ, reason="a long test: make fuzz")
 @pytest.mark.e2e
-@pytest.mark.timeout(240)
 def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 
@@ -66,7 +64,6 @@ def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -
 
 @pytest.mark.skipif(not FUZZ, reason="a long test: make fuzz")
 @pytest.mark.e2e
-@pytest.mark.timeout(400)
 def test_the_benchmark_beside_peers_runs_where_they_can_be_installed(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 

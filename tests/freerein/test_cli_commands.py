@@ -4,9 +4,9 @@ import json
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from freerein.cli.__main__ import COMMANDS, app
 from freerein.cli.doctor import machine, services
 from freerein.cli.jobs.options import setting
 from freerein.cli.segments.timeline import skill_bar
-from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports
@@ -39,9 +38,9 @@ def data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> Ports:
+def nobody_listens(monkeypatch: pytest.MonkeyPatch, reserve_ports: Any) -> Ports:
     """The sim service's ports, moved to where nobody listens."""
-    ports = free_ports(["sim"])["sim"]
+    ports: Ports = reserve_ports(["sim"])["sim"]
     monkeypatch.setitem(PORTS, "sim", ports)
     return ports
 
@@ -61,11 +60,9 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported() -> None:
     script = (
         "import freerein.cli.__main__, sys; print(sorted({'numpy', 'grpc', 'httpx', 'pyarrow'} & set(sys.modules)))"
     )
-    began = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
 
     assert done.stdout == "[]\n"
-    assert time.perf_counter() - began < 5  # 0.3 s on an idle machine
 
 
 @pytest.mark.parametrize("name", COMMANDS)

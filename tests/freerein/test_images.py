@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein import images
@@ -387,7 +387,6 @@ def test_a_file_cut_at_any_byte_is_an_error_of_ours(encoding: Encoding) -> None:
 
 @pytest.mark.parametrize("encoding", FILES)
 @given(data=st.data())
-@settings(deadline=None)
 def test_a_corrupt_file_is_pixels_or_an_error_with_a_text_of_ours(encoding: Encoding, data: st.DataObject) -> None:
     corrupt = bytearray(WHOLE[encoding])
     for _ in range(data.draw(st.integers(1, 4))):

@@ -108,7 +108,6 @@ def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_dr
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_from(
     evaluation: Callable[..., Any],
 ) -> None:
@@ -138,7 +137,6 @@ def test_a_reward_model_that_does_not_know_the_words_of_the_captions_is_refused(
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by_truth(
     evaluation: Callable[..., Any],
 ) -> None:
@@ -152,7 +150,6 @@ def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"policy": "expert"})
     result = finish_after_a_stop(run)
@@ -166,7 +163,6 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize(
     ("asked", "skills"),
     [
@@ -190,7 +186,6 @@ def test_the_expert_completes_recipes_as_the_world_draws_and_displays_them(
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"num_envs": 2})
     assert run.do()
@@ -199,7 +194,6 @@ def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize(("conditions", "answers"), [(["blocks-2"], 2), ([], 12)])
 def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
     evaluation: Callable[..., Any], conditions: list[str], answers: int
@@ -216,7 +210,6 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(240)
 def test_a_student_is_told_every_goal_text_in_every_task_and_compared_with_one_constant_text(
     new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
 ) -> None:
@@ -252,7 +245,6 @@ def test_a_student_is_told_every_goal_text_in_every_task_and_compared_with_one_c
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(240)
 def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on_fresh_ones(
     new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
 ) -> None:

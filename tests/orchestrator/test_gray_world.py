@@ -8,7 +8,7 @@ import pytest
 
 from freerein.data import Dataset, dataset_path, labels
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 MODULE = """
 from dataclasses import replace
 from functools import partial

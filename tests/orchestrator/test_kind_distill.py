@@ -22,7 +22,7 @@ from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
 from freerein_orchestrator.rl.state import init_network
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8)
 TEACHERS = {"a" * 32: "pick up all", "b" * 32: "pick up nothing"}
 TINY = {"steps": 20, "batch_size": 4, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 5}

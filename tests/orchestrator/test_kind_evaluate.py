@@ -15,7 +15,7 @@ from freerein.learning.actor_critic.policy_files import save_policy
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.rl.state import init_network
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 RANDOM = {"task": "grid", "policy": "random", "episodes": 6, "num_envs": 2, "seed": 1}
 
 

@@ -54,7 +54,6 @@ def test_a_task_without_skills_or_expert_is_refused(lacking: dict[str, Any]) -> 
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(300)
 def test_a_run_goes_from_demonstrations_to_recipes_though_it_is_stopped_between(
     new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path
 ) -> None:

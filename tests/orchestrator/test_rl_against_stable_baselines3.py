@@ -126,7 +126,6 @@ def _theirs(task: str, network: ActorCritic, batch: Batch) -> tuple[float, dict[
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.environ.get("FREEREIN_FUZZ") != "1", reason="a long test: make fuzz")
-@pytest.mark.timeout(180)
 def test_the_cart_pole_is_learnt_as_fast_as_by_stable_baselines3() -> None:
     ours, theirs = (
         np.array([curve(replace(CARTPOLE, seed=seed)) for seed in range(4)]) for curve in (_curve, _their_curve)

@@ -1,7 +1,7 @@
 """Goal texts as users write them: what is read, as what, and which words are named as unknown."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein_reward.goal_text import (
@@ -165,7 +165,6 @@ _STATEMENTS = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(data=st.data(), statement=_STATEMENTS)
 def test_a_statement_in_any_wording_reads_back(data: st.DataObject, statement: Statement) -> None:
     drawn = [
@@ -188,7 +187,6 @@ def test_a_statement_in_any_wording_reads_back(data: st.DataObject, statement: S
     assert (read.statement, read.text, read.unknown) == (statement, statement.caption, ())
 
 
-@settings(deadline=None)
 @given(
     st.one_of(st.text(max_size=2000), st.lists(st.sampled_from([*VOCABULARY, *VERBS, "is", "beside"])).map(" ".join))
 )

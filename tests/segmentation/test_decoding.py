@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein_segmentation.core import decoding
@@ -78,7 +78,6 @@ def test_smoothing_is_gaussian() -> None:
     assert smoothed[34] / smoothed[30] == pytest.approx(np.exp(-2.0))
 
 
-@settings(deadline=None)
 @given(probabilities(), st.floats(0.0, 100.0), st.integers(0, 20))
 def test_segments_cover_the_trajectory_and_none_is_short(given_: Probabilities, sigma: float, least: int) -> None:
     decoded = decode(given_, smoothing=sigma, min_segment=least)
@@ -117,7 +116,6 @@ def test_a_trajectory_may_be_rejected_as_a_whole() -> None:
     assert rejected.segments == ()
 
 
-@settings(deadline=None)
 @given(probabilities(), st.integers(0, 20), st.integers(0, 20))
 def test_what_is_kept_is_long_enough_and_unchanged(given_: Probabilities, least: int, kept: int) -> None:
     whole, decoded = decode(given_, min_segment=least), decode(given_, min_segment=least, min_kept=kept)
@@ -126,7 +124,6 @@ def test_what_is_kept_is_long_enough_and_unchanged(given_: Probabilities, least:
     assert (decoded.labels != -1).sum() == sum(each.end - each.start for each in decoded.segments)
 
 
-@settings(deadline=None)
 @given(probabilities(), st.floats(0.0, 50.0))
 def test_smoothed_probabilities_still_sum_to_one(given_: Probabilities, sigma: float) -> None:
     np.testing.assert_allclose(smooth(given_, sigma=sigma).sum(axis=1), 1.0, atol=1e-5)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein_segmentation.core.decoding import decode
@@ -26,7 +26,6 @@ def runs(rng: np.random.Generator, timesteps: int) -> npt.NDArray[np.float32]:
     return (0.7 * likely[:timesteps] + 0.3 * noise).astype(np.float32)
 
 
-@settings(deadline=None)
 @given(
     st.integers(0, 10_000),
     st.lists(st.integers(0, 12), min_size=1, max_size=12),

@@ -32,8 +32,6 @@ HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "dial", "tabletop", "bins")
 SHOWS_ITS_RECIPE = ("grid", "tabletop.only-own-objects")
 """The indicator has the colour of the first object, and the other shows only what a recipe uses."""
 
-pytestmark = pytest.mark.timeout(180)
-
 
 @pytest.mark.parametrize("task", [TASKS[name] for name in CHECKED], ids=CHECKED)
 @pytest.mark.parametrize("check", conformance.CHECKS, ids=[check.__name__ for check in conformance.CHECKS])

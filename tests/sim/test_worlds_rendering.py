@@ -112,7 +112,7 @@ def test_the_service_does_not_start_with_a_backend_that_is_missing(without: Call
         env=environ(MUJOCO_GL="osmesa", LD_LIBRARY_PATH=without("OSMesa")),
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=300,
         check=False,
     )
 
