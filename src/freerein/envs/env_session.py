@@ -93,18 +93,7 @@ class EnvSession:
         token: str = "",
         root_certificates: bytes | None = None,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise InvalidInput(
-                "`render_mode` must be None or rgb_array; got another one.",
-                field="render_mode",
-                hint="Ask for rgb_array.",
-            )
-        if action_repeat < 1:
-            raise InvalidInput(
-                f"`action_repeat` must be at least 1 timestep; got {action_repeat}.",
-                field="action_repeat",
-                hint="Leave it out for 1.",
-            )
+        _check_options(render_mode, action_repeat)
         self._sim = SyncClient(SimClient(Channel(address, token=token, root_certificates=root_certificates)))
         request = CreateSessionRequest(
             task,
@@ -193,6 +182,19 @@ def truth_info(truth: Truth | None, index: int) -> dict[str, Any]:
         return {}
     state, reward, success = truth.state[index], truth.reward[index], truth.success[index]
     return {"truth": {"state": np.array(state), "reward": float(reward), "success": bool(success)}}
+
+
+def _check_options(render_mode: str | None, action_repeat: int) -> None:
+    if render_mode not in (None, "rgb_array"):
+        raise InvalidInput(
+            "`render_mode` must be None or rgb_array; got another one.", field="render_mode", hint="Ask for rgb_array."
+        )
+    if action_repeat < 1:
+        raise InvalidInput(
+            f"`action_repeat` must be at least 1 timestep; got {action_repeat}.",
+            field="action_repeat",
+            hint="Leave it out for 1.",
+        )
 
 
 def _observation_space(task: Task, cameras: tuple[str, ...], height: int, width: int) -> spaces.Space[Any]:
