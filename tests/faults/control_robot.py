@@ -16,7 +16,7 @@ from freerein_imitation.core import PolicyRunner
 from freerein_imitation.core.act_context import ActContext
 from freerein_imitation.core.inference import InferenceResult
 
-FAULTS = ("right", "raises", "nan", "shape", "infinite")
+FAULTS = ("right", "raises", "nan", "shape", "infinite", "held")
 ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
 CAMERAS = (Camera("front", 4, 4, 3),)
 
@@ -74,7 +74,7 @@ class Stream:
             self._said.put_nowait(request)
 
     async def hear(self) -> ControlResponse:
-        return await asyncio.wait_for(anext(self._heard), 20)
+        return await asyncio.wait_for(anext(self._heard), 60)
 
     async def ask(self, request: Any) -> ControlResponse:
         self.say(request)

@@ -1,13 +1,16 @@
 """The imitation service as it is, around a policy that fails where an observation's first pixel asks it to.
 
 The first pixel of an observation is (which fault, hundredths of a second to take, brightness); a goal is reached by an
-observation of its brightness. The policy remembers all that it saw and did, so that no two histories have one answer,
+observation of its brightness. One that asks to be held waits until a test has opened and closed the FIFO `gate` of the
+data directory. The policy remembers all that it saw and did, so that no two histories have one answer,
 and its weights are drawn from the seed in its file, so that no two versions have one answer.
 """
 
 import json
+import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +26,7 @@ from freerein.types.common import ActionSpec, Camera, ModelRef
 from freerein_imitation.__main__ import NAME, build
 from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
 
-RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE = range(5)
+RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HELD = range(6)
 SEEDS = (7, 8)  # of the versions that are published; the first is active
 Floats = npt.NDArray[np.float32]
 
@@ -42,8 +45,14 @@ class FaultyPolicy:
         recurrent_size=5,
     )
 
-    def __init__(self, seed: int, *, sleep: Callable[[float], None] = lambda _seconds: None) -> None:
-        self._sleep = sleep
+    def __init__(
+        self,
+        seed: int,
+        *,
+        sleep: Callable[[float], None] = lambda _seconds: None,
+        hold: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._sleep, self._hold = sleep, hold
         rng = np.random.default_rng(seed)
         pixels, size = 4 * 4 * 3, self.spec.recurrent_size
         self._seen = rng.normal(0, 0.3, (pixels, size)).astype(np.float32)
@@ -58,6 +67,8 @@ class FaultyPolicy:
         frames = images["front"]
         faults = frames[:, 0, 0, 0]
         self._sleep(frames[:, 0, 0, 1].max() / 100)
+        if HELD in faults:
+            self._hold()
         if RAISES in faults:
             raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
         seen = (frames.reshape(len(frames), -1) / 255.0).astype(np.float32)
@@ -70,8 +81,8 @@ class FaultyPolicy:
         return PolicyOutput(actions[:, : 2 if WRONG_SHAPE in faults else None], reached, hidden, familiar)
 
 
-def load(folder: Path, _device: str) -> FaultyPolicy:
-    return FaultyPolicy(int(json.loads((folder / "weights").read_bytes())), sleep=time.sleep)
+def load(folder: Path, _device: str, *, hold: Callable[[], object] = lambda: None) -> FaultyPolicy:
+    return FaultyPolicy(int(json.loads((folder / "weights").read_bytes())), sleep=time.sleep, hold=hold)
 
 
 def publish_policies(data_dir: Path) -> list[ModelRef]:
@@ -92,7 +103,10 @@ def publish_policies(data_dir: Path) -> list[ModelRef]:
 def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     publish_policies(settings.data_dir)
-    return build(settings, limits, metrics, health, load=load)
+    gate = settings.data_dir / "gate"
+    if not gate.exists():
+        os.mkfifo(gate)
+    return build(settings, limits, metrics, health, load=partial(load, hold=gate.read_bytes))
 
 
 if __name__ == "__main__":

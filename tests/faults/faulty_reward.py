@@ -22,7 +22,7 @@ from freerein_reward.settings import RewardSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reward"))
 
-SLOW_S = 0.3
+SLOW_S = 1.0
 _LIES = {"nan": np.nan, "infinite": np.inf, "huge": 1e30}
 
 

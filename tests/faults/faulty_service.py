@@ -1,7 +1,8 @@
 """The segmentation service as it is, around a model that fails where a trajectory's first pixel asks it to.
 
 The first pixel of a trajectory is (which fault, hundredths of a second to take, brightness). The label of a timestep is
-whether its first pixel's brightness is odd, so that every right answer can be told from a wrong one.
+whether its first pixel's brightness is odd, so that every right answer can be told from a wrong one. A call that asks
+to be held waits until a test has opened and closed the FIFO `gate` of the data directory.
 """
 
 import json
@@ -28,7 +29,7 @@ from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.model import Prediction
 
 SIDE = int(os.environ.get("FAULTY_SIDE", "4"))
-RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HANGS = range(6)
+RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HANGS, HELD = range(7)
 
 
 class FaultyModel:
@@ -37,6 +38,9 @@ class FaultyModel:
     skills: tuple[str, ...] = ("even", "odd")
     lag = None
     camera, action = Camera("front", SIDE, SIDE, 3), None
+
+    def __init__(self, gate: Path) -> None:
+        self._gate = gate
 
     def encode(self, frames: npt.NDArray[np.uint8], _actions: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8]:
         return frames
@@ -49,6 +53,8 @@ class FaultyModel:
         time.sleep(hundredths / 100)
         if fault == HANGS:
             threading.Event().wait()
+        if fault == HELD:
+            self._gate.read_bytes()
         if fault == RAISES:
             raise RuntimeError("weights at 0x7f00deadbeef in /root/secret")
         likely = np.eye(2, dtype=np.float32)[frames[:, 0, 0, 2] % 2]
@@ -72,15 +78,18 @@ def publish_model(data_dir: Path) -> None:
 def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
     """Returns the service."""
     publish_model(settings.data_dir)
-    return build(settings, limits, metrics, health, load=load)
+    gate = settings.data_dir / "gate"
+    if not gate.exists():
+        os.mkfifo(gate)
+    return build(settings, limits, metrics, health, load=lambda _folder, _device: load(gate))
 
 
-def load(_folder: Path, _device: str) -> FaultyModel:
+def load(gate: Path) -> FaultyModel:
     """Returns the model, or hangs when told to."""
     if os.environ.get("FAULTY_LOAD") == "hangs":
         logging.getLogger(__name__).warning("hanging")
         threading.Event().wait()
-    return FaultyModel()
+    return FaultyModel(gate)
 
 
 def write_down_what_is_touched(path: str) -> None:

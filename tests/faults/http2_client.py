@@ -31,7 +31,7 @@ class Http2:
     """
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), 10)
+        self._socket = socket.create_connection(("127.0.0.1", port), 60)
         self._encoder, self._decoder = hpack.Encoder(), hpack.Decoder()
         self.last_stream = -1
         self._stream_window = self._window = _FIRST_WINDOW
@@ -83,7 +83,7 @@ class Http2:
         sent = 0
         while sent < len(payload):
             with self._changed:
-                self._changed.wait_for(lambda: self._open(stream) > 0 or self._is_over(stream), 10)
+                self._changed.wait_for(lambda: self._open(stream) > 0 or self._is_over(stream), 60)
                 size = min(self._open(stream), _FRAME_BYTES, len(payload) - sent)
                 if self._is_over(stream) or size <= 0:
                     return sent

@@ -17,7 +17,7 @@ ASKED = RewardRequest("a red block on top of a yellow block", {"front": np.zeros
 
 async def reward(address: str) -> float:
     """Returns the reward of a black image, once the service is ready."""
-    async with RewardClient(Channel(address)) as client, asyncio.timeout(40):
+    async with RewardClient(Channel(address)) as client, asyncio.timeout(300):
         while True:
             try:
                 return float((await client.reward(ASKED)).rewards[0])

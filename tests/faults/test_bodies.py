@@ -14,7 +14,7 @@ from typing import Any
 import h11
 import httpx
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from freerein.serving.rest.http_server import BoundedConnection
@@ -80,7 +80,7 @@ def test_text_that_is_not_json_in_utf_8_is_refused(faulty: Any, refusal: Any, bo
 
 @pytest.mark.fault("C2")
 @given(body=st.binary(max_size=300))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60)
 def test_any_bytes_are_refused_without_a_bug(faulty: Any, refusal: Any, body: bytes) -> None:
     refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
     boundary = {"content-type": "multipart/form-data; boundary=b"}
@@ -91,7 +91,7 @@ def test_any_bytes_are_refused_without_a_bug(faulty: Any, refusal: Any, body: by
 @pytest.mark.parametrize("depth", [900, 100_000])
 @pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
 def test_deep_nesting_is_refused_at_once(
-    faulty: Any, refusal: Any, least_of_three: Any, depth: int, opening: str, closing: str
+    faulty: Any, refusal: Any, least_of_many: Any, depth: int, opening: str, closing: str
 ) -> None:
     body = '{"dataset": "x", "config": {"a": %s}}' % (opening * depth + "1" + closing * depth)
 
@@ -100,7 +100,7 @@ def test_deep_nesting_is_refused_at_once(
         refusal(faulty.http.post("/v1/start-fit", content=body, headers=JSON), 422)
         return time.perf_counter() - begun
 
-    assert least_of_three(seconds, below=0.05) < 0.05
+    assert least_of_many(seconds, below=0.2) < 0.2
 
 
 @pytest.mark.fault("C4")
@@ -398,7 +398,7 @@ HOSTILE_NAMES = st.one_of(
 @pytest.mark.fault("C15")
 @pytest.mark.fault("G11")
 @given(name=HOSTILE_NAMES)
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40)
 def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusal: Any, audit: Path, name: str) -> None:
     before = len(audit.read_bytes())
     replies = [
@@ -424,7 +424,7 @@ def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusa
     "path", ["/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/v1/../v1/segment", "//v1/segment", "/v1/segment/"]
 )
 def test_a_path_that_is_no_route_is_not_found(faulty: Any, path: str) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", faulty.service.http_port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", faulty.service.http_port, timeout=60)
     connection.putrequest("GET", path)
     connection.endheaders()
     reply = connection.getresponse()

@@ -40,7 +40,7 @@ def service(start: Callable[..., Any]) -> Any:
 def get(service: Any, authority: trustme.CA) -> int:
     """Returns the status of a GET over REST."""
     trusted = ssl.create_default_context(cadata=authority.cert_pem.bytes().decode())
-    with httpx.Client(verify=trusted, trust_env=False) as client:
+    with httpx.Client(verify=trusted, timeout=60, trust_env=False) as client:
         return client.get(f"{service.url.replace('http', 'https')}/healthz").status_code
 
 
@@ -48,7 +48,7 @@ async def call(service: Any, authority: trustme.CA | None) -> None:
     """Makes a call over gRPC."""
     roots = authority.cert_pem.bytes() if authority else None
     async with SimClient(Channel(service.address, root_certificates=roots)) as client:
-        await client.list_tasks(ListTasksRequest(), timeout_s=5)
+        await client.list_tasks(ListTasksRequest(), timeout_s=60)
 
 
 async def test_who_trusts_the_authority_is_answered(service: Any) -> None:
@@ -65,7 +65,7 @@ async def test_who_trusts_another_authority_speaks_to_nobody(service: Any) -> No
 
 def test_plain_text_is_refused_over_rest(service: Any) -> None:
     with pytest.raises(httpx.TransportError):
-        httpx.get(f"{service.url}/healthz", trust_env=False)
+        httpx.get(f"{service.url}/healthz", timeout=60, trust_env=False)
 
 
 async def test_plain_text_is_refused_over_grpc(service: Any) -> None:

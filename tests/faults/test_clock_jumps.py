@@ -60,7 +60,7 @@ def _right_clock(wall_clock: WallClock) -> Iterator[None]:
 def sim(start_module_service: Callable[..., Any], wall_clock: WallClock, wait_until: Any) -> Any:
     limits = {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "2"}
     service = start_module_service("freerein_sim", **wall_clock.environ, **limits)
-    wait_until(service.is_ready, 60)
+    wait_until(service.is_ready, 300)
     return service
 
 
@@ -77,14 +77,14 @@ def test_a_lease_ends_after_its_own_time_whatever_the_clock_says(
     with SyncClient(SimClient(Channel(sim.address))) as client:
         kept = client.create_session(CreateSessionRequest("grid", seed=1)).session
         client.reset(ResetRequest(kept))
-        client.create_session(CreateSessionRequest("grid", seed=1, lease_s=0.5))
+        client.create_session(CreateSessionRequest("grid", seed=1, lease_s=3.0))
         with pytest.raises(Overloaded):
             client.create_session(CreateSessionRequest("grid"))
 
         wall_clock.jump(seconds)
 
         others: list[str] = []
-        wait_until(lambda: has_room(client, others), 10)
+        wait_until(lambda: has_room(client, others), 60)
         assert client.step(StepRequest(kept, 1, np.array([[3]]))).step_id == 1
         assert abs(logged_ahead_s(sim) - seconds) < 60
         for session in (kept, *others):
@@ -106,12 +106,14 @@ def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
     with SyncClient(SimClient(Channel(sim.address))) as client, ThreadPoolExecutor(3) as threads:
         session = client.create_session(CreateSessionRequest("grid", seed=1)).session
         worker.suspend()
-        over_rest = threads.submit(httpx.post, f"{sim.url}/v1/reset", json={"session": session}, trust_env=False)
-        over_grpc = [threads.submit(client.reset, ResetRequest(session), timeout_s=20) for _ in range(2)]
-        wait_until(lambda: in_flight(sim, "rest") == in_flight(sim, "grpc") == 2, 10)  # one reads the metrics
+        over_rest = threads.submit(
+            httpx.post, f"{sim.url}/v1/reset", json={"session": session}, timeout=60, trust_env=False
+        )
+        over_grpc = [threads.submit(client.reset, ResetRequest(session), timeout_s=60) for _ in range(2)]
+        wait_until(lambda: in_flight(sim, "rest") == in_flight(sim, "grpc") == 2, 60)  # one reads the metrics
         assert not over_rest.done()
         wall_clock.jump(seconds)
-        httpx.get(f"{sim.url}/readyz", trust_env=False)
+        httpx.get(f"{sim.url}/readyz", timeout=60, trust_env=False)
         worker.resume()
         assert over_rest.result().status_code == 200
         assert [call.result().frames for call in over_grpc] == [{}, {}]
@@ -120,6 +122,6 @@ def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
 
 
 def in_flight(sim: Any, protocol: str) -> float:
-    metrics = httpx.get(f"{sim.url}/metrics", trust_env=False).text
+    metrics = httpx.get(f"{sim.url}/metrics", timeout=60, trust_env=False).text
     found = re.search(rf'^freerein_calls_in_flight{{protocol="{protocol}"}} (\S+)$', metrics, re.MULTILINE)
     return float(found[1]) if found else 0.0

@@ -20,6 +20,7 @@ from freerein.serving.metrics import Metrics
 pytestmark = pytest.mark.e2e
 STREAMS = 64
 ACT = "/freerein.api.imitation.v1.ImitationService/Act"
+IN_FLIGHT = 'freerein_calls_in_flight{protocol="grpc"}'
 ITEMS = "freerein_batch_size_sum"  # that the model has computed
 TEN_YEARS_S = 10 * 365 * 86400.0
 
@@ -95,24 +96,26 @@ async def test_a_state_of_another_goal_or_model_is_refused(
 
 
 @pytest.mark.fault("I17")
-async def test_work_whose_deadline_passed_in_the_queue_is_not_done(client: Any, faulty: Any, robots: Any) -> None:
+async def test_work_whose_deadline_passed_in_the_queue_is_not_done(
+    client: Any, faulty: Any, robots: Any, wait_until: Any
+) -> None:
     done = faulty.metric(ITEMS)
-    slow = []
-    while not await asyncio.to_thread(faulty.metric, "freerein_queued_items"):  # until one waits for a busy model
-        slow.append(asyncio.create_task(client.act(_slow(robots, hundredths=200))))
-    timeouts_s = (0.001, 0.02, 0.05, 0.1) * 5
-    expired = [client.act(robots.asked(1, 200), timeout_s=timeout_s) for timeout_s in timeouts_s]
-    outcomes = await asyncio.gather(*expired, return_exceptions=True)
-    assert {type(outcome) for outcome in outcomes} == {DeadlineExceeded}
-    await asyncio.gather(*slow)
+    held = asyncio.create_task(client.act(_asked(robots, fault="held")))
+    with await asyncio.to_thread(faulty.hold):
+        timeouts_s = (0.001, 0.02, 0.05, 0.1) * 5
+        expired = [client.act(robots.asked(1, 200), timeout_s=timeout_s) for timeout_s in timeouts_s]
+        outcomes = await asyncio.gather(*expired, return_exceptions=True)
+        assert {type(outcome) for outcome in outcomes} == {DeadlineExceeded}
+        await asyncio.to_thread(wait_until, lambda: faulty.metric(IN_FLIGHT) == 1, 60)  # the service knows it, too
+    assert (await held).actions.size
     assert (await client.act(robots.asked(1, 200))).actions.size
-    assert faulty.metric(ITEMS) == done + len(slow) + 1
+    assert faulty.metric(ITEMS) == done + 2
 
 
-def _slow(robots: Any, *, hundredths: int) -> Any:
+def _asked(robots: Any, **asked: Any) -> Any:
     request = robots.asked(1, 200)
     return type(request)(
-        type(request.observation)((robots.picture(1, hundredths=hundredths),)), request.goal, request.executed_actions
+        type(request.observation)((robots.picture(1, **asked),)), request.goal, request.executed_actions
     )
 
 
@@ -127,7 +130,7 @@ async def test_a_call_with_no_deadline_or_a_distant_one_gets_the_service_s_own(
     server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits).server
     port = server.add_insecure_port("127.0.0.1:0")
     await server.start()
-    request = wire.pack(_slow(robots, hundredths=150)).SerializeToString()
+    request = wire.pack(_asked(robots, hundredths=150)).SerializeToString()
     async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
         with pytest.raises(grpc.aio.AioRpcError) as ended:
             await channel.unary_unary(ACT)(request, timeout=timeout_s)

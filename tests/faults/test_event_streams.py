@@ -39,7 +39,7 @@ def test_a_watcher_above_the_limit_is_refused_at_once_and_the_others_go_on(
     fit_id = start_long_fit(faulty, tmp_path)
     limits = httpx.Limits(max_connections=None)
     with (
-        httpx.Client(base_url=faulty.service.url, timeout=20, limits=limits, trust_env=False) as client,
+        httpx.Client(base_url=faulty.service.url, timeout=120, limits=limits, trust_env=False) as client,
         ExitStack() as watching,
     ):
         watch = ("GET", "/v1/watch-fit")

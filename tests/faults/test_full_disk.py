@@ -23,7 +23,7 @@ from freerein.types.learning import StartFitRequest
 from freerein.types.orchestrator import StartRunRequest
 
 pytestmark = pytest.mark.e2e
-FIT = {"steps": 100, "checkpoint_every": 5, "log_every": 1, "features": 8, "hidden_size": 8}
+FIT = {"steps": 300, "checkpoint_every": 5, "log_every": 1, "features": 8, "hidden_size": 8}
 RUN = {"task": "grid", "dataset": "few", "count": 1}
 STATES = ("full", "read_only")
 
@@ -236,7 +236,6 @@ def test_an_orchestrator_waits_for_room_to_begin_and_refuses_runs_whole(
 
 
 @pytest.mark.fault("F9")
-@pytest.mark.timeout(180)
 def test_an_orchestrator_that_starts_again_on_a_full_disk_waits_for_room_and_ends_when_told_to(
     start_faulty: Any, new_disk: Callable[[], Disk], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -296,5 +295,5 @@ def test_a_run_that_records_data_goes_on_once_there_is_room(
 def until(condition: Callable[[], bool]) -> None:
     begun = time.monotonic()
     while not condition():
-        assert time.monotonic() - begun < 60
+        assert time.monotonic() - begun < 300
         time.sleep(0.02)

@@ -19,12 +19,12 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from freerein.cli.services import RestartPolicy, Stack, free_ports
+from freerein.cli.services import RestartPolicy, Stack
 from freerein.clients import Channel, OrchestratorClient
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module")]
 HERE, FUZZ = Path(__file__).parent, os.environ.get("FREEREIN_FUZZ") == "1"
 MODULES = {"sim": "freerein_sim", "reward": "faulty_reward", "orchestrator": "freerein_orchestrator"}
 TINY = {
@@ -42,7 +42,7 @@ TINY = {
     "feature_size": 8,
     "hidden_size": 8,
 }
-ROLLOUTS, TIMEOUT_S = 8, 200.0
+ROLLOUTS, TIMEOUT_S = 8, 500.0
 POLICY = "policy.safetensors"
 PPO = list(itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing")))
 DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "all"), ("collecting", "fitting")))
@@ -117,9 +117,9 @@ async def until(folder: Path, pattern: str, count: int) -> None:
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Running]:
+async def running(tmp_path_factory: pytest.TempPathFactory, reserve_ports: Any) -> AsyncIterator[Running]:
     modules = {**MODULES, "imitation": "freerein_imitation"} if FUZZ else MODULES
-    data_dir, ports = tmp_path_factory.mktemp("matrix"), free_ports(modules)
+    data_dir, ports = tmp_path_factory.mktemp("matrix"), reserve_ports(modules)
     mine = {
         "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
         "FREEREIN_SHIPPED_DIR": "none",

@@ -37,7 +37,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     save_model(network, data_dir / "unpublished", card={"method": "set_supervised"})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish("", data_dir / "unpublished"))
-    return start_module_service("freerein_segmentation", data_dir)
+    return start_module_service("freerein_segmentation", data_dir, FREEREIN_UNARY_S="600")
 
 
 def test_ten_thousand_frames_have_equal_labels_over_rest_and_grpc_in_bounded_memory(service: Any) -> None:
@@ -50,7 +50,7 @@ def test_ten_thousand_frames_have_equal_labels_over_rest_and_grpc_in_bounded_mem
 
     over_grpc = asyncio.run(segment(service.address, frames, actions))
     body = {"frames": tensor("UINT8", frames), "actions": tensor("INT64", actions)}
-    over_rest = httpx.post(f"{service.url}/v1/segment", json=body, timeout=60, trust_env=False).json()
+    over_rest = httpx.post(f"{service.url}/v1/segment", json=body, timeout=600, trust_env=False).json()
 
     assert over_grpc.labels.tolist() == over_rest["labels"]
     assert len(over_rest["labels"]) == T
@@ -60,7 +60,7 @@ def test_ten_thousand_frames_have_equal_labels_over_rest_and_grpc_in_bounded_mem
 
 async def segment(address: str, frames: "np.ndarray[Any, Any]", actions: "np.ndarray[Any, Any]") -> SegmentResponse:
     async with SegmentationClient(Channel(address)) as client:
-        return await client.segment(SegmentRequest(frames=frames, actions=actions), timeout_s=60)
+        return await client.segment(SegmentRequest(frames=frames, actions=actions), timeout_s=600)
 
 
 def tensor(datatype: str, array: "np.ndarray[Any, Any]") -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """A model that misbehaves: its caller is told so, nobody else notices, and no answer is ever a 500."""
 
-import asyncio
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import grpc
@@ -47,18 +47,24 @@ async def test_over_grpc_too(faulty: Any, fault: int, status: grpc.StatusCode) -
     frames[0, 0, 0, 0] = fault
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         with pytest.raises(grpc.aio.AioRpcError) as error:
-            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=frames)).SerializeToString(), timeout=10)
+            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=frames)).SerializeToString(), timeout=60)
     assert error.value.code() is status
     assert "0x" not in str(error.value.details())
 
 
 @pytest.mark.fault("C16")
-async def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(faulty: Any) -> None:
-    async with httpx.AsyncClient(base_url=faulty.service.url, timeout=30, trust_env=False) as client:
-        holder = faulty.trajectory([0, 1], hundredths=20)
-        bodies = [holder, *(faulty.trajectory([n, n], fault="raises" if n % 4 == 0 else "right") for n in range(1, 13))]
-        replies = await asyncio.gather(*(client.post("/v1/segment", json=body) for body in bodies))
-    for n, reply in enumerate(replies[1:], start=1):
+def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(faulty: Any, wait_until: Any) -> None:
+    def segment(n: int, fault: str) -> httpx.Response:
+        reply: httpx.Response = faulty.segment(n, n, fault=fault)
+        return reply
+
+    with ThreadPoolExecutor(13) as pool:
+        pool.submit(segment, 0, "held")
+        with faulty.hold():
+            calls = {n: pool.submit(segment, n, "right" if n % 4 else "raises") for n in range(1, 13)}
+            wait_until(lambda: faulty.metric("freerein_queued_items") == 12, 60)
+    for n, call in calls.items():
+        reply = call.result()
         if n % 4 == 0:
             assert reply.json()["code"] == "model_fault"
         else:
@@ -77,33 +83,27 @@ def test_five_faults_in_a_row_make_it_not_ready_and_one_answer_ready_again(fault
     assert faulty.http.get("/readyz").status_code == 200
 
 
-UNARY_S = 0.5
+UNARY_S = 3.0
 
 
 @pytest.mark.fault("C17")
 async def test_a_model_that_hangs_is_stuck_then_not_ready_and_at_last_ends_the_process(
-    start_faulty: Callable[..., Any], refusal: Any
+    start_faulty: Callable[..., Any], refusal: Any, wait_until: Any
 ) -> None:
     faulty = start_faulty(FREEREIN_UNARY_S=str(UNARY_S))
     begun = time.monotonic()
     assert refusal(faulty.segment(0, fault="hangs"), 504)["code"] == "deadline_exceeded"
-    assert UNARY_S <= time.monotonic() - begun < UNARY_S + 1.0
-    wait_until(lambda: faulty.metric("freerein_stuck_threads") == 1, 1.0)
+    assert UNARY_S <= time.monotonic() - begun < 2 * UNARY_S
+    wait_until(lambda: faulty.metric("freerein_stuck_threads") == 1, UNARY_S)
     assert "busy with one call" in refusal(faulty.http.get("/readyz"), 503)["detail"]
     assert faulty.http.get("/healthz").status_code == 200
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         with pytest.raises(grpc.aio.AioRpcError) as late:
-            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=FRAMES)).SerializeToString(), timeout=10)
+            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=FRAMES)).SerializeToString(), timeout=60)
     assert late.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
-    assert faulty.service.process.wait(10) == 1  # which every supervisor starts again
-    assert 4 * UNARY_S <= time.monotonic() - begun < 4 * UNARY_S + 3.0
+    assert faulty.service.process.wait(60) == 1  # which every supervisor starts again
+    assert 4 * UNARY_S <= time.monotonic() - begun < 8 * UNARY_S
     assert '"event": "hangs"' in faulty.service.log.read_text()
 
 
 FRAMES = np.zeros((1, 4, 4, 3), np.uint8)
-
-
-def wait_until(condition: Callable[[], bool], within_s: float) -> None:
-    begun = time.monotonic()
-    while not condition():
-        assert time.monotonic() - begun < within_s, "it never came true"

@@ -42,13 +42,13 @@ def test_a_service_at_another_address_of_its_name_is_found_again(
         begun = time.monotonic()
         client.stdin.write("\n")
         assert client.stdout.readline() == "answered\n"
-        assert time.monotonic() - begun < 15
+        assert time.monotonic() - begun < 60
         client.stdin.close()
-        assert client.wait(10) == 0
+        assert client.wait(60) == 0
 
 
 @pytest.mark.fault("R6")
 def test_a_shipped_model_answers_without_a_network(tmp_path: Path) -> None:
     command = [*ISOLATED, sys.executable, HERE / "offline_reward.py", tmp_path]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=400)
     assert ran.stdout in ("reward 0.0\n", "reward 1.0\n"), ran.stderr

@@ -140,13 +140,13 @@ async def test_a_partition_heals_without_anybody_and_peers_never_notice(
         loop = asyncio.get_running_loop()
         begun = loop.time()
         await peer.steps(50)
-        assert loop.time() - begun < 2
+        assert loop.time() - begun < 20
         await asyncio.sleep(30 if fuzz else 1)
         assert len(cut_off.seen) == 5
         proxy.heal()
         begun = loop.time()
         assert await waiting == await peer.steps(0)
-        assert loop.time() - begun < 5
+        assert loop.time() - begun < 20
         await cut_off.close()
     await peer.close()
 

@@ -20,8 +20,8 @@ from freerein_imitation.openpi.messages import pack, unpack
 pytestmark = pytest.mark.e2e
 TOKEN = "correct-horse-battery"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
-RECEIPT_S = 1.0
-IDLE_S = 2.0
+RECEIPT_S = 5.0
+IDLE_S = 5.0
 WRITE_S = 1.0
 PING_S = 10.0
 MAX_BYTES = 8 * 2**20
@@ -77,8 +77,10 @@ def robot(faulty: Any) -> Iterator[ClientConnection]:
 
 @contextmanager
 def robot_of(faulty: Any, query: str = "", **options: Any) -> Iterator[ClientConnection]:
-    with connect(f"ws://127.0.0.1:{faulty.service.http_port}/{query}", compression=None, **options) as connection:
-        connection.recv(10)
+    with connect(
+        f"ws://127.0.0.1:{faulty.service.http_port}/{query}", compression=None, open_timeout=60, **options
+    ) as connection:
+        connection.recv(60)
         yield connection
 
 
@@ -113,7 +115,7 @@ def seen(brightness: int = 0, *, goal: int = GOAL, **changes: Any) -> dict[str, 
 
 def ask(robot: ClientConnection, message: dict[str, Any]) -> Any:
     robot.send(pack(message))
-    reply = robot.recv(10)
+    reply = robot.recv(60)
     return reply if isinstance(reply, str) else unpack(reply)
 
 
@@ -175,7 +177,7 @@ BAD = {
 @pytest.mark.parametrize("message", BAD.values(), ids=BAD)
 def test_a_bad_message_is_refused_and_the_next_one_is_answered(robot: ClientConnection, message: bytes) -> None:
     robot.send(message)
-    refusal = robot.recv(10)
+    refusal = robot.recv(60)
     assert isinstance(refusal, str)
     assert refusal.startswith(("malformed_request: ", "invalid_input: "))
     assert len(refusal) < 1024
@@ -185,7 +187,7 @@ def test_a_bad_message_is_refused_and_the_next_one_is_answered(robot: ClientConn
 @pytest.mark.fault("I19")
 def test_a_text_is_refused(robot: ClientConnection) -> None:
     robot.send("hello")
-    assert str(robot.recv(10)).startswith("malformed_request: ")
+    assert str(robot.recv(60)).startswith("malformed_request: ")
 
 
 @pytest.mark.fault("I19")
@@ -196,7 +198,7 @@ def test_random_messages_are_refused(robot: ClientConnection) -> None:
         for place in rng.integers(len(good), size=rng.integers(1, 5)):
             changed[place] = rng.integers(256)
         robot.send(bytes(changed))
-        reply = robot.recv(10)
+        reply = robot.recv(60)
         assert not isinstance(reply, str) or reply.partition(": ")[0] in CODES
 
 
@@ -267,7 +269,7 @@ def test_a_web_page_of_any_other_origin_may_not(strict: Any) -> None:
 def test_a_message_over_the_limit_ends_the_connection(robot: ClientConnection) -> None:
     with pytest.raises(ConnectionClosed) as error:  # noqa: PT012  # which of the two meets the end is open
         robot.send(bytes(MAX_BYTES + 1))
-        robot.recv(10)
+        robot.recv(60)
     assert error.value.rcvd is not None
     assert error.value.rcvd.code == 1009
 
@@ -307,7 +309,7 @@ def test_a_robot_that_says_nothing_for_long_loses_its_connection(strict: Any) ->
     with robot_of(strict, additional_headers=BEARER) as robot, pytest.raises(ConnectionClosed) as error:
         robot.recv(10 * IDLE_S)
     assert error.value.rcvd is not None
-    assert error.value.rcvd.reason.startswith("deadline_exceeded: A message must come within 2 s; none came.")
+    assert error.value.rcvd.reason.startswith("deadline_exceeded: A message must come within 5 s; none came.")
 
 
 @pytest.mark.fault("I21")
@@ -316,10 +318,10 @@ def test_a_robot_that_does_not_read_loses_its_connection_and_fills_no_memory(
 ) -> None:
     before = strict.process.memory_info().rss
     with raw_connection(strict, TOKEN) as deaf:
-        deaf.settimeout(10)
+        deaf.settimeout(60)
         with pytest.raises(OSError, match=r"reset|[Bb]roken|timed"):
             deaf.sendall((frame(9, bytes(125)) + frame(2, b"\xc1")) * 500_000)
-        wait_until(lambda: strict.metric('freerein_calls_in_flight{protocol="websocket"}') == 0, 10)
+        wait_until(lambda: strict.metric('freerein_calls_in_flight{protocol="websocket"}') == 0, 60)
     assert strict.process.memory_info().rss - before < 64 * 2**20
 
 
@@ -331,10 +333,10 @@ def test_a_service_that_stops_answers_what_it_has_and_says_so(start: Callable[..
         while faulty.metric('freerein_calls_in_flight{protocol="websocket"}') < 2:
             pass
         assert faulty.service.stop() == 0
-        assert isinstance(busy.recv(10), bytes)
+        assert isinstance(busy.recv(60), bytes)
         for robot in (busy, idle):
             with pytest.raises(ConnectionClosed) as error:
-                robot.recv(10)
+                robot.recv(60)
             assert error.value.rcvd is not None
             assert error.value.rcvd.code == 1012
 
@@ -344,5 +346,5 @@ def test_a_robot_that_vanished_loses_its_connection(
     abandoned: tuple[Any, float], wait_until: Callable[..., float]
 ) -> None:
     faulty, since = abandoned
-    wait_until(lambda: faulty.metric('freerein_calls_in_flight{protocol="websocket"}') == 0, 3 * PING_S)
+    wait_until(lambda: faulty.metric('freerein_calls_in_flight{protocol="websocket"}') == 0, 12 * PING_S)
     assert time.monotonic() - since > PING_S

@@ -22,8 +22,8 @@ StartService = Callable[..., Any]
 
 @contextmanager
 def opened(service: Any) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
-        deadline = time.monotonic() + 30
+    with httpx.Client(base_url=service.url, timeout=120, trust_env=False) as client:
+        deadline = time.monotonic() + 300
         while client.get("/readyz").status_code != 200:
             assert time.monotonic() < deadline
         yield client

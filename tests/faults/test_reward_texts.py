@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from freerein_reward.goal_text import Grammar
@@ -24,14 +24,14 @@ LONGEST_TOKENISING_S = 0.02
 def reward(start_module_service: Callable[..., Any]) -> Iterator[httpx.Client]:
     """An HTTP client of the service with the shipped models; no text may make it log a fault."""
     service = start_module_service("freerein_reward")
-    with httpx.Client(base_url=service.url, timeout=30, trust_env=False) as client:
+    with httpx.Client(base_url=service.url, timeout=120, trust_env=False) as client:
         wait_until_ready(client)
         yield client
     assert not re.search(r'"event": "bug"|the model failed|Traceback', service.log.read_text())
 
 
 def wait_until_ready(client: httpx.Client) -> None:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 300
     while client.get("/readyz").status_code != 200:
         assert time.monotonic() < deadline
 
@@ -118,9 +118,7 @@ def test_a_text_without_words_is_refused(reward: httpx.Client, refusal: Any, tex
 
 @pytest.mark.fault("R2")
 def test_any_text_is_answered_or_refused(reward: httpx.Client, refusal: Any, fuzz: bool) -> None:
-    @settings(
-        max_examples=2_000 if fuzz else 60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(max_examples=2_000 if fuzz else 60)
     @given(st.text(max_size=200))
     def check(text: str) -> None:
         reply = embed(reward, text)
@@ -134,7 +132,7 @@ def test_any_text_is_answered_or_refused(reward: httpx.Client, refusal: Any, fuz
 
 @pytest.mark.fault("R2")
 @pytest.mark.parametrize("name", HOSTILE)
-def test_no_text_takes_long_to_tokenise_or_to_read(name: str, least_of_three: Any) -> None:
+def test_no_text_takes_long_to_tokenise_or_to_read(name: str, least_of_many: Any) -> None:
     tokenizer, grammar = Tokenizer(("red", "block", "on")), Grammar(("a red block", "a blue block"), ("on",))
 
     def seconds() -> float:
@@ -143,4 +141,4 @@ def test_no_text_takes_long_to_tokenise_or_to_read(name: str, least_of_three: An
         grammar.read(HOSTILE[name])
         return time.process_time() - begun
 
-    assert least_of_three(seconds, below=LONGEST_TOKENISING_S) < LONGEST_TOKENISING_S
+    assert least_of_many(seconds, below=LONGEST_TOKENISING_S) < LONGEST_TOKENISING_S

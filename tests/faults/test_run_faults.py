@@ -19,8 +19,8 @@ import pytest
 from freerein.jobs.child import PERMANENT_FAILURE
 from freerein_orchestrator.kinds import KINDS
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240)]
-PATIENCE_S = 100.0
+pytestmark = pytest.mark.e2e
+PATIENCE_S = 500.0
 TINY = {
     "task": "grid",
     "goal_text": "more",

@@ -73,7 +73,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     data_dir = tmp_path_factory.mktemp("data")
     publish(data_dir, "", SPEC)
     publish(data_dir, "whole", replace(SPEC, context="all"))
-    service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="2", FREEREIN_UNARY_S="60")
+    service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="20", FREEREIN_UNARY_S="600")
     while not service.is_ready():
         pass
     return service
@@ -167,7 +167,7 @@ async def test_ten_thousand_large_frames_are_labelled_by_a_stream_in_bounded_mem
     frames = trajectory(10_000)  # 125 MB
     process = psutil.Process(service.process.pid)
     await client.segment(SegmentRequest(frames=frames[:1000]))  # what is allocated once
-    answer, grown = await watched(process, client.segment(SegmentRequest(frames=frames), timeout_s=60))
+    answer, grown = await watched(process, client.segment(SegmentRequest(frames=frames), timeout_s=600))
     assert (len(answer.labels), answer.segments[0].start, answer.segments[-1].end) == (10_000, 0, 10_000)
     parts = [await client.segment(SegmentRequest(frames=frames[at : at + 1000])) for at in (0, 9000)]
     assert answer.labels[: 1000 - LAG].tolist() == parts[0].labels[: 1000 - LAG].tolist()
@@ -223,7 +223,7 @@ async def test_a_stream_is_told_when_the_service_stops(
         own.process.terminate()
         assert (await stream.hear()).draining.deadline_s > 0
         assert await stream.rest() == []
-    assert await asyncio.to_thread(own.process.wait, 15) == 0
+    assert await asyncio.to_thread(own.process.wait, 60) == 0
 
 
 def until_ready(service: Any) -> None:
@@ -252,7 +252,7 @@ async def test_a_video_has_the_labels_of_its_frames_over_grpc_and_rest(
     assert answer.time_s == pytest.approx(np.arange(300) / 10)
     assert expected.time_s.shape == (0,)
     files, fields = {"video": ("demo.mp4", video)}, {"model.name": model.name}
-    async with httpx.AsyncClient(base_url=service.url, timeout=30, trust_env=False) as rest:
+    async with httpx.AsyncClient(base_url=service.url, timeout=300, trust_env=False) as rest:
         over_rest = (await rest.post("/v1/segment", files=files, data=fields)).json()
     assert over_rest["labels"] == expected.labels.tolist()
 
@@ -281,8 +281,8 @@ async def test_a_decoder_that_crashes_fails_its_call_alone(
     service: Any, client: Any, encode_video: Any, wait_until: Any
 ) -> None:
     long = encode_video(np.zeros((4000, 112, 112, 3), np.uint8))
-    call = asyncio.ensure_future(client.segment(SegmentRequest(video=long), timeout_s=60))
-    await asyncio.to_thread(wait_until, lambda: decoders(service), 30)
+    call = asyncio.ensure_future(client.segment(SegmentRequest(video=long), timeout_s=600))
+    await asyncio.to_thread(wait_until, lambda: decoders(service), 300)
     decoders(service)[0].send_signal(signal.SIGSEGV)
     with pytest.raises(InvalidInput, match="corrupt or truncated"):
         await call
@@ -295,9 +295,9 @@ async def test_a_call_that_is_given_up_ends_its_decoder(
 ) -> None:
     long = encode_video(np.zeros((4000, 112, 112, 3), np.uint8))
     call = asyncio.ensure_future(client.segment(SegmentRequest(video=long)))
-    await asyncio.to_thread(wait_until, lambda: decoders(service), 30)
+    await asyncio.to_thread(wait_until, lambda: decoders(service), 300)
     call.cancel()
-    await asyncio.to_thread(wait_until, lambda: not decoders(service), 30)
+    await asyncio.to_thread(wait_until, lambda: not decoders(service), 300)
 
 
 def decoders(service: Any) -> list[psutil.Process]:
@@ -305,14 +305,13 @@ def decoders(service: Any) -> list[psutil.Process]:
 
 
 @pytest.mark.fault("S9")
-@pytest.mark.timeout(180)
 async def test_a_video_of_ten_thousand_frames_is_labelled_in_bounded_memory(
     service: Any, client: Any, encode_video: Any
 ) -> None:
     long = encode_video(np.arange(10_000)[:, None, None, None].astype(np.uint8) * np.ones((112, 112, 3), np.uint8))
     await client.segment(SegmentRequest(frames=trajectory(1000)))  # what is allocated once
     answer, grown = await watched(
-        psutil.Process(service.process.pid), client.segment(SegmentRequest(video=long), timeout_s=60)
+        psutil.Process(service.process.pid), client.segment(SegmentRequest(video=long), timeout_s=600)
     )
     assert len(answer.labels) == 10_000
     assert grown < 64 * MIB

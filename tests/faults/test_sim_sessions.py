@@ -42,7 +42,7 @@ POOL = 6  # threads of a pool that was not full yet
 @pytest.fixture(scope="module")
 def service(start_module_service: Callable[..., Any], wait_until: Any) -> Any:
     service = start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
-    wait_until(service.is_ready, 60)
+    wait_until(service.is_ready, 300)
     return service
 
 
@@ -108,7 +108,7 @@ def test_a_guessed_id_is_answered_like_that_of_a_session_that_was(sim: Any, serv
     answers = set()
     for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed):
         request = {"session": session, **parts.get(call, {})}
-        reply = httpx.post(f"{service.url}/v1/{call}", json=request, trust_env=False)
+        reply = httpx.post(f"{service.url}/v1/{call}", json=request, timeout=60, trust_env=False)
         problem = reply.json()
         assert problem.pop("request_id")
         answers.add((reply.status_code, json.dumps(problem)))
@@ -124,17 +124,17 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
         render = RenderRequest(session, ("front",))
         workers = psutil.Process(service.process.pid).children()
         ratios = []
-        for _ in range(3):  # a busy machine only adds to them
+        while len(ratios) < 10 and min(ratios, default=5) >= 5:  # a busy machine only adds to them
             begun = time.perf_counter()
             await client.render(render)
             one_s = time.perf_counter() - begun
             for worker in workers:
                 worker.suspend()
             calls = [asyncio.create_task(client.render(render)) for _ in range(WAITING)]
-            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == WAITING, 20)
+            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == WAITING, 60)
             for call in calls:
                 call.cancel()
-            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == 0, 20)
+            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == 0, 60)
             begun = time.perf_counter()
             for worker in workers:
                 worker.resume()
@@ -146,7 +146,7 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
 
 def _in_flight(service: Any) -> float:
     """Returns the number of calls in progress over gRPC."""
-    metrics = httpx.get(f"{service.url}/metrics", trust_env=False).text
+    metrics = httpx.get(f"{service.url}/metrics", timeout=60, trust_env=False).text
     found = re.search(r'^freerein_calls_in_flight{protocol="grpc"} (\S+)$', metrics, re.MULTILINE)
     return float(found[1]) if found else 0.0
 

@@ -24,7 +24,7 @@ def kill_new_workers(wait_until: Any) -> Callable[..., set[int]]:
                     killed.add(child.pid)
             return until(killed)
 
-        wait_until(is_enough, 30)
+        wait_until(is_enough, 300)
         return killed
 
     return kill
@@ -36,7 +36,7 @@ def test_a_worker_killed_while_the_service_starts_is_started_again(
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="2")
     kill_new_workers(service, until=lambda killed: len(killed) >= 2)
 
-    wait_until(service.is_ready, 60)
+    wait_until(service.is_ready, 300)
     assert service.stop() == 0
 
 

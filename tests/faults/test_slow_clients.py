@@ -22,7 +22,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.rest.http_server import HttpServer, make_server
 
 pytestmark = pytest.mark.e2e
-RECEIPT_S = WRITE_S = 1.0
+RECEIPT_S, WRITE_S = 2.0, 3.0
 HEAD = b"GET /healthz HTTP/1.1\r\nhost: x\r\n"
 WHOLE = HEAD + b"\r\n"
 POST = b"POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: 1000\r\n\r\n"
@@ -33,9 +33,8 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
     return start_faulty(FREEREIN_RECEIPT_S=str(RECEIPT_S), FREEREIN_WRITE_S=str(WRITE_S))
 
 
-def trickle(connection: socket.socket, data: bytes, every_s: float) -> float:
-    """Sends bytes one by one until the other side closes; returns after how many seconds it did."""
-    begun = time.monotonic()
+def trickle(connection: socket.socket, data: bytes, every_s: float) -> None:
+    """Sends bytes one by one until the other side closes."""
     connection.settimeout(every_s)
     with contextlib.suppress(ConnectionResetError, BrokenPipeError):
         for byte in data:
@@ -45,7 +44,6 @@ def trickle(connection: socket.socket, data: bytes, every_s: float) -> float:
                     break
         else:
             pytest.fail("the connection was never closed")
-    return time.monotonic() - begun
 
 
 TRICKLES = {  # what is sent at once, and then byte by byte
@@ -58,29 +56,38 @@ TRICKLES = {  # what is sent at once, and then byte by byte
 
 
 @pytest.mark.fault("C7")
-def test_a_request_that_trickles_in_is_cut_off(faulty: Any) -> None:
-    def seconds(first: bytes, slowly: bytes) -> float:
+def test_a_request_that_trickles_in_is_cut_off(faulty: Any, least_of_many: Any) -> None:
+    def seconds(name: str) -> float:
+        first, slowly = TRICKLES[name]
+        begun = time.monotonic()
         with faulty.connect() as connection:
             connection.sendall(first)
             if first.startswith(WHOLE):
                 connection.recv(4096)
-            return trickle(connection, slowly, 0.1)
+            trickle(connection, slowly, 0.1)
+        return time.monotonic() - begun
 
-    with ThreadPoolExecutor(len(TRICKLES)) as pool:
-        found = dict(zip(TRICKLES, pool.map(lambda name: seconds(*TRICKLES[name]), TRICKLES), strict=True))
-    assert all(RECEIPT_S - 0.2 < seconds < RECEIPT_S + 1.0 for seconds in found.values()), found
+    def longest() -> float:
+        with ThreadPoolExecutor(len(TRICKLES)) as pool:
+            found = list(pool.map(seconds, TRICKLES))
+        assert min(found) > RECEIPT_S - 0.2
+        return max(found)
+
+    assert least_of_many(longest, below=RECEIPT_S + 1.0) < RECEIPT_S + 1.0
 
 
 @pytest.mark.fault("C7")
-def test_a_client_that_falls_silent_is_cut_off(faulty: Any) -> None:
-    with contextlib.ExitStack() as stack:
+def test_a_client_that_falls_silent_is_cut_off(faulty: Any, least_of_many: Any) -> None:
+    def seconds() -> float:
         begun = time.monotonic()
-        for sent in (b"", HEAD, POST, POST + b"{", WHOLE + POST):
-            connection = stack.enter_context(faulty.connect(5.0))
-            connection.sendall(sent)
-            stack.callback(read_to_the_end, connection)
-        stack.pop_all().close()
-        assert time.monotonic() - begun < RECEIPT_S + 1.0
+        with contextlib.ExitStack() as stack:
+            for sent in (b"", HEAD, POST, POST + b"{", WHOLE + POST):
+                connection = stack.enter_context(faulty.connect())
+                connection.sendall(sent)
+                stack.callback(read_to_the_end, connection)
+        return time.monotonic() - begun
+
+    assert least_of_many(seconds, below=RECEIPT_S + 1.0) < RECEIPT_S + 1.0
 
 
 def read_to_the_end(connection: socket.socket) -> None:
@@ -91,42 +98,49 @@ def read_to_the_end(connection: socket.socket) -> None:
 
 @pytest.mark.fault("F10")
 def test_a_tls_client_that_falls_silent_is_cut_off(
-    start_faulty: Callable[..., Any], certificate: tuple[Path, Path]
+    start_faulty: Callable[..., Any], certificate: tuple[Path, Path], least_of_many: Any
 ) -> None:
     key, chain = map(str, certificate)
     faulty = start_faulty(FREEREIN_RECEIPT_S=str(RECEIPT_S), FREEREIN_TLS_KEY=key, FREEREIN_TLS_CERT=chain)
     trusting = ssl.create_default_context(cafile=chain)
-    begun = time.monotonic()
-    with faulty.connect(5.0) as silent, faulty.connect(5.0) as halfway, faulty.connect(5.0) as shaken:
-        halfway.sendall(b"\x16\x03\x01")
-        with trusting.wrap_socket(shaken, server_hostname="localhost") as client:
-            for connection in (silent, halfway, client):
+
+    def seconds() -> float:
+        begun = time.monotonic()
+        with faulty.connect() as silent, faulty.connect() as halfway, faulty.connect() as shaken:
+            halfway.sendall(b"\x16\x03\x01")
+            with trusting.wrap_socket(shaken, server_hostname="localhost") as client:
+                for connection in (silent, halfway, client):
+                    read_to_the_end(connection)
+        assert time.monotonic() - begun > RECEIPT_S - 0.2
+        return time.monotonic() - begun
+
+    def seconds_over_grpc() -> float:
+        begun, address = time.monotonic(), ("127.0.0.1", faulty.service.grpc_port)
+        with socket.create_connection(address, 60) as silent, socket.create_connection(address, 60) as halfway:
+            halfway.sendall(b"\x16\x03\x01")
+            for connection in (silent, halfway):
                 read_to_the_end(connection)
-    assert RECEIPT_S - 0.2 < time.monotonic() - begun < RECEIPT_S + 1.0
-    begun = time.monotonic()
-    address = ("127.0.0.1", faulty.service.grpc_port)
-    with socket.create_connection(address, 20) as silent, socket.create_connection(address, 20) as halfway:
-        halfway.sendall(b"\x16\x03\x01")
-        for connection in (silent, halfway):
-            read_to_the_end(connection)
-    assert time.monotonic() - begun < RECEIPT_S + 5.0
+        return time.monotonic() - begun
+
+    assert least_of_many(seconds, below=RECEIPT_S + 1.0) < RECEIPT_S + 1.0
+    assert least_of_many(seconds_over_grpc, below=RECEIPT_S + 5.0) < RECEIPT_S + 5.0
 
 
 @pytest.mark.fault("C7")
 def test_a_slow_answer_is_not_a_slow_client(faulty: Any) -> None:
-    reply = faulty.segment(4, 5, hundredths=150)
+    reply = faulty.segment(4, 5, hundredths=200)
     assert reply.json()["labels"] == [0, 1]
 
 
 @pytest.mark.fault("C7")
 @pytest.mark.fault("G10")
-def test_many_slow_clients_slow_nobody_else(faulty: Any, least_of_three: Any, fuzz: bool) -> None:
+def test_many_slow_clients_slow_nobody_else(faulty: Any, least_of_many: Any, fuzz: bool) -> None:
     def times_slower() -> float:
         alone = latencies(faulty, 200)
         with attack(faulty, 2_000 if fuzz else 300):
             return percentile(latencies(faulty, 200), 0.99) / max(percentile(alone, 0.99), 0.01)
 
-    assert least_of_three(times_slower, below=2.0) < 2.0
+    assert least_of_many(times_slower, below=2.0) < 2.0
 
 
 @contextlib.contextmanager
@@ -153,17 +167,23 @@ def percentile(values: list[float], share: float) -> float:
 
 
 @pytest.mark.fault("C8")
-def test_a_client_that_does_not_read_is_cut_off_and_fills_no_memory(faulty: Any) -> None:
+def test_a_client_that_does_not_read_is_cut_off_and_fills_no_memory(faulty: Any, least_of_many: Any) -> None:
     before = faulty.process.memory_info().rss
-    with socket.socket() as connection:
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        connection.connect(("127.0.0.1", faulty.service.http_port))
-        connection.setblocking(False)
-        begun = flood(connection)
-        while open_to(faulty, connection.getsockname()[1]) and time.monotonic() - begun < 10:
-            with contextlib.suppress(OSError):
-                connection.send(b"G")  # a live client that sends, and still reads nothing
-    assert WRITE_S - 0.2 < time.monotonic() - begun < WRITE_S + 1.5
+
+    def seconds() -> float:
+        with socket.socket() as connection:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.connect(("127.0.0.1", faulty.service.http_port))
+            connection.setblocking(False)
+            begun = time.monotonic()
+            full = flood(connection)
+            while open_to(faulty, connection.getsockname()[1]):
+                with contextlib.suppress(OSError):
+                    connection.send(b"G")  # a live client that sends, and still reads nothing
+        assert time.monotonic() - begun > WRITE_S - 0.2
+        return time.monotonic() - full
+
+    assert least_of_many(seconds, below=WRITE_S + 1.5) < WRITE_S + 1.5
     assert faulty.process.memory_info().rss - before < 16 * 2**20
 
 
@@ -250,22 +270,22 @@ async def serving(app: Stream, write_s: float) -> AsyncIterator[tuple[HttpServer
 
 async def test_a_client_that_leaves_a_stream_unread_is_cut_off_and_fills_no_memory() -> None:
     app = Stream(64 * 2**20)
-    async with serving(app, 0.3), asyncio.timeout(5):
+    async with serving(app, 0.3), asyncio.timeout(60):
         await app.ended.wait()
     assert app.sent < 16 * 2**20
 
 
 async def test_a_client_that_reads_a_stream_gets_it_for_longer_than_it_may_pause() -> None:
-    async with serving(Stream(2**40), 0.5) as (_, client):
+    async with serving(Stream(2**40), 2.0) as (_, client):
         begun = time.monotonic()
-        while time.monotonic() - begun < 1.2:
+        while time.monotonic() - begun < 4.0:
             assert await asyncio.get_running_loop().sock_recv(client, 4096)
             await asyncio.sleep(0)  # the server sends faster than this reads
 
 
 async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:
     app = Stream(0)
-    async with serving(app, 0.8) as (_, client), asyncio.timeout(5):
+    async with serving(app, 0.8) as (_, client), asyncio.timeout(60):
         await asyncio.get_running_loop().sock_recv(client, 65536)
         await asyncio.sleep(0.6)  # a deadline that began with the first reply would end soon
         app.ask_again(2**40)
@@ -276,7 +296,7 @@ async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:
 
 
 async def test_a_connection_that_is_closed_is_forgotten_at_once() -> None:
-    async with serving(Stream(0), 60.0) as (server, client), asyncio.timeout(5):
+    async with serving(Stream(0), 600.0) as (server, client), asyncio.timeout(60):
         await asyncio.get_running_loop().sock_recv(client, 65536)
         (connection,) = map(weakref.ref, server.server_state.connections)
         client.close()

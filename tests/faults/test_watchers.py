@@ -10,7 +10,7 @@ import httpx
 import pytest
 import schemathesis
 
-pytestmark = [pytest.mark.e2e, pytest.mark.fault("O11"), pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.e2e, pytest.mark.fault("O11")]
 SLOW = 60  # of 64 streams that may be open
 COUNT = 40
 
