@@ -162,8 +162,19 @@ def test_a_goal_is_encoded_once_for_each_version() -> None:
     assert policy.encoded == [["a", "bb"], ["a"]]
 
 
-def test_the_cache_of_goal_embeddings_is_bounded() -> None:
-    policy, runner = Summing(), PolicyRunner(cache_bytes=8)
+class Blank(Summing):
+    """Knows a single goal, so that embeddings are empty."""
+
+    def encode_goals(self, goals: Sequence[str]) -> Floats:
+        return super().encode_goals(goals)[:, :0]
+
+    def step(self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+        return super().step(frames, np.ones((len(goals), 1), np.float32), previous, recurrent)
+
+
+@pytest.mark.parametrize("make", [Summing, Blank])
+def test_the_cache_of_goal_embeddings_is_bounded(make: type[Summing]) -> None:
+    policy, runner = make(), PolicyRunner(cache_bytes=1200)  # two entries
     for name in ("a", "bb", "a", "ccc", "bb"):
         run([item(policy, 7, name)], runner)
     assert policy.encoded == [["a"], ["bb"], ["ccc"], ["bb"]]

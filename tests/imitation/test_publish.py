@@ -138,7 +138,8 @@ async def test_only_the_texts_that_it_was_trained_for_are_goals(served: Served, 
     leave(tmp_path, make())
     model = await served.publish()
     same = " A red block  on top of a yellow block."
-    await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=same), model=model))
+    reply = await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=same), model=model))
+    await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=GOAL), state=reply.state, model=model))  # the same goal
     with pytest.raises(InvalidInput, match=f"what this policy was trained for: {GOAL}; got another text"):
         await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text="a blue block"), model=model))
 

@@ -19,6 +19,7 @@ from freerein_imitation.core.policy_state import PolicyState
 from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, TimedPolicy, takes_robot_state
 
 _CACHE_BYTES = 32 * 2**20
+_ENTRY_BYTES = 500  # upper bound of Python's overhead per entry of the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +137,12 @@ class PolicyRunner:
             texts = isinstance(goals[0], str)
             embeddings = requests[0].policy.encode_goals(goals if texts else _stack_frames(goals))
             self._goal_cache.update({key: each.copy() for key, each in zip(missing, embeddings, strict=True)})
-            self._cached_bytes += embeddings.nbytes
+            self._cached_bytes += embeddings.nbytes + _ENTRY_BYTES * len(missing)
         for key in keys:
             self._goal_cache.move_to_end(key)
         found = [self._goal_cache[key] for key in keys]
         while self._cached_bytes > self._max_cache_bytes:
-            self._cached_bytes -= self._goal_cache.popitem(last=False)[1].nbytes
+            self._cached_bytes -= self._goal_cache.popitem(last=False)[1].nbytes + _ENTRY_BYTES
         return _stack(found)
 
 

@@ -215,13 +215,17 @@ def _names(spec: PolicySpec) -> str:
 
 
 def _parse_text(spec: PolicySpec, text: str) -> Subgoal:
-    if spec.goal_texts and _plain(text) not in map(_plain, spec.goal_texts):
-        known = "; ".join(spec.goal_texts)
-        raise InvalidInput(
-            f"`goal.text` must be what this policy was trained for: {known}; got another text.",
-            field="goal.text",
-            hint="Send this text, or name a model that follows others.",
-        )
+    """Returns a text as a goal; where only some texts may be goals, the one of these that it means."""
+    if spec.goal_texts:
+        known = {_plain(each): each for each in spec.goal_texts}
+        if _plain(text) not in known:
+            texts = "; ".join(spec.goal_texts)
+            raise InvalidInput(
+                f"`goal.text` must be what this policy was trained for: {texts}; got another text.",
+                field="goal.text",
+                hint="Send this text, or name a model that follows others.",
+            )
+        text = known[_plain(text)]
     return Subgoal(_digest(text.encode()), text)
 
 
