@@ -15,8 +15,8 @@ from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.language import NEVER_REACHED, LanguagePolicy
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.language import LanguagePolicy
+from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
 from freerein_imitation.training.goal_texts import GoalTextDataset, random_shift, split_by_text
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner

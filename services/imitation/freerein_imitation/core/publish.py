@@ -14,7 +14,7 @@ from freerein.types.common import ActionSpec, Camera, ModelRef, check_id, check_
 from freerein.types.imitation import PublishPolicyRequest, PublishPolicyResponse
 from freerein_imitation.core.act import Policies
 from freerein_imitation.model import ppo
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 
 _KEPT = ("task", "goal_text", "camera", "reward", "model", "supervision", "privileged", "sha256", "config", "figures")
 
@@ -80,7 +80,7 @@ def _spec(policy: policy_files.StoredPolicy) -> tuple[ppo.PPOPolicySpec, Control
     network = policy.network.spec
     try:
         action, camera, task = parse(ActionSpec, card["action"]), str(card["camera"]), str(card["task"])
-        control = ControlSpec(float(card["control_dt_s"]), ppo.NEVER_REACHED, int(card["max_episode_steps"]))
+        control = ControlSpec(float(card["control_dt_s"]), NEVER_REACHED, int(card["max_episode_steps"]))
     except (KeyError, TypeError, ValueError, InvalidInput) as error:
         raise FailedPrecondition(
             "The policy must have been stored with its actions and control rate; it was not.",

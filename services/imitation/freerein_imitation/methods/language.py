@@ -12,13 +12,12 @@ from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein_imitation.model.language import (
-    NEVER_REACHED,
     TEXT_ENCODER_FILE,
     LanguageNetwork,
     LanguagePolicy,
     text_encoder_entry,
 )
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 from freerein_imitation.training import minilm
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner, network_spec
 

@@ -25,7 +25,6 @@ from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOut
 
 _DEPTH = 3
 _GOAL_CONTRAST, _MOTION_CONTRAST = 2.0, 4.0  # of differences of features
-_ENCODE_BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,11 +93,7 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
     @torch.inference_mode()
     def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
         """Returns features of goal images, float32 (N, D), by camera, uint8 (N, H, W, C)."""
-        count = len(next(iter(goals.values())))
-        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
-        parts = [self._encode(self._tensors({name: each[batch] for name, each in goals.items()})) for batch in batches]
-        features: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
-        return features
+        return self._encode_images(self._encode, goals)
 
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Returns recurrent states after control steps without an observation; see `TimedPolicy`."""

@@ -18,7 +18,6 @@ from freerein_imitation.model import action_bins
 from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
 
 _MAX_LOGIT = 5.0  # the recognizer's, of two equal images
-_ENCODE_BATCH = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,11 +139,7 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
     @torch.inference_mode()
     def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
         """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
-        count = len(next(iter(goals.values())))
-        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
-        parts = [self._encode(self._tensors({name: each[batch] for name, each in goals.items()})) for batch in batches]
-        embeddings: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
-        return embeddings
+        return self._encode_images(self._encode, goals)
 
     @torch.inference_mode()
     def step(

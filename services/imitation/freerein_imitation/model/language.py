@@ -31,9 +31,6 @@ from freerein_imitation.model.text_encoder import TextEncoder
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
-NEVER_REACHED = 1.0
-"""Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
-
 TEXT_ENCODER_FILE = "text_encoder.safetensors"
 
 _LEAST_SINGULAR_VALUE = 1e-2  # as a share of the largest

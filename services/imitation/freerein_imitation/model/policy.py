@@ -1,7 +1,7 @@
 """What all policies share: the spec that `GetSpec` returns, one step's output, and the base of the torch policies."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar, runtime_checkable
 
@@ -24,7 +24,11 @@ CameraFrames: TypeAlias = Mapping[str, npt.NDArray[np.uint8]]
 LSTMState: TypeAlias = tuple[Tensor, Tensor]
 """Hidden state and cell, float32 (1, B, units) each."""
 
+NEVER_REACHED = 1.0
+"""Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
+
 _CARD_KEY = "control"
+_ENCODE_BATCH = 256
 _RESTORE = "Fit the model again, or restore its folder from a copy."
 
 
@@ -234,6 +238,14 @@ class TorchPolicy(Generic[N]):
 
     def _tensors(self, frames: CameraFrames) -> Frames:
         return {camera: self._tensor(each) for camera, each in frames.items()}
+
+    def _encode_images(self, encode: Callable[[Frames], Tensor], images: CameraFrames) -> npt.NDArray[np.float32]:
+        """Returns the codes of images by camera, uint8 (N, H, W, C), some at a time: float32 (N, code size)."""
+        count = len(next(iter(images.values())))
+        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
+        parts = [encode(self._tensors({name: each[batch] for name, each in images.items()})) for batch in batches]
+        codes: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
+        return codes
 
 
 def confidence(reached: Tensor) -> Tensor:

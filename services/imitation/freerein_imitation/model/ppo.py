@@ -18,7 +18,6 @@ from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
 
 METHOD = "ppo"
-NEVER_REACHED = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
