@@ -6,10 +6,12 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from freerein.learning.actor_critic.networks import ActorCritic
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticOutput
 from freerein_orchestrator.rl.vec_env import (
     VecEnv,
+    VecStep,
     env_actions,
+    executed_actions,
     observation_tensor,
     reward_tensor,
     step_observations,
@@ -53,7 +55,7 @@ class RolloutBuffer:
     @property
     def executed_actions(self) -> Tensor:
         """Actions as executed: continuous ones clipped to [-1, 1]."""
-        return self.actions.clamp(-1, 1) if self.actions.is_floating_point() else self.actions
+        return executed_actions(self.actions)
 
     @property
     def next_observations(self) -> Tensor:
@@ -129,37 +131,22 @@ def collect(
     Raises:
         IterationRejected: The environments returned something malformed, or a reward is not finite.
     """
-    device, num_envs = next(network.parameters()).device, len(state.episode_starts)
+    device = next(network.parameters()).device
     generator = torch.Generator()
     generator.set_state(state.generator)
     observations, starts, recurrent_state = state.observations, state.episode_starts, state.recurrent_state
-    columns: dict[str, list[Tensor]] = {name: [] for name in _COLUMNS}
+    rows: list[dict[str, Tensor]] = []
     final_observations: list[Tensor] = []
     for _ in range(num_steps):
         outputs = network(observations[None].to(device), starts[None].to(device), recurrent_state.to(device))
-        actions = outputs.actions.sample(generator)
+        actions = outputs.actions.sample(generator)  # (1, N, A)
         step = envs.step(env_actions(actions[0]))
-        following, final = step_observations(step, network.spec, num_envs)
-        terminated, dones = torch.tensor(step.terminated), torch.from_numpy(step.terminated | step.truncated)
-        executed = actions[0].cpu().clamp(-1, 1)
-        following = network.observe(following, executed * ~dones[:, None])
-        final = network.observe(final, executed[dones])
-        recurrent_state = outputs.recurrent_state.cpu()
-        row = {
-            "observations": observations,
-            "episode_starts": starts,
-            "actions": actions[0].cpu(),
-            "log_probs": outputs.actions.log_prob(actions)[0].cpu(),
-            "values": outputs.values[0].cpu(),
-            "dones": dones,
-            "terminated": terminated,
-            "truncated_values": _truncated_values(network, final, dones, dones & ~terminated, recurrent_state),
-        }
-        for name, value in row.items():
-            columns[name].append(value)
+        following, final = _next_observations(network, step, executed_actions(actions[0].cpu()))
+        row = _row(network, outputs, actions, step, final)
+        rows.append({"observations": observations, "episode_starts": starts, **row})
         final_observations.append(final)
-        observations, starts = following, dones
-    stacked = {name: torch.stack(values) for name, values in columns.items()}
+        observations, starts, recurrent_state = following, row["dones"], outputs.recurrent_state.cpu()
+    stacked = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
     rollout = RolloutBuffer(
         **stacked,
         rewards=reward_tensor(envs.rewards(), stacked["dones"].shape),
@@ -171,16 +158,35 @@ def collect(
     return rollout, CollectorState(observations, starts, recurrent_state, generator.get_state(), envs.snapshots())
 
 
-_COLUMNS = (
-    "observations",
-    "episode_starts",
-    "actions",
-    "log_probs",
-    "values",
-    "dones",
-    "terminated",
-    "truncated_values",
-)
+def _next_observations(network: ActorCritic, step: VecStep, executed: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns next and final observations of a step as the network takes them, given the executed actions (N, A)."""
+    following, final = step_observations(step, network.spec, len(executed))
+    dones = torch.from_numpy(step.terminated | step.truncated)
+    return network.observe(following, executed * ~dones[:, None]), network.observe(final, executed[dones])
+
+
+def _row(
+    network: ActorCritic, outputs: ActorCriticOutput, actions: Tensor, step: VecStep, final: Tensor
+) -> dict[str, Tensor]:
+    """Returns what a rollout keeps of a step besides its observations, by attribute of `RolloutBuffer`.
+
+    Args:
+        network: The policy.
+        outputs: Its answer to the observations before the step.
+        actions: As sampled, (1, N, A).
+        step: The step.
+        final: Final observations of the episodes that ended, as the network takes them.
+    """
+    terminated, dones = torch.tensor(step.terminated), torch.from_numpy(step.terminated | step.truncated)
+    state = outputs.recurrent_state.cpu()
+    return {
+        "actions": actions[0].cpu(),
+        "log_probs": outputs.actions.log_prob(actions)[0].cpu(),
+        "values": outputs.values[0].cpu(),
+        "dones": dones,
+        "terminated": terminated,
+        "truncated_values": _truncated_values(network, final, dones, dones & ~terminated, state),
+    }
 
 
 def _values(network: ActorCritic, observations: Tensor, starts: Tensor, recurrent_state: Tensor) -> Tensor:

@@ -111,7 +111,12 @@ def reward_tensor(rewards: Rewards, shape: torch.Size) -> Tensor:
     return torch.from_numpy(np.array(rewards, np.float32))
 
 
+def executed_actions(actions: Tensor) -> Tensor:
+    """Returns actions (..., A) as they are executed: continuous ones clipped to [-1, 1]."""
+    return actions.clamp(-1, 1) if actions.is_floating_point() else actions
+
+
 def env_actions(actions: Tensor) -> Actions:
-    """Returns actions (N, A) as environments take them: continuous ones clipped to [-1, 1]."""
-    array: Actions = (actions.clamp(-1, 1) if actions.is_floating_point() else actions).cpu().numpy()
+    """Returns actions (N, A) as environments take and execute them."""
+    array: Actions = executed_actions(actions).cpu().numpy()
     return array

@@ -6,7 +6,7 @@ from torch import Tensor
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import InDistribution
-from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, observation_tensor
+from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, executed_actions, observation_tensor
 
 
 @torch.no_grad()
@@ -33,7 +33,7 @@ def visited_frames(network: ActorCritic, envs: VecEnv, generator: torch.Generato
         actions, state = outputs.actions.sample(generator)[0].cpu(), outputs.recurrent_state.cpu()
         step = envs.step(env_actions(actions))
         starts = torch.from_numpy(step.terminated | step.truncated)
-        executed = actions.clamp(-1, 1) * ~starts[:, None]
+        executed = executed_actions(actions) * ~starts[:, None]
         seen = observation_tensor(step.observations, spec, num_envs)
     envs.rewards()  # unused
     return torch.cat(frames)
