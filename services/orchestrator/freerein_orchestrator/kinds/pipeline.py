@@ -16,6 +16,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from freerein.atomic_files import fsync_folder, storage_errors, write_atomic
@@ -88,17 +89,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
         steps = [parse(StepConfig, step) for step in parse(PipelineConfig, values).steps]
         _check_names([step.name for step in steps])
         _check_after(steps, [name for name, kind in kinds.items() if kind.remote])
-        return Pipeline(tuple(parse_step(step) for step in steps))
-
-    def parse_step(step: StepConfig) -> Step:
-        if step.kind not in kinds:
-            raise InvalidInput(
-                f"The kind of a step must be one of {', '.join(kinds)}; got another.",
-                field="config.steps.kind",
-                hint="A pipeline holds no other pipeline.",
-            )
-        with _step_errors(step.name):
-            return Step(step.name, step.kind, kinds[step.kind].parse(step.config), step.after)
+        return Pipeline(tuple(_parse_step(kinds, step) for step in steps))
 
     def dump(pipeline: Pipeline) -> dict[str, Any]:
         steps = pipeline.steps
@@ -114,28 +105,41 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 kinds[step.kind].check(step.config, store, earlier)
             earlier.append(step.name)
 
-    def run(context: RunContext, pipeline: Pipeline) -> None:
-        done = 0
-        try:
-            for step in pipeline.steps:
-                _begin(kinds, context, _to_do(context, pipeline))
-                with _step_errors(step.name), storage_errors():
-                    child = context.child(step.name, first_step=done)
-                    child.folder.mkdir(parents=True, exist_ok=True)
-                    if not _is_done(context, step.name):
-                        with _timed(child), child.closing:
-                            kinds[step.kind].run(child, step.config)
-                        _finish(context, child, step)
-                    done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
-        except Stopped:
-            if context.cancelled():
-                _cancel(kinds, context, _to_do(context, pipeline))
-            raise
-        except ServiceError:  # the run fails
-            _cancel(kinds, context, _to_do(context, pipeline))
-            raise
+    return Kind(parse_pipeline, steps, partial(_run, kinds), check, dump)
 
-    return Kind(parse_pipeline, steps, run, check, dump)
+
+def _parse_step(kinds: Mapping[Any, Kind[Any]], step: StepConfig) -> Step:
+    if step.kind not in kinds:
+        raise InvalidInput(
+            f"The kind of a step must be one of {', '.join(kinds)}; got another.",
+            field="config.steps.kind",
+            hint="A pipeline holds no other pipeline.",
+        )
+    with _step_errors(step.name):
+        return Step(step.name, step.kind, kinds[step.kind].parse(step.config), step.after)
+
+
+def _run(kinds: Mapping[Any, Kind[Any]], context: RunContext, pipeline: Pipeline) -> None:
+    """Runs the steps that are not done; cancels the fits that have begun where the run is cancelled or fails."""
+    done = 0
+    try:
+        for step in pipeline.steps:
+            _begin(kinds, context, _to_do(context, pipeline))
+            with _step_errors(step.name), storage_errors():
+                child = context.child(step.name, first_step=done)
+                child.folder.mkdir(parents=True, exist_ok=True)
+                if not _is_done(context, step.name):
+                    with _timed(child), child.closing:
+                        kinds[step.kind].run(child, step.config)
+                    _finish(context, child, step)
+                done += int(json.loads((child.folder / _DONE).read_bytes())["steps"])
+    except Stopped:
+        if context.cancelled():
+            _cancel(kinds, context, _to_do(context, pipeline))
+        raise
+    except ServiceError:  # the run fails
+        _cancel(kinds, context, _to_do(context, pipeline))
+        raise
 
 
 def _begin(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[Step]) -> None:
