@@ -170,4 +170,5 @@ async def test_a_deadline_that_ends_while_the_reply_is_sent_is_no_bug(channel: g
         calls = [channel.unary_unary(SEGMENT)(request, timeout=0.002 * n) for n in range(1, 21)]
         ended = await asyncio.gather(*calls, return_exceptions=True)
         found |= {end.code() for end in ended if isinstance(end, grpc.aio.AioRpcError)}
-    assert found == {grpc.StatusCode.DEADLINE_EXCEEDED}  # and the log, which the fixture reads, tells of no bug
+    expired, reset = grpc.StatusCode.DEADLINE_EXCEEDED, grpc.StatusCode.UNAVAILABLE  # as a slow caller may hear of it
+    assert {expired} <= found <= {expired, reset}  # and the log, which the fixture reads, tells of no bug

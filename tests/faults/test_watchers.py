@@ -78,4 +78,4 @@ def test_watching_resumes_after_the_last_event_id(orchestrator: httpx.Client) ->
 def test_events_are_what_the_document_says(orchestrator: httpx.Client) -> None:
     document = schemathesis.openapi.from_url(f"{orchestrator.base_url}/openapi.json")
     watch = document["/v1/watch-run"]["GET"].Case(query={"id": start(orchestrator, "documented")})
-    assert "succeeded" in watch.call_and_validate().text
+    assert "succeeded" in watch.call_and_validate(timeout=300).text
