@@ -89,8 +89,9 @@ def test_a_recording_is_not_gone_on_with_by_another_request(recorder: Path) -> N
     assert (code, json.loads(printed)["error"]["code"]) == (1, "failed_precondition")
 
 
-def test_a_task_that_there_is_not_leaves_no_dataset(recorder: Path) -> None:
-    result = CliRunner().invoke(app, ["sim", "demonstrate", "nothing", "--out", "demos"])
+@pytest.mark.parametrize("words", [["nothing"], ["grid", "--skill", "fly"], ["grid", "--condition", "night"]])
+def test_what_is_refused_leaves_no_dataset(recorder: Path, words: list[str]) -> None:
+    result = CliRunner().invoke(app, ["sim", "demonstrate", *words, "--out", "demos"])
 
     assert result.exit_code == 1
     assert not recorder.exists()

@@ -21,6 +21,8 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 class DatasetRecorder:
     """Writes the demonstrations of a request into a dataset, each once; a context manager.
 
+    A new dataset is made for the first demonstration, so that a request that the service refuses leaves none.
+
     Args:
         root: The dataset's folder; existing trajectories are kept.
         request: The request; its `first` is ignored.
@@ -33,19 +35,20 @@ class DatasetRecorder:
     """
 
     def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
-        spec = dataset_spec(
+        self._root = root
+        self._spec = dataset_spec(
             select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
         )
         free = ("count", "first", "conditions")
-        as_json = {key: value for key, value in wire.to_json(request).items() if key not in free}
+        self._as_json = {key: value for key, value in wire.to_json(request).items() if key not in free}
         if request.conditions:
-            as_json["conditions"] = sorted(request.conditions)
+            self._as_json["conditions"] = sorted(request.conditions)
         self._request = request
-        self._writer = open_or_resume(root, spec, as_json)
+        self._writer = self._open() if root.exists() else None
 
     def __len__(self) -> int:
         """Returns the number of trajectories on disk."""
-        return len(self._writer)
+        return 0 if self._writer is None else len(self._writer)
 
     @property
     def is_complete(self) -> bool:
@@ -59,6 +62,8 @@ class DatasetRecorder:
 
     def append(self, demonstration: DemonstrateResponse) -> None:
         """Writes the next demonstration durably, with labels if the request is privileged."""
+        if self._writer is None:
+            self._writer = self._open()
         self._writer.append(demonstration.trajectory, demonstration.labels if self._request.privileged else None)
 
     def check_complete(self) -> None:
@@ -74,7 +79,11 @@ class DatasetRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _open(self) -> Writer:
+        return open_or_resume(self._root, self._spec, self._as_json)
 
 
 def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Writer:

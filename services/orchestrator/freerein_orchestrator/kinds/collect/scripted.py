@@ -34,7 +34,7 @@ def demonstrate(context: RunContext, config: CollectConfig, behaviour: Behaviour
     sim, retry = context.client("sim"), context.retry()
     tasks = retry.call(lambda: sim.list_tasks(ListTasksRequest()))
     with DatasetRecorder(root, _request(config, behaviour), tasks) as recording:
-        timesteps = int(Dataset(root).lengths.sum())
+        timesteps = int(Dataset(root).lengths.sum()) if len(recording) else 0
         rows = _ThrottledRows(context.metrics_logger(min(len(recording), config.count - 1)))
         with closing(_missing(sim, recording, retry)) as demonstrations:
             for demonstration in demonstrations:
