@@ -27,7 +27,7 @@ class Model:
     def __call__(self, items: Sequence[int]) -> list[int | ServiceError]:
         self.batches.append(list(items))
         self.begun.release()
-        self.gate.wait(10)
+        self.gate.wait(60)
         if 13 in items:
             raise ZeroDivisionError("13 at 0x7f0000000000")
         if 99 in items:
@@ -51,22 +51,22 @@ async def batcher(model: Model) -> AsyncIterator[Batcher[int, int]]:
 async def busy(batcher: Batcher[int, int], model: Model) -> "asyncio.Task[BatchResult[int]]":
     """Returns the call that holds the model until the gate is opened."""
     model.gate.clear()
-    call = asyncio.create_task(batcher.submit(0, timeout_s=10))
+    call = asyncio.create_task(batcher.submit(0, timeout_s=60))
     await asyncio.to_thread(model.begun.acquire)
     return call
 
 
 async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "list[asyncio.Task[BatchResult[int]]]":
-    calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=10)) for item in items]
+    calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=60)) for item in items]
     await asyncio.sleep(0)
     return calls
 
 
 async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) -> None:
-    done = await batcher.submit(21, timeout_s=10)
+    done = await batcher.submit(21, timeout_s=60)
     assert (done.output, done.batch_size) == (42, 1)
-    assert 0 <= done.queue_ns < 1e9
-    assert 0 < done.infer_ns < 1e9
+    assert 0 <= done.queue_ns < 60e9
+    assert 0 < done.infer_ns < 60e9
 
 
 async def test_what_arrives_while_the_model_is_busy_shares_the_next_call(
@@ -93,7 +93,7 @@ async def test_one_more_than_may_wait_is_refused_and_told_when_to_come_back(
     await busy(batcher, model)
     calls = await waiting(batcher, 1, 2, 3, 4)
     with pytest.raises(Overloaded, match="At most 4") as error:
-        await batcher.submit(5, timeout_s=10)
+        await batcher.submit(5, timeout_s=60)
     assert error.value.retry_after_s
     model.gate.set()
     assert [done.output for done in await asyncio.gather(*calls)] == [2, 4, 6, 8]
@@ -119,7 +119,7 @@ async def test_an_item_cancelled_a_moment_ago_never_reaches_the_model(batcher: B
     calls = await waiting(batcher, 1, 2)
     calls[0].cancel()
     model.gate.set()
-    assert model.begun.acquire(timeout=10)  # before the loop, which this blocks, can remove the item
+    assert model.begun.acquire(timeout=60)  # before the loop, which this blocks, can remove the item
     assert model.batches[1:] == [[2]]
     await asyncio.gather(*calls, return_exceptions=True)
 
@@ -157,12 +157,12 @@ async def test_five_failures_in_a_row_make_it_not_ready_until_a_call_succeeds(ba
     for _ in range(5):
         assert not batcher.not_ready()
         with pytest.raises(ModelFault):
-            await batcher.submit(13, timeout_s=10)
+            await batcher.submit(13, timeout_s=60)
     assert batcher.not_ready()
-    await batcher.submit(1, timeout_s=10)
+    await batcher.submit(1, timeout_s=60)
     for _ in range(4):
         with pytest.raises(ModelFault):
-            await batcher.submit(13, timeout_s=10)
+            await batcher.submit(13, timeout_s=60)
     assert not batcher.not_ready()
 
 
@@ -190,7 +190,7 @@ async def test_its_thread_ends_when_closed_and_holds_up_no_exit(model: Model) ->
 
 
 async def test_an_idle_batcher_takes_no_time_of_the_processor(batcher: Batcher[int, int]) -> None:
-    await batcher.submit(1, timeout_s=10)
+    await batcher.submit(1, timeout_s=60)
     begun = time.process_time()
     await asyncio.sleep(0.2)  # what is measured is this span
     assert time.process_time() - begun < 0.1
@@ -207,11 +207,11 @@ async def test_a_call_that_takes_long_is_stuck_then_hangs_until_it_ends(model: M
 
     begun = time.monotonic()
     call = await busy(batcher, model)
-    await asyncio.to_thread(wait_until, lambda: batcher.not_ready() != "", 3)
+    await asyncio.to_thread(wait_until, lambda: batcher.not_ready() != "", 60)
     assert time.monotonic() - begun > 0.05
     assert batcher.not_ready() == "The model has been busy with one call for more than 0.05 s."
     assert stuck() == 1
-    await asyncio.to_thread(wait_until, batcher.hangs, 3)
+    await asyncio.to_thread(wait_until, batcher.hangs, 60)
     assert time.monotonic() - begun > 4 * 0.05
 
     model.gate.set()
@@ -230,7 +230,7 @@ async def test_closed_it_refuses_what_waits_and_what_comes(batcher: Batcher[int,
     assert (await first).output == 0
     await closing
     with pytest.raises(Unavailable):
-        await batcher.submit(1, timeout_s=10)
+        await batcher.submit(1, timeout_s=60)
 
 
 @settings(max_examples=30)
@@ -245,7 +245,7 @@ def test_whatever_is_cancelled_each_caller_gets_its_own_answer(
     async def scenario() -> None:
         metrics, model = Metrics(), Model()
         batcher = Batcher(model, queue=queue, batch=batch, metrics=metrics)
-        calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=10)) for item, key, _ in items]
+        calls = [asyncio.create_task(batcher.submit(item, key=key, timeout_s=60)) for item, key, _ in items]
         await asyncio.sleep(0)
         for call, (_, _, cancelled) in zip(calls, items, strict=True):
             if cancelled:
@@ -270,17 +270,17 @@ async def test_a_batch_that_fails_and_is_tried_one_by_one_is_no_call_that_hangs(
     def slow(items: Sequence[int]) -> list[int]:
         begun.release()
         seen.append((batcher.not_ready(), batcher.hangs()))
-        threading.Event().wait(0.03)
+        threading.Event().wait(0.1)
         seen.append((batcher.not_ready(), batcher.hangs()))
         if 13 in items:
             raise ZeroDivisionError
         return list(items)
 
-    batcher: Batcher[int, int] = Batcher(slow, queue=64, batch=32, metrics=Metrics(), call_s=0.1)
-    first = asyncio.create_task(batcher.submit(0, timeout_s=10))  # the others wait for it, and become a batch
+    batcher: Batcher[int, int] = Batcher(slow, queue=64, batch=32, metrics=Metrics(), call_s=1.0)
+    first = asyncio.create_task(batcher.submit(0, timeout_s=60))  # the others wait for it, and become a batch
     await asyncio.to_thread(begun.acquire)
     results = await asyncio.gather(
-        *(batcher.submit(item, timeout_s=10) for item in range(1, 33)), return_exceptions=True
+        *(batcher.submit(item, timeout_s=60) for item in range(1, 33)), return_exceptions=True
     )
     await first
     batcher.close()

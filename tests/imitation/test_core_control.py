@@ -4,7 +4,6 @@ import asyncio
 import gc
 import itertools
 import threading
-import time
 import weakref
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -209,22 +208,22 @@ async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots
 
 
 async def test_time_goes_on_for_those_that_were_not_answered_in_time(core: Any, robots: Any, policies: Any) -> None:
-    is_busy = threading.Event()
+    is_busy, is_late = threading.Event(), threading.Event()
 
-    def work(seconds: float) -> None:
-        if seconds:
-            is_busy.set()
-            time.sleep(seconds)
+    def hold() -> None:
+        is_busy.set()
+        assert is_late.wait(60)
 
-    service = core.around(policies.FaultyPolicy(policies.SEEDS[0], sleep=work))
+    service = core.around(policies.FaultyPolicy(policies.SEEDS[0], hold=hold))
     busy, late = robots.Stream(service.control), robots.Stream(service.control)
     await busy.ask(robots.hello())
-    await late.ask(robots.hello(max_steps_per_goal=4, valid_for_s=0.6))
+    await late.ask(robots.hello(max_steps_per_goal=4, valid_for_s=2.0))
     assert (await late.ask(robots.seen(0))).chunk is not None
-    working = asyncio.create_task(busy.ask(robots.seen(0, hundredths=100)))
-    assert await asyncio.to_thread(is_busy.wait, 10)
+    working = asyncio.create_task(busy.ask(robots.seen(0, fault="held")))
+    assert await asyncio.to_thread(is_busy.wait, 60)
     executed = replace(robots.seen(3).observed, executed_actions=np.zeros((3, 2), np.float32))
     assert (await late.ask(ControlRequest(observed=executed))).error.code == "deadline_exceeded"
+    is_late.set()
     await working
     assert (await late.ask(robots.seen(4, did=(0, 0)))).chunk.goal_abandoned
 

@@ -208,7 +208,7 @@ async def test_a_worker_that_dies_fails_its_calls_and_is_replaced(start_pool: St
 
 @pytest.mark.fault("M6")
 async def test_a_worker_that_hangs_is_killed(start_pool: StartPool) -> None:
-    pool = await start_pool(workers=1, stuck_s=0.5)
+    pool = await start_pool(workers=1, stuck_s=3.0)
     worker = await pool.place(1)
     stop(children()[0])
 
@@ -227,7 +227,7 @@ def test_a_worker_dies_with_its_service() -> None:
 
     service.kill()
 
-    worker.wait(10)
+    worker.wait(60)
     service.wait()
     service.stdout.close()
 
@@ -281,6 +281,10 @@ async def test_a_demonstration_that_nobody_waits_for_any_more_is_not_made(start_
     others, request = children(), DemonstrateRequest("grid", "random")
     await pool.demonstrate(request)
     (demonstrator,) = (child for child in children() if child not in others)
+    before_s = demonstrator.cpu_times().user
+    for _ in range(50):
+        await pool.demonstrate(request)
+    fifty_s = demonstrator.cpu_times().user - before_s
     stop(demonstrator)
     calls = [asyncio.create_task(pool.demonstrate(request)) for _ in range(300)]
     await asyncio.sleep(0)
@@ -292,7 +296,7 @@ async def test_a_demonstration_that_nobody_waits_for_any_more_is_not_made(start_
     demonstrator.resume()
 
     assert (await calls[-1]).index == 0
-    assert demonstrator.cpu_times().user - before_s < 0.1  # two were made: the one begun and the one awaited
+    assert demonstrator.cpu_times().user - before_s < fifty_s  # two were made: the one begun and the one awaited
 
 
 async def test_refusals_cross_the_socket_whole(start_pool: StartPool) -> None:
