@@ -83,6 +83,12 @@ def reserve_port() -> int:
     return int(_reserved[-1].getsockname()[1])
 
 
+def pytest_unconfigure() -> None:
+    """Closes what reserved ports."""
+    for reserving in _reserved:
+        reserving.close()
+
+
 def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
     """Starts `python -m module` and returns when it listens."""
     log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
