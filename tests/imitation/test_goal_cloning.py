@@ -180,6 +180,17 @@ def test_a_lookalike_is_far_in_time_and_looks_most_alike() -> None:
     assert found[:4, 0].tolist() == [4, 5, 6, 7]
 
 
+@pytest.mark.parametrize("length", [1, 3, 12, 1100])
+def test_lookalikes_are_those_of_all_distances_at_once_also_among_equals(length: int) -> None:
+    rng = np.random.default_rng(0)
+    statistics = torch.from_numpy(
+        rng.random((length // 4 + 1, 16), np.float32)[rng.integers(length // 4 + 1, size=length)]
+    )
+    near = np.abs(np.arange(length)[:, None] - np.arange(length)) < 10
+    distances = torch.cdist(statistics, statistics).masked_fill(torch.from_numpy(near), torch.inf)
+    np.testing.assert_array_equal(lookalikes(statistics, far_steps=10), distances.argsort(dim=1)[:, :4])
+
+
 def test_frames_of_a_window_have_their_own_actions(windows: GoalWindows) -> None:
     data = numbered(3, 40)
     items, timesteps = np.divmod(windows.frames["front"][:, 0, 0, 0].numpy().astype(np.int64), 40)

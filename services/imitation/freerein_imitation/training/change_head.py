@@ -20,9 +20,9 @@ _LR = 1e-3
 _CALIBRATION_BATCHES = 20
 _ANCHORS = 384
 _CANDIDATES = 48
-_LEAST_CLOSE_STEPS = 5  # sooner, fingers have hardly moved, and tell that little time has passed
+_LEAST_CLOSE_STEPS_OF_HEAD = 5  # sooner, fingers have hardly moved, and tell that little time has passed
 _FAR_FROM = 0.3  # share of the updates before far pairs take part
-_LEAST_ALIKE_SHARE = 0.01  # of close pairs that look less alike than a changed scene
+_LEAST_ALIKE_SHARE_OF_HEAD = 0.01  # of close pairs that look less alike than a changed scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def fit_change_head(
             continue
         changed = strangers
         if update >= _FAR_FROM * updates:
-            changed = torch.cat([strangers, far[far.detach() < close.detach().quantile(_LEAST_ALIKE_SHARE)]])
+            changed = torch.cat([strangers, far[far.detach() < close.detach().quantile(_LEAST_ALIKE_SHARE_OF_HEAD)]])
         logits, unchanged = torch.cat([close, changed]), torch.zeros(len(close) + len(changed), device=close.device)
         unchanged[: len(close)] = 1
         for group in optimiser.param_groups:
@@ -111,7 +111,7 @@ def sample_time_pairs(
     count = len(data.trajectories)
     anchors = rng.integers(count, size=(_ANCHORS, 1))
     shape = _ANCHORS, _CANDIDATES
-    steps = rng.integers(min(_LEAST_CLOSE_STEPS, close_steps), close_steps, shape, endpoint=True)
+    steps = rng.integers(min(_LEAST_CLOSE_STEPS_OF_HEAD, close_steps), close_steps, shape, endpoint=True)
     soon = anchors + steps * rng.choice((-1, 1), shape)
     own = data.trajectories[anchors]
     starts, ends = (np.searchsorted(data.trajectories, own, side=side) for side in ("left", "right"))

@@ -41,7 +41,7 @@ from freerein_imitation.training.positive_unlabelled import positive_unlabelled_
 _NORMALISATION_FRAMES = 1500
 _EVALUATION_WINDOWS = 96
 _ODOMETRY_WEIGHT, _CHANGE_WEIGHT = 0.3, 1.0
-_LEAST_ALIKE_SHARE = 0.03  # of pairs close in time that look less alike than a changed scene
+_LEAST_ALIKE_SHARE_IN_WINDOWS = 0.03  # of pairs close in time that look less alike than a changed scene
 _HEAD_UPDATES = 0.6  # of the head for changes alone, per optimiser step
 _UNCHANGED_SHARE = 0.75  # of pairs of frames at nearby places that are far in time, as calibration takes it
 _NORMAL_MAD = 1.48  # standard deviations per median absolute deviation of a normal distribution
@@ -226,7 +226,7 @@ class GoalCloningLearner:
         is_close, is_far = (torch.from_numpy(each).to(self.device) for each in (changes.is_close, changes.is_far))
         if not is_close.any():
             return unchanged.new_zeros(())
-        least_alike = unchanged[is_close].detach().quantile(_LEAST_ALIKE_SHARE)
+        least_alike = unchanged[is_close].detach().quantile(_LEAST_ALIKE_SHARE_IN_WINDOWS)
         counts = ~is_far | (unchanged.detach() < least_alike)
         return functional.binary_cross_entropy_with_logits(unchanged[counts], is_close[counts].float())
 

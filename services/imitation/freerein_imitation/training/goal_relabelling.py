@@ -5,15 +5,14 @@ Encoding images dominates an update's cost, so a window of frames is encoded onc
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from freerein.learning.encoders import Frames
 from freerein.learning.trajectories import Trajectories
+from freerein_imitation.training.joined_trajectories import frames_at, joined
 from freerein_imitation.training.previous_actions import previous_actions
 
 _SLICES_PER_WINDOW = 8
@@ -116,8 +115,8 @@ def sample_slices(
         lengths.append(sampled)
         starts.append(offset + rng.integers(size - sampled))
         offset += size
-    arrays = (_join(parts, device) for parts in (actions, previous, starts, lengths))
-    return RelabelledSlices(_frames(trajectories, windows, device), *arrays)
+    arrays = (joined(parts, device) for parts in (actions, previous, starts, lengths))
+    return RelabelledSlices(frames_at(trajectories, windows, device), *arrays)
 
 
 def sample_recognizer_batch(
@@ -145,19 +144,5 @@ def sample_recognizer_batch(
         chosen = np.concatenate([anchors, near.clip(0, last)])
         places.append((item, chosen))
     numbers = np.repeat(np.asarray(items, np.int64), 2 * _ANCHORS_PER_TRAJECTORY)
-    timesteps = _join([chosen for _, chosen in places], device)
-    return RecognizerBatch(_frames(trajectories, places, device), timesteps, torch.from_numpy(numbers).to(device))
-
-
-def _frames(
-    trajectories: Trajectories, places: Sequence[tuple[int, slice | npt.NDArray[np.int64]]], device: torch.device
-) -> Frames:
-    """Returns the frames of all cameras at some timesteps of some trajectories."""
-    return {
-        camera: _join([arrays[item][timesteps] for item, timesteps in places], device)
-        for camera, arrays in trajectories.frames.items()
-    }
-
-
-def _join(parts: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:
-    return torch.from_numpy(np.concatenate(parts)).to(device)
+    timesteps = joined([chosen for _, chosen in places], device)
+    return RecognizerBatch(frames_at(trajectories, places, device), timesteps, torch.from_numpy(numbers).to(device))

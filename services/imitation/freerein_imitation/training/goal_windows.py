@@ -3,9 +3,9 @@
 Encoding images dominates an update's cost, so each frame is encoded once and takes part in many pairs.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from freerein.learning.encoders import Frames
 from freerein.learning.trajectories import Trajectories
+from freerein_imitation.training.joined_trajectories import frames_at, joined
 from freerein_imitation.training.previous_actions import previous_actions
 
 Places = npt.NDArray[np.int64]
@@ -23,11 +24,12 @@ _WINDOW_MARGIN = 9
 _COMPARED = 12  # frames of a window's trajectory beside the window
 _ALIKE_SHARE = 0.7
 _ALIKE = 4
+_COMPARED_AT_ONCE = 512  # timesteps with all others
 _GOALS_PER_WINDOW = 48
 _CHANGES_PER_WINDOW = 40
 _FIRST_SHARE = 0.15  # of observations without one before, as at the start of a goal
 _TIE_BREAK = 0.2  # in tolerances
-_LEAST_CLOSE_STEPS = 4  # sooner, fingers have hardly moved, and tell that little time has passed
+_LEAST_CLOSE_STEPS_IN_WINDOW = 4  # sooner, fingers have hardly moved, and tell that little time has passed
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +99,13 @@ def lookalikes(statistics: Tensor, *, far_steps: int) -> Places:
         statistics: Image statistics of a trajectory's frames, float32 (T, D).
         far_steps: Fewest timesteps to a lookalike, where there are any.
     """
-    distance = torch.cdist(statistics, statistics)  # (T, T)
     time = torch.arange(len(statistics), device=statistics.device)
-    near = (time[:, None] - time).abs() < far_steps
-    nearest = distance.masked_fill(near, torch.inf).argsort(dim=1)[:, :_ALIKE]
-    return np.asarray(nearest.cpu().numpy(), np.int64)
+    nearest = []
+    for rows in time.tensor_split(math.ceil(len(time) / _COMPARED_AT_ONCE)):  # equal parts: few rows round differently
+        near = (time[rows, None] - time).abs() < far_steps  # (R, T)
+        distance = torch.cdist(statistics[rows], statistics).masked_fill_(near, torch.inf)
+        nearest.append(distance.argsort(dim=1)[:, :_ALIKE])  # topk would choose others among equals
+    return np.asarray(torch.cat(nearest).cpu().numpy(), np.int64)
 
 
 def sample_windows(
@@ -137,15 +141,12 @@ def sample_windows(
     executed = [np.asarray(trajectories.actions[item]) for item, _ in places]
     odometers = [np.cumsum(each, axis=0, dtype=np.float32) - each.astype(np.float32) for each in executed]
     return GoalWindows(
-        frames={
-            camera: _join([arrays[item][at] for item, at in places], device)
-            for camera, arrays in trajectories.frames.items()
-        },
+        frames=frames_at(trajectories, places, device),
         timesteps=np.concatenate([at for _, at in places]),
         trajectories=np.repeat([item for item, _ in places], [len(at) for _, at in places]),
-        actions=_join([each[at] for each, (_, at) in zip(executed, places, strict=True)], device),
-        previous=_join([previous_actions(each)[at] for each, (_, at) in zip(executed, places, strict=True)], device),
-        odometer=_join([each[at] for each, (_, at) in zip(odometers, places, strict=True)], device).float(),
+        actions=joined([each[at] for each, (_, at) in zip(executed, places, strict=True)], device),
+        previous=joined([previous_actions(each)[at] for each, (_, at) in zip(executed, places, strict=True)], device),
+        odometer=joined([each[at] for each, (_, at) in zip(odometers, places, strict=True)], device).float(),
         windows=np.array(windows, np.int64),
     )
 
@@ -177,7 +178,9 @@ def sample_change_pairs(
     is_own = batch.trajectories[anchors][:, None] == batch.trajectories  # (P, N)
     steps = np.abs(batch.timesteps[anchors][:, None] - batch.timesteps)
     apart = np.abs(places[anchors][:, None] - places).max(axis=2)
-    is_close = is_own & (steps >= min(_LEAST_CLOSE_STEPS, close_steps)) & (steps <= close_steps) & (apart <= 1)
+    is_close = (
+        is_own & (steps >= min(_LEAST_CLOSE_STEPS_IN_WINDOW, close_steps)) & (steps <= close_steps) & (apart <= 1)
+    )
     usable = is_close.any(axis=1)
     anchors, is_own, steps, apart, is_close = (each[usable] for each in (anchors, is_own, steps, apart, is_close))
     close = np.where(is_close, rng.random(apart.shape), np.inf).argmin(axis=1)
@@ -192,7 +195,3 @@ def sample_change_pairs(
         is_close=np.repeat([True, False, False], counts),
         is_far=np.repeat([False, False, True], counts),
     )
-
-
-def _join(parts: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:
-    return torch.from_numpy(np.concatenate(parts)).to(device)
