@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.learning.augmentation import agreement, augment_camera, delayed, turn_hue
+from freerein.learning.augmentation import agreement, augment_camera, delayed, shift, turn_hue
 
 
 def frames(count: int, channels: int = 3) -> torch.Tensor:
@@ -39,6 +39,15 @@ def test_frames_of_one_take_change_alike_but_for_noise() -> None:
     assert (one - other).mean(dim=(1, 2, 3)).abs().max() < 6
     brightness = one.mean(dim=(1, 2, 3))
     assert brightness.min() < 90 < 140 < brightness.max()
+
+
+def test_frames_are_shifted_each_by_its_own_offset_with_replicated_edges() -> None:
+    seen = torch.arange(2 * 3 * 4).view(2, 3, 4, 1)
+    moved = shift(seen, torch.tensor([[1, -2], [0, 9]]))[..., 0]
+    assert moved.tolist() == [
+        [[4, 4, 4, 5], [8, 8, 8, 9], [8, 8, 8, 9]],
+        [[15, 15, 15, 15], [19, 19, 19, 19], [23, 23, 23, 23]],
+    ]
 
 
 def test_hues_turn_as_in_the_hsv_model() -> None:

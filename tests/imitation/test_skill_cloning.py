@@ -22,7 +22,7 @@ from freerein_imitation.model.skill_memory import Memory, MemorySizes
 from freerein_imitation.training.skill_cloning import SkillCloningLearner
 from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
 from freerein_imitation.training.skill_segments import SkillSegment, find_segments, keep_tagged
-from freerein_imitation.training.skill_spans import SkillTimes, Spans, shift_frames
+from freerein_imitation.training.skill_spans import SkillTimes, Spans
 
 SKILLS = ("left", "right")
 ENDS = (4.0, 19.0)
@@ -224,13 +224,6 @@ def test_a_span_tells_what_was_seen_done_and_over_at_each_timestep() -> None:
     np.testing.assert_allclose(batch.actions[0, :2, :, 0], [[0.1, 0.2], [0.2, 0.3]])
     assert batch.is_own[0, :2].tolist() == [[True, False], [True, True]]
     assert not spans.read(np.array([0]), np.array([0]), 1).is_known.any()
-
-
-@pytest.mark.parametrize(("rows", "columns"), [(0, 0), (1, -2), (-1, 1), (2, 0)])
-def test_shifted_frames_have_replicated_edges(rows: int, columns: int) -> None:
-    frames = torch.arange(2 * 3 * 4, dtype=torch.uint8).view(2, 3, 4, 1)
-    y, x = (torch.arange(3) - rows).clamp(0, 2), (torch.arange(4) - columns).clamp(0, 3)
-    assert torch.equal(shift_frames(frames, rows=rows, columns=columns), frames[:, y][:, :, x])
 
 
 # --- memory

@@ -50,7 +50,8 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
         drawn = torch.rand((int(takes.max()) + 1, *sizes), generator=generator)
         return (strength * (2 * drawn - 1)).to(frames.device)[takes]
 
-    directions, turns = draw(2), _HUE_TURN * draw()
+    scale = torch.tensor([_SHIFT * side for side in frames.shape[1:3]], device=frames.device)
+    offsets, turns = (scale * draw(2)).round().long(), _HUE_TURN * draw()  # (N, 2), (N,)
     warmth, tint = draw(), draw()
     gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)  # (N, 3)
     light = torch.exp(math.log(_LIGHT) * draw())  # (N,)
@@ -58,7 +59,7 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
     seen = torch.empty_like(frames)
     for start in range(0, len(frames), _FRAMES_AT_ONCE):
         at = slice(start, start + _FRAMES_AT_ONCE)
-        pixels = _shift(frames[at], directions[at]).float() / 255
+        pixels = shift(frames[at], offsets[at]).float() / 255
         if frames.shape[3] == 3:
             pixels = turn_hue(pixels, turns[at]) * gains[at, None, None]
         noise = torch.randn(pixels.shape, generator=generator).to(frames.device)
@@ -106,12 +107,16 @@ def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:
     return value[..., None] - chroma[..., None] * torch.minimum(phase, 4 - phase).clamp(0, 1)
 
 
-def _shift(frames: Tensor, directions: Tensor) -> Tensor:
-    """Returns frames (N, H, W, C) shifted by whole pixels, edges replicated; `directions` are float (N, 2)."""
+def shift(frames: Tensor, offsets: Tensor) -> Tensor:
+    """Returns frames moved up and left by whole pixels, edges replicated.
+
+    Args:
+        frames: (N, H, W, C).
+        offsets: Rows and columns, int64 (N, 2); negative ones move down and right.
+    """
     count, height, width, _ = frames.shape
-    scale = torch.tensor([_SHIFT * height, _SHIFT * width], device=frames.device)
-    offsets = (directions * scale).round().long()  # (N, 2)
     rows = (torch.arange(height, device=frames.device) + offsets[:, :1]).clamp(0, height - 1)  # (N, H)
     columns = (torch.arange(width, device=frames.device) + offsets[:, 1:]).clamp(0, width - 1)  # (N, W)
-    each = torch.arange(count, device=frames.device)[:, None, None]
-    return frames[each, rows[:, :, None], columns[:, None, :]]
+    first = height * torch.arange(count, device=frames.device)[:, None]
+    pixels = width * (first + rows)[:, :, None] + columns[:, None]  # (N, H, W)
+    return frames.flatten(0, 2).index_select(0, pixels.flatten()).view(frames.shape)

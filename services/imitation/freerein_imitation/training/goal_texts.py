@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
+from freerein.learning.augmentation import shift
 from freerein.learning.encoders import Frames
 from freerein.learning.split import train_validation_split
 from freerein.learning.trajectories import Trajectories
@@ -105,17 +106,9 @@ def random_shift(frames: Tensor, *, most: float, generator: torch.Generator) -> 
         most: Largest shift along each axis, as a share of the frame's side.
         generator: On the CPU.
     """
-    rows, columns = (_places(len(frames), side, most=most, generator=generator) for side in frames.shape[1:3])
-    frame = torch.arange(len(frames))[:, None]
-    pixels = (frame * frames.shape[1] + rows)[:, :, None] * frames.shape[2] + columns[:, None]  # (B, H, W)
-    return frames.flatten(0, 2).index_select(0, pixels.flatten().to(frames.device)).view(frames.shape)
-
-
-def _places(count: int, side: int, *, most: float, generator: torch.Generator) -> Tensor:
-    """Returns which row, or column, of its frame each of `side` pixels is taken from, int64 (count, side)."""
-    reach = round(most * side)
-    offset = torch.randint(-reach, reach + 1, (count, 1), generator=generator)
-    return (torch.arange(side) + offset).clamp(0, side - 1)
+    reaches = [round(most * side) for side in frames.shape[1:3]]
+    drawn = [torch.randint(-reach, reach + 1, (len(frames), 1), generator=generator) for reach in reaches]
+    return shift(frames, torch.cat(drawn, dim=1).to(frames.device))
 
 
 def _stack(arrays: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:

@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
+from freerein.learning.augmentation import shift
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
@@ -33,7 +34,7 @@ from freerein_imitation.training.skill_segments import (
     relabelled,
     split_segments,
 )
-from freerein_imitation.training.skill_spans import NONE, RobotStates, SkillTimes, SpanBatch, Spans, shift_frames
+from freerein_imitation.training.skill_spans import NONE, RobotStates, SkillTimes, SpanBatch, Spans
 
 State = TrainState[SkillCloningNetwork]
 
@@ -304,16 +305,9 @@ class SkillCloningLearner:
         """Returns a batch with shifted frames, where some spans have no earlier frames, and some no past actions."""
         spans, length = batch.skill.shape
         most = min(self.config.shift, *(min(each.height, each.width) - 1 for each in self.spec.cameras))
-        shift = rng.integers(-most, most, (spans, 2), endpoint=True).tolist()
-        frames = {
-            name: torch.cat(
-                [
-                    shift_frames(span, rows=rows, columns=columns)
-                    for span, (rows, columns) in zip(each.chunk(spans), shift, strict=True)
-                ]
-            )
-            for name, each in batch.frames.items()
-        }
+        offsets = -torch.from_numpy(rng.integers(-most, most, (spans, 2), endpoint=True))
+        by_frame = offsets.repeat_interleave(self.config.memory + length, dim=0)  # (B * (n + L), 2)
+        frames = {name: shift(each, by_frame) for name, each in batch.frames.items()}
         untold = rng.random((spans, length, 1, 1)) < self.config.past_action_dropout
         executed = np.where(untold, self.spans.no_action, batch.executed)
         is_known = batch.is_known & (rng.random((spans, 1, 1)) >= _NO_MEMORY)

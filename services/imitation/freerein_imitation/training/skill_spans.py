@@ -11,7 +11,6 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from freerein.learning.encoders import Frames
 from freerein.learning.trajectories import Trajectories, TrajectoryArrays
@@ -145,19 +144,6 @@ class Spans:
         return np.stack(
             [_at(executed[item], row, self.no_action) for (item, _), row in zip(chosen, steps, strict=True)]
         )
-
-
-def shift_frames(frames: Tensor, *, rows: int, columns: int) -> Tensor:
-    """Returns frames (N, H, W, C) moved down and right by fewer whole pixels than they have, edges replicated."""
-    height, width = frames.shape[1:3]
-    top, bottom, left, right = max(rows, 0), height + min(rows, 0), max(columns, 0), width + min(columns, 0)
-    moved = torch.empty_like(frames)
-    moved[:, top:bottom, left:right] = frames[:, top - rows : bottom - rows, left - columns : right - columns]
-    moved[:, top:bottom, :left] = moved[:, top:bottom, left : left + 1]
-    moved[:, top:bottom, right:] = moved[:, top:bottom, right - 1 : right]
-    moved[:, :top] = moved[:, top : top + 1]
-    moved[:, bottom:] = moved[:, bottom - 1 : bottom]
-    return moved
 
 
 def _at(values: npt.NDArray[np.generic], steps: Ints, missing: npt.ArrayLike) -> npt.NDArray[np.generic]:
