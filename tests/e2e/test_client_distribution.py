@@ -16,7 +16,7 @@ import pytest
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 ROOT = Path(__file__).parents[2]
 NEWEST = tomllib.loads((ROOT / "src" / "pyproject.toml").read_text())["project"]["dependencies"]
 OLDEST = [line.partition(",")[0].replace(">=", "==") for line in NEWEST]
@@ -34,7 +34,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def sim(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> Any:
     started = start_module_service("freerein_sim")
-    wait_until(started.is_ready, 30)
+    wait_until(started.is_ready, 300)
     return started
 
 
@@ -91,7 +91,7 @@ def test_a_robot_with_the_clients_alone_calls_a_service(
     assert pip(python, "check")
     script = ROOT / "tests" / "compat" / "robot.py"
     command = [python, "-I", "-W", "error", script, sim.address]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert run.returncode == 0, run.stderr
     met = json.loads(run.stdout)
     assert {"freerein.clients.services", "freerein.api.sim.v1.sim_pb2_grpc", "freerein.images"} <= set(met["modules"])

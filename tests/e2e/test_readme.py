@@ -21,7 +21,7 @@ BLOCKS = [
 ]
 SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8100, 8101, 8102, 8103, 8104))
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("default-ports")]
+pytestmark = [pytest.mark.e2e, pytest.mark.xdist_group("default-ports")]
 
 
 @pytest.fixture
@@ -31,14 +31,14 @@ def newcomer(tmp_path: Path) -> Iterator[dict[str, str]]:
     (tmp_path / "examples").symlink_to(CLONE / "examples")
     services = subprocess.Popen(["freerein", "up"], cwd=tmp_path, env=environ)
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 300
         while not all(_is_ready(url) for url in SERVICES):
             assert services.poll() is None, "freerein up ended"
-            assert time.monotonic() < deadline, "the services were not ready within a minute"
+            assert time.monotonic() < deadline, "the services were not ready within five minutes"
             time.sleep(0.2)  # a poll in a closed loop would slow down the start that it waits for
         yield environ
         services.send_signal(signal.SIGINT)
-        assert services.wait(15) == 0
+        assert services.wait(60) == 0
     finally:
         services.kill()
 
@@ -54,6 +54,6 @@ def test_the_readme_is_true(newcomer: dict[str, str], tmp_path: Path) -> None:
 
 def _is_ready(url: str) -> bool:
     try:
-        return httpx.get(f"{url}/readyz", timeout=1).is_success
+        return httpx.get(f"{url}/readyz", timeout=10).is_success
     except httpx.HTTPError:
         return False

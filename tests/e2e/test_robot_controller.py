@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 import torch
 
@@ -24,7 +23,7 @@ from freerein.types.imitation import ControlResponse
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.e2e
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
 GOAL = Goal((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3)),))
 ACTION = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (0.05, 0.05, 0.02))
@@ -113,10 +112,11 @@ async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes
         await until(lambda: len(recorder.chunks) >= 20)
         service.process.kill()
         steps = len(recorder.executed)
-        await until(lambda: len(recorder.executed) >= steps + 10)
+        await until(lambda: len(recorder.executed) >= steps + 10 and not any(moves(recorder.executed[-5:])))
+        held = len(recorder.executed)
         await start(FREEREIN_GRPC_PORT=service.address.rpartition(":")[2])
         chunks = len(recorder.chunks)
-        await until(lambda: len(recorder.chunks) >= chunks + 10)
+        await until(lambda: len(recorder.chunks) >= chunks + 10 and any(moves(recorder.executed[held:])))
         driving.cancel()
     check_record(recorder)
 
@@ -126,7 +126,7 @@ async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tm
     service = await start()
     async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
         controller = example.Controller(await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
-        await asyncio.wait_for(controller.run(), 10)
+        await asyncio.wait_for(controller.run(), 300)
     assert controller.last.goal_reached
 
 
@@ -138,7 +138,7 @@ async def test_it_runs_as_its_docstring_says_and_reaches_its_goal(
     python, script, *arguments = command.split()
     assert (start_line, python) == ("freerein up", "python")
     run = [sys.executable, EXAMPLE.parents[1] / script, *arguments, *services]
-    ran = await asyncio.to_thread(subprocess.run, run, capture_output=True, text=True, check=False, timeout=60)
+    ran = await asyncio.to_thread(subprocess.run, run, capture_output=True, text=True, check=False, timeout=300)
     assert (ran.returncode, ran.stderr.splitlines()[-1:]) == (0, ["INFO:__main__:reached"]), ran.stderr
 
 
@@ -153,32 +153,34 @@ async def test_what_another_try_would_not_mend_ends_the_drive(
         for token, goal, expected in (("secret", small, InvalidInput), ("guess", GOAL, Unauthenticated)):
             async with ImitationClient(Channel(service.address, token=token)) as client:
                 with pytest.raises(expected):
-                    await asyncio.wait_for(example.Controller(robot, client, goal).run(), 10)
+                    await asyncio.wait_for(example.Controller(robot, client, goal).run(), 300)
 
 
 def check_record(recorder: Recorder) -> None:
-    hold = np.zeros(3, np.float32).tobytes()
     proposed = {chunk.chunk.actions[0].tobytes(): chunk.chunk for chunk in recorder.chunks if len(chunk.chunk.actions)}
-    moves = [(at_ns, action) for at_ns, action in recorder.executed if action != hold]
-    assert len(moves) >= 20
-    assert all(at_ns <= proposed[action].valid_until_ns + 5_000_000 for at_ns, action in moves)
-    assert len({action for _, action in moves}) == len(moves), "nothing is executed twice"
-    held = "".join("h" if action == hold else "m" for _, action in recorder.executed)
-    assert "m" in held[held.rindex("hhhhh") :], "it moved again after it held"
+    moved = moves(recorder.executed)
+    assert len(moved) >= 20
+    assert all(at_ns <= proposed[action].valid_until_ns + 100_000_000 for at_ns, action in moved)
+    assert len({action for _, action in moved}) == len(moved), "nothing is executed twice"
     indices = [reply.seq for reply in recorder.chunks]
     assert indices == sorted(set(indices))
+
+
+def moves(executed: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """Returns what was executed, without holds."""
+    return [(at_ns, action) for at_ns, action in executed if action != bytes(12)]
 
 
 async def until(condition: Callable[[], bool]) -> None:
     def wait() -> None:
         begun = time.monotonic()
         while not condition():
-            assert time.monotonic() - begun < 20, "it never came true"
+            assert time.monotonic() - begun < 300, "it never came true"
             time.sleep(0.01)
 
     await asyncio.to_thread(wait)
 
 
 def until_ready(url: str) -> None:
-    while httpx.get(f"{url}/readyz", trust_env=False).status_code != 200:
+    while httpx.get(f"{url}/readyz", timeout=60, trust_env=False).status_code != 200:
         time.sleep(0.05)

@@ -33,12 +33,12 @@ if __name__ == "__main__":
 @pytest.fixture(scope="module")
 def address(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> str:
     service = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
-    wait_until(service.is_ready, 40)
+    wait_until(service.is_ready, 300)
     return str(service.address)
 
 
 def run_python(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=50)
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.mark.e2e

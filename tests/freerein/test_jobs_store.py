@@ -103,7 +103,7 @@ def test_processes_append_side_by_side_without_losing_an_event(store):
     )
     root = store.folder(run_id).parent
     writers = [subprocess.Popen([sys.executable, "-c", program, str(root), run_id, name]) for name in "ab"]
-    assert [writer.wait(30) for writer in writers] == [0, 0]
+    assert [writer.wait(300) for writer in writers] == [0, 0]
     events = store.events(run_id)()
     assert len(events) == 41
     assert {name for event in events for name in event.metrics} == {"a", "b"}

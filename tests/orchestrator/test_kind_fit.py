@@ -30,7 +30,7 @@ from freerein.types.learning import (
 )
 from freerein_orchestrator.kinds import KINDS
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 STEPS = 60
 TINY = {"steps": STEPS, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 5}
 FIT = {"service": "imitation", "dataset": "play", "config": TINY}

@@ -142,7 +142,7 @@ async def test_an_end_that_a_full_disk_kept_from_being_noted_is_an_end_and_a_sil
     orchestrator.full = True
     orchestrator.attempts.append(AttemptResult("succeeded"))
     run_id = await orchestrator.start()
-    assert await asyncio.wait_for(orchestrator.watch(run_id), 20) == ["queued", "running", "succeeded"]
+    assert await asyncio.wait_for(orchestrator.watch(run_id), 60) == ["queued", "running", "succeeded"]
 
 
 @pytest.mark.fault("O9")

@@ -36,7 +36,7 @@ async def main(data_dir: Path, name: str, url: str) -> int:
         database_url=url,
         executor_id=name,
         takeover_s=0.3,
-        answer_s=2.0,
+        answer_s=5.0,
     )
     runs = RunService(store, queue, resolve=resolve, health=health)
     try:
