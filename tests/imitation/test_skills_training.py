@@ -18,7 +18,6 @@ from freerein_imitation.training.skill_segments import (
     end_at_waypoints,
     find_segments,
     match_tags,
-    relabelled,
     split_segments,
     steps_of,
 )
@@ -240,12 +239,18 @@ def test_waypoints_are_where_a_path_turns_without_noise_or_pauses() -> None:
 
 def test_whole_trajectories_are_for_validation() -> None:
     found = find_segments(demonstrate(20, seed=0)[1], min_steps=1)
-    training, validation = split_segments(found, fraction=0.2, seed=0)
-    parts = [{item.trajectory for item in part} for part in (training, validation)]
+    split = split_segments(found, fraction=0.2, seed=0)
+    parts = [{item.trajectory for item in part} for part in (split.training, split.validation)]
     assert (len(parts[0]), len(parts[1]), parts[0] & parts[1]) == (16, 4, set())
     with pytest.raises(InvalidInput, match="at least 2 trajectories"):
         split_segments([SkillSegment(0, 0, 3, 0)], fraction=0.2, seed=0)
-    assert relabelled([SkillSegment(0, 0, 3, 4), SkillSegment(0, 3, 6, 1)], [1, 4])[0].skill == 1
+
+
+def test_skills_that_are_trained_are_numbered_without_gaps() -> None:
+    labelled = [SkillSegment(item, 3 * at, 3 * at + 3, skill) for item in range(4) for at, skill in enumerate((4, 1))]
+    split = split_segments(labelled, fraction=0.25, seed=0)
+    assert (split.skills, len(split.training), len(split.validation)) == ((1, 4), 6, 2)
+    assert [each.skill for each in split.training + split.validation] == [1, 0] * 4
 
 
 def test_a_skill_that_tags_exclude_is_the_tagged_one_that_labels_lack_and_other_differences_are_left_out() -> None:

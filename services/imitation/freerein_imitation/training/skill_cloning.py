@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.augmentation import shift
 from freerein.learning.image_statistics import image_statistics
@@ -31,7 +30,6 @@ from freerein_imitation.training.skill_segments import (
     SkillSegment,
     find_segments,
     keep_tagged,
-    relabelled,
     split_segments,
 )
 from freerein_imitation.training.skill_spans import NONE, RobotStates, SkillTimes, SpanBatch, Spans
@@ -116,32 +114,23 @@ class SkillCloningLearner:
         """
         found = find_segments(labels, min_steps=config.min_segment_steps)
         kept = keep_tagged(found, demonstrations.skills, skills=spec.skills)
-        training, validation = split_segments(kept, fraction=config.validation_fraction, seed=config.seed)
-        trained = sorted({each.skill for each in training})
-        training, validation = relabelled(training, trained), relabelled(validation, trained)
-        if not validation:
-            raise InvalidInput(
-                "The validation trajectories must show a skill that the training ones show; they show none.",
-                field="dataset",
-                hint="Record more demonstrations, and label them.",
-            )
+        split = split_segments(kept, fraction=config.validation_fraction, seed=config.seed)
         spans = Spans(
             demonstrations,
-            _times([*training, *validation], demonstrations.lengths(), steps_after=config.termination_steps),
+            _times(split.training + split.validation, demonstrations.lengths(), steps_after=config.termination_steps),
             spec.action.no_action(),
             earlier=config.memory,
             past_actions=config.past_actions,
             chunk=config.chunk,
             robot_states=robot_states,
         )
-        items = [(each.trajectory, step) for each in training for step in range(each.start, each.stop)]
-        skills = tuple(spec.skills[skill] for skill in trained)
+        items = [(each.trajectory, step) for each in split.training for step in range(each.start, each.stop)]
         return cls(
             config,
-            replace(spec, skills=skills),
+            replace(spec, skills=tuple(spec.skills[skill] for skill in split.skills)),
             spans,
-            training,
-            validation,
+            split.training,
+            split.validation,
             np.array(items, np.int64),
             fingerprint,
             device,

@@ -94,13 +94,26 @@ def keep_tagged(
     ]
 
 
-def split_segments(
-    segments: Sequence[SkillSegment], *, fraction: float, seed: int
-) -> tuple[list[SkillSegment], list[SkillSegment]]:
+@dataclass(frozen=True)
+class SegmentSplit:
+    """Segments of different trajectories for training and validation.
+
+    Attributes:
+        training: Training segments.
+        validation: Validation segments with skills that training ones show.
+        skills: Those skills, as they were labelled. The label of a segment here is an index of this.
+    """
+
+    training: tuple[SkillSegment, ...]
+    validation: tuple[SkillSegment, ...]
+    skills: tuple[int, ...]
+
+
+def split_segments(segments: Sequence[SkillSegment], *, fraction: float, seed: int) -> SegmentSplit:
     """Returns training and validation segments; `fraction` of the trajectories are for validation.
 
     Raises:
-        InvalidInput: The segments are of fewer than 2 trajectories.
+        InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
     """
     trajectories = sorted({each.trajectory for each in segments})
     if len(trajectories) < 2:
@@ -111,12 +124,20 @@ def split_segments(
         )
     sides = [set(side) for side in train_validation_split(trajectories, fraction=fraction, seed=seed)]
     training, validation = ([each for each in segments if each.trajectory in side] for side in sides)
-    return training, validation
+    skills = sorted({each.skill for each in training})
+    split = SegmentSplit(_relabelled(training, skills), _relabelled(validation, skills), tuple(skills))
+    if not split.validation:
+        raise InvalidInput(
+            "The validation trajectories must show a skill that the training ones show; they show none.",
+            field="dataset",
+            hint="Record more demonstrations, and label them.",
+        )
+    return split
 
 
-def relabelled(segments: Sequence[SkillSegment], skills: Sequence[int]) -> list[SkillSegment]:
+def _relabelled(segments: Sequence[SkillSegment], skills: Sequence[int]) -> tuple[SkillSegment, ...]:
     """Returns the segments of some skills, labelled by their indices in `skills`."""
-    return [replace(each, skill=skills.index(each.skill)) for each in segments if each.skill in skills]
+    return tuple(replace(each, skill=skills.index(each.skill)) for each in segments if each.skill in skills)
 
 
 @dataclass(frozen=True, eq=False)

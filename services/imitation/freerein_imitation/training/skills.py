@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
@@ -38,7 +37,6 @@ from freerein_imitation.training.skill_segments import (
     end_at_waypoints,
     find_segments,
     match_tags,
-    relabelled,
     split_segments,
     steps_of,
 )
@@ -185,25 +183,17 @@ class SkillsLearner:
         known = [[number for number, skill in enumerate(spec.skills) if skill in each] for each in tags]
         tagged = match_tags(found, known)
         segments = end_at_waypoints(tagged, demonstrations, waypoints, is_gripper=spec.is_gripper)
-        training, validation = split_segments(segments, fraction=config.validation_fraction, seed=config.seed)
-        trained = sorted({each.skill for each in training})
-        training, validation = relabelled(training, trained), relabelled(validation, trained)
-        if not validation:
-            raise InvalidInput(
-                "The validation trajectories must show a skill that the training ones show; they show none.",
-                field="dataset",
-                hint="Record more demonstrations, and label them.",
-            )
+        split = split_segments(segments, fraction=config.validation_fraction, seed=config.seed)
         steps = [
             steps_of(each, demonstrations, waypoints, is_gripper=spec.is_gripper, steps_after=config.termination_steps)
-            for each in (training, validation)
+            for each in (split.training, split.validation)
         ]
         every = 1 + len(steps[1]) // _EVALUATED_STEPS
         return cls(
             config,
-            replace(spec, skills=tuple(spec.skills[skill] for skill in trained)),
+            replace(spec, skills=tuple(spec.skills[skill] for skill in split.skills)),
             demonstrations,
-            training,
+            split.training,
             steps[0],
             steps[1][::every],
             fingerprint,
