@@ -9,7 +9,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.cli.services import free_ports
 
 pytestmark = pytest.mark.e2e
 SHIPPED = Path(__file__).parents[2] / "models"
@@ -17,8 +16,8 @@ LEARNED = ("segmentation", "imitation", "reward")
 
 
 @pytest.fixture(autouse=True)
-def _no_service_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    for service, ports in free_ports(LEARNED).items():
+def _no_service_runs(monkeypatch: pytest.MonkeyPatch, reserve_ports: Any) -> None:
+    for service, ports in reserve_ports(LEARNED).items():
         monkeypatch.setenv(f"FREEREIN_{service.upper()}_ADDRESS", f"127.0.0.1:{ports.grpc}")
 
 

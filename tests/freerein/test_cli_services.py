@@ -8,6 +8,7 @@ import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -37,7 +38,7 @@ _MISCONFIGURED = 'import sys; sys.exit(sys.stderr.write("cannot start: FREEREIN_
 _TOLD = 'import os, sys; print(os.environ["FREEREIN_SIM_ADDRESS"]); sys.exit(3)'
 _CRASHING = "raise SystemExit(1)"
 _MUTE = "import time; time.sleep(600)"
-_HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3)
+_HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3, window_s=600)
 _PARENT = """
 import asyncio, os, sys
 from pathlib import Path
@@ -45,7 +46,7 @@ from freerein.cli.services import Stack, free_ports
 async def main():
     ports = free_ports(["sim"])
     async with Stack({"sim": "tiny"}, data_dir=Path(sys.argv[1]), environ=os.environ, ports=ports) as stack:
-        await stack.ready(timeout_s=20)
+        await stack.ready(timeout_s=300)
         print(stack.statuses[0].pid, flush=True)
         await asyncio.Event().wait()
 asyncio.run(main())
@@ -59,12 +60,13 @@ def environ(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def tiny(tmp_path: Path, environ: dict[str, str]) -> Callable[[str], Stack]:
+def tiny(tmp_path: Path, environ: dict[str, str], reserve_ports: Any) -> Callable[[str], Stack]:
     """A function that makes a stack of one service from its source."""
 
     def make(source: str) -> Stack:
         (tmp_path / "tiny.py").write_text(source)
-        return Stack({"sim": "tiny"}, data_dir=tmp_path, environ=environ, ports=free_ports(["sim"]), policy=_HASTY)
+        ports = reserve_ports(["sim"])
+        return Stack({"sim": "tiny"}, data_dir=tmp_path, environ=environ, ports=ports, policy=_HASTY)
 
     return make
 
@@ -72,12 +74,12 @@ def tiny(tmp_path: Path, environ: dict[str, str]) -> Callable[[str], Stack]:
 @asynccontextmanager
 async def _ready(stack: Stack) -> AsyncIterator[Stack]:
     async with stack:
-        await stack.ready(timeout_s=20)
+        await stack.ready(timeout_s=300)
         yield stack
 
 
 async def _until(stack: Stack, holds: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(300):
         async for statuses in stack.watch():
             if holds(statuses[0]):
                 return statuses[0]
@@ -106,14 +108,14 @@ async def test_what_a_killed_service_started_is_gone_before_the_next_one_starts(
         os.kill(stack.statuses[0].pid, signal.SIGKILL)
         await _until(stack, lambda status: status.restarts == 1)
 
-    _, alive = psutil.wait_procs([worker], timeout=5)
+    _, alive = psutil.wait_procs([worker], timeout=60)
     assert alive == []
 
 
 async def test_a_configuration_error_is_shown_and_never_tried_again(tiny: Callable[[str], Stack]) -> None:
     async with tiny(_MISCONFIGURED) as stack:
         with pytest.raises(FailedPrecondition, match="FREEREIN_QUEUE: too small"):
-            await stack.ready(timeout_s=20)
+            await stack.ready(timeout_s=300)
 
         assert stack.statuses[0].state == "misconfigured"
         assert stack.statuses[0].restarts == 0
@@ -149,6 +151,7 @@ async def test_leaving_the_block_drains_the_services(tiny: Callable[[str], Stack
 
 async def test_a_service_that_opens_no_door_is_not_ready_in_time(tiny: Callable[[str], Stack]) -> None:
     async with tiny(_MUTE) as stack:
+        await _until(stack, lambda status: status.reason == "It does not listen yet.")
         with pytest.raises(DeadlineExceeded, match="sim: It does not listen yet"):
             await stack.ready(timeout_s=0.5)
 
@@ -161,7 +164,7 @@ def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path, environ: di
         service = psutil.Process(int(parent.stdout.readline()))
         parent.kill()
 
-    _, alive = psutil.wait_procs([service], timeout=5)
+    _, alive = psutil.wait_procs([service], timeout=60)
     psutil.Process(int(_log(tmp_path)[0].split()[1])).kill()  # the tiny service does not stop its own worker
     assert alive == []
 

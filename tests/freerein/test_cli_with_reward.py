@@ -12,7 +12,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.cli.services import free_ports
 from freerein.data import DatasetSpec, create
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Trajectory
@@ -114,8 +113,10 @@ def test_what_cannot_be_asked_is_an_error_that_names_the_option(folder: Path, wo
     assert json.loads(result.stderr)["error"]["field"] == field
 
 
-def test_fits_are_found_in_whichever_services_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, ports in free_ports(["segmentation", "imitation"]).items():
+def test_fits_are_found_in_whichever_services_run(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, reserve_ports: Any
+) -> None:
+    for name, ports in reserve_ports(["segmentation", "imitation"]).items():
         monkeypatch.setitem(PORTS, name, ports)
 
     assert _json("fit", "list") == []

@@ -8,13 +8,14 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
 from freerein.cli.commands.sim import record
-from freerein.cli.services import RestartPolicy, Stack, choose, free_ports
+from freerein.cli.services import RestartPolicy, Stack, choose
 from freerein.clients import Channel, SimClient
 from freerein.data import Dataset
 from freerein.types.sim import DemonstrateRequest
@@ -98,14 +99,14 @@ def test_what_is_refused_leaves_no_dataset(recorder: Path, words: list[str]) -> 
 
 
 @pytest.mark.fault("C19")
-async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) -> None:
+async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path, reserve_ports: Any) -> None:
     request = DemonstrateRequest("grid", "expert", max_skills=2, count=20)
     hasty = RestartPolicy(first_delay_s=0.01)
     services = choose(["sim"])
     async with Stack(
-        services, data_dir=tmp_path, environ=os.environ, ports=free_ports(services), policy=hasty
+        services, data_dir=tmp_path, environ=os.environ, ports=reserve_ports(services), policy=hasty
     ) as stack:
-        await stack.ready(timeout_s=30)
+        await stack.ready(timeout_s=300)
 
         def kill_in_the_middle(count: int) -> None:
             if count == 2 and stack.statuses[0].restarts == 0:
@@ -113,7 +114,7 @@ async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path) ->
 
         async with SimClient(Channel(stack.addresses["sim"])) as client:
             await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
-            await stack.ready(timeout_s=30)
+            await stack.ready(timeout_s=300)
             await record(client, request, tmp_path / "whole", on_count=lambda _: None)
 
         assert stack.statuses[0].restarts == 1
@@ -125,4 +126,4 @@ def test_a_signal_drains_the_services_and_the_exit_code_is_0(up: Up) -> None:
 
     assert up.process.stdout is not None
     assert json.loads(up.process.stdout.readlines()[-1])["state"] == "stopped"
-    assert up.process.wait(15) == 0
+    assert up.process.wait(60) == 0

@@ -81,7 +81,7 @@ def test_an_iterator_that_is_closed_ends_its_call(channel: Channel, service: Fit
         events = client.watch_fit(WatchFitRequest(FIT.id))
         next(events)
         events.close()
-        assert service.watch_ended.wait(5.0)
+        assert service.watch_ended.wait(60)
 
 
 def test_closing_the_client_ends_its_streams_and_its_thread(channel: Channel, service: Fits) -> None:
@@ -90,7 +90,7 @@ def test_closing_the_client_ends_its_streams_and_its_thread(channel: Channel, se
     next(events)
     client.close()
     client.close()
-    assert service.watch_ended.wait(5.0)
+    assert service.watch_ended.wait(60)
     assert "FitClient" not in {thread.name for thread in threading.enumerate()}
     with pytest.raises(FailedPrecondition, match="it is closed"):
         next(events)
@@ -100,7 +100,7 @@ def test_closing_the_client_cancels_the_calls_of_other_threads(channel: Channel,
     client = SyncClient(FitClient(channel))
     with ThreadPoolExecutor(1) as thread:
         call = thread.submit(client.get_fit, GetFitRequest("slow"))
-        assert service.called.wait(5.0)
+        assert service.called.wait(60)
         client.close()
         with pytest.raises(Cancelled):
             call.result()

@@ -25,12 +25,13 @@ CHECK, WATCH = "/grpc.health.v1.Health/Check", "/grpc.health.v1.Health/Watch"
 LIMITS = Limits(
     message_bytes=100,
     buffered_bytes=250,
-    receipt_s=0.4,
-    slow_receipt_s=0.1,
+    receipt_s=60.0,
+    slow_receipt_s=30.0,
     concurrent_calls=2,
     health_calls=2,
-    drain_s=0.5,
+    drain_s=60.0,
 )  # two messages may arrive slowly
+QUICK = replace(LIMITS, receipt_s=1.5, slow_receipt_s=0.1, drain_s=0.5)
 
 
 class Core:
@@ -48,9 +49,11 @@ class Core:
 
 
 @asynccontextmanager
-async def serving(core: Core, health: Health) -> AsyncIterator[tuple[GrpcServer, grpc.aio.Channel]]:
+async def serving(
+    core: Core, health: Health, limits: Limits = LIMITS
+) -> AsyncIterator[tuple[GrpcServer, grpc.aio.Channel]]:
     methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], core)
-    server = GrpcServer(methods, health=health, metrics=Metrics(), limits=LIMITS)
+    server = GrpcServer(methods, health=health, metrics=Metrics(), limits=limits)
     port = server.server.add_insecure_port("127.0.0.1:0")
     await server.server.start()
     async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
@@ -118,7 +121,7 @@ async def test_a_drain_refuses_new_calls_and_waits_for_those_in_flight() -> None
 
 async def test_a_drain_cuts_calls_that_do_not_end() -> None:
     core, health = Core(), Health()
-    async with serving(core, health) as (server, channel):
+    async with serving(core, health, QUICK) as (server, channel):
         hanging = asyncio.create_task(outcome(channel.unary_unary(LIST)(b"")))
         await core.called.acquire()
         health.drain()
@@ -237,7 +240,7 @@ async def test_calls_that_a_drain_refuses_are_counted() -> None:
 @pytest.fixture
 def receive() -> Callable[[], "asyncio.Task[str]"]:
     """A function that begins to receive a message that never comes."""
-    receipts = Receipts(LIMITS)
+    receipts = Receipts(QUICK)
 
     async def never() -> str:
         try:
@@ -260,23 +263,23 @@ async def test_a_message_may_take_until_its_deadline_and_few_may_take_long(
         assert [each.result() for each in done] == [
             "overloaded: At most 2 messages may arrive slowly at once; the limit is reached."
         ]
-        assert asyncio.get_running_loop().time() - begun >= LIMITS.slow_receipt_s
-        late = "late: A message must arrive within 0.4 s; this one did not."
+        assert asyncio.get_running_loop().time() - begun >= QUICK.slow_receipt_s
+        late = "late: A message must arrive within 1.5 s; this one did not."
         assert sorted(await asyncio.gather(*tasks))[:2] == [late, late]
-        assert asyncio.get_running_loop().time() - begun >= LIMITS.receipt_s
+        assert asyncio.get_running_loop().time() - begun >= QUICK.receipt_s
 
 
 async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
-    receipts = Receipts(replace(LIMITS, receipt_s=10.0))
+    receipts = Receipts(replace(QUICK, receipt_s=60.0))
     loop = asyncio.get_running_loop()
     for _ in range(3):  # more than may arrive slowly at once
         message = loop.create_future()
-        loop.call_later(2 * LIMITS.slow_receipt_s, message.set_result, b"x")
+        loop.call_later(2 * QUICK.slow_receipt_s, message.set_result, b"x")
         assert await receipts.receive(message) == b"x"
 
 
 async def test_messages_that_come_at_once_neither_take_a_place_nor_give_one_back() -> None:
-    receipts = Receipts(replace(LIMITS, receipt_s=10.0))
+    receipts = Receipts(replace(QUICK, receipt_s=60.0))
     loop = asyncio.get_running_loop()
 
     async def receive(after_s: float) -> str:
@@ -288,5 +291,5 @@ async def test_messages_that_come_at_once_neither_take_a_place_nor_give_one_back
             return "overloaded"
 
     assert [await receive(0) for _ in range(3)] == ["received"] * 3
-    slow = [receive(3 * LIMITS.slow_receipt_s) for _ in range(3)]
+    slow = [receive(3 * QUICK.slow_receipt_s) for _ in range(3)]
     assert sorted(await asyncio.gather(*slow)) == ["overloaded", "received", "received"]

@@ -15,7 +15,7 @@ from freerein.errors import InvalidInput, NotFound, OutOfStorage
 from freerein.types.learning import ListFitsRequest
 from freerein_orchestrator.kinds import KINDS
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 TINY = {"steps": 20, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 5}
 COLLECT = {
     "name": "play",
@@ -104,7 +104,7 @@ def test_fits_are_cancelled_at_once_though_their_service_does_not_answer(
             begun.write_text(json.dumps({"id": "a" * 32}))
         started_s = time.monotonic()
         assert not run.do(stop=lambda: True, cancelled=True)
-        assert time.monotonic() - started_s < 5
+        assert time.monotonic() - started_s < 20  # and no deadline of a call, 30 s
 
 
 def test_the_seconds_of_a_step_are_those_of_all_its_attempts(

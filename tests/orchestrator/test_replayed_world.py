@@ -4,12 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 
 from freerein.data import Dataset, dataset_path
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.e2e
 MODULE = """
 from dataclasses import replace
 
@@ -82,7 +81,7 @@ def finish(
     def finish_run(kind: str, config: dict[str, Any], *, replaced_at: int) -> Any:
         environ = {"FREEREIN_SIM_WORKERS": "1", "PYTHONPATH": packages}
         sim, asked = start_service("freerein_sim", **environ), list[None]()
-        wait_until(lambda: httpx.get(f"{sim.url}/readyz", trust_env=False).is_success, 60)  # a run that waits asks, too
+        wait_until(sim.is_ready, 300)  # a run that waits asks, too
 
         def replace_the_sim() -> bool:
             asked.append(None)

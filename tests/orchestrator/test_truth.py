@@ -13,8 +13,10 @@ from freerein_orchestrator.envs.truth import truth_session
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any]) -> str:
-    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+def sim(start_module_service: Callable[..., Any], wait_until: Any) -> str:
+    service = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    wait_until(service.is_ready, 300)
+    return str(service.address)
 
 
 @pytest.mark.e2e

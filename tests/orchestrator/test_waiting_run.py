@@ -5,15 +5,16 @@ from typing import Any
 
 import pytest
 
-from freerein.cli.services import free_ports
 from freerein.clients import Channel, OrchestratorClient, SyncClient
 from freerein.types.orchestrator import StartRunRequest, WatchRunRequest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.e2e
 
 
-def test_a_run_tells_that_it_waits_for_a_service_until_that_is_there(tmp_path: Path, start_service: Any) -> None:
-    port = free_ports(["sim"])["sim"].grpc
+def test_a_run_tells_that_it_waits_for_a_service_until_that_is_there(
+    tmp_path: Path, start_service: Any, reserve_ports: Any
+) -> None:
+    port = reserve_ports(["sim"])["sim"].grpc
     orchestrator = start_service("freerein_orchestrator", tmp_path, FREEREIN_SIM_ADDRESS=f"127.0.0.1:{port}")
     config = {"task": "grid", "dataset": "new", "behaviour": "random", "count": 3}
     with SyncClient(OrchestratorClient(Channel(orchestrator.address))) as runs:
