@@ -33,15 +33,17 @@ def start(start_module_service: Callable[..., Any], tmp_path_factory: pytest.Tem
 
 
 @pytest.fixture(scope="module")
-def service(start: Callable[..., Any]) -> Any:
-    return start(AUTHORITY.issue_cert("127.0.0.1"))
+def service(start: Callable[..., Any], wait_until: Any) -> Any:
+    service = start(AUTHORITY.issue_cert("127.0.0.1"))
+    wait_until(lambda: get(service, AUTHORITY, "readyz") == 200, 300)
+    return service
 
 
-def get(service: Any, authority: trustme.CA) -> int:
+def get(service: Any, authority: trustme.CA, path: str = "healthz") -> int:
     """Returns the status of a GET over REST."""
     trusted = ssl.create_default_context(cadata=authority.cert_pem.bytes().decode())
     with httpx.Client(verify=trusted, timeout=60, trust_env=False) as client:
-        return client.get(f"{service.url.replace('http', 'https')}/healthz").status_code
+        return client.get(f"{service.url.replace('http', 'https')}/{path}").status_code
 
 
 async def call(service: Any, authority: trustme.CA | None) -> None:
