@@ -15,9 +15,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.cli.services import free_ports
+from freerein.ports import Ports
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
 MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
@@ -26,11 +26,12 @@ MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch
 class Orchestrator:
     """The orchestrator's process, which tests may kill and start again at the same place."""
 
-    def __init__(self, start_service: Callable[..., Any], data_dir: Path, sim: str) -> None:
-        ports = free_ports(["orchestrator"])["orchestrator"]
+    def __init__(self, start_service: Callable[..., Any], data_dir: Path, sim: Any, ports: Ports) -> None:
         doors = {"FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
-        self._start = lambda: start_service("freerein_orchestrator", data_dir, FREEREIN_SIM_ADDRESS=sim, **doors)
-        self.service = self._start()
+        self._start = lambda: start_service(
+            "freerein_orchestrator", data_dir, FREEREIN_SIM_ADDRESS=sim.address, **doors
+        )
+        self.sim, self.service = sim, self._start()
 
     def crash(self) -> None:
         self.service.process.kill()
@@ -39,9 +40,11 @@ class Orchestrator:
 
 
 @pytest.fixture(scope="module")
-def services(start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Orchestrator:
-    sim = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
-    return Orchestrator(start_module_service, tmp_path_factory.mktemp("runs"), sim.address)
+def services(
+    start_module_service: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory, reserve_ports: Any
+) -> Orchestrator:
+    sim, ports = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), reserve_ports(["orchestrator"])
+    return Orchestrator(start_module_service, tmp_path_factory.mktemp("runs"), sim, ports["orchestrator"])
 
 
 @pytest.fixture(autouse=True)
@@ -119,11 +122,13 @@ def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Pat
     assert first["id"] in [run["id"] for run in _json("list")]
 
 
-def test_a_run_that_is_cancelled_is_resumed_to_its_end() -> None:
+def test_a_run_that_is_cancelled_is_resumed_to_its_end(orchestrator: Orchestrator) -> None:
     with _watching(*MANY, "--set", "dataset=resumed", "--json") as child:
         run_id = json.loads(_line(child))["id"]
+        orchestrator.sim.process.send_signal(signal.SIGSTOP)  # so that the run does not end before it is cancelled
         (cancelled,) = _json("cancel", run_id)
-        assert child.wait(10) == 1
+        assert child.wait(60) == 1
+        orchestrator.sim.process.send_signal(signal.SIGCONT)
     *_, resumed = _json("resume", run_id, "--watch")
 
     assert (cancelled["state"], resumed["state"], resumed["step"]) == ("cancelled", "succeeded", resumed["steps"])
@@ -132,10 +137,12 @@ def test_a_run_that_is_cancelled_is_resumed_to_its_end() -> None:
 
 def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None:
     with _watching(*MANY, "--set", "dataset=outlived", "--json") as child:
+        child.send_signal(signal.SIGSTOP)  # it gives up after half a minute, which a start may take
         orchestrator.crash()
+        child.send_signal(signal.SIGCONT)
         assert child.stdout is not None
         steps = [json.loads(line)["step"] for line in child.stdout]
-        assert child.wait(30) == 0
+        assert child.wait(300) == 0
 
     assert steps == sorted(steps)
     assert steps[-1] == 150
@@ -144,7 +151,7 @@ def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None
 def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
     with _watching(*MANY, "--set", "count=100000", "--set", "dataset=left") as child:
         child.send_signal(signal.SIGINT)
-        assert child.wait(10) == 130
+        assert child.wait(60) == 130
         assert child.stderr is not None
         again = child.stderr.read().split("`")[1]
 
