@@ -104,7 +104,7 @@ def lookalikes(statistics: Tensor, *, far_steps: int) -> Places:
     for rows in time.tensor_split(math.ceil(len(time) / _COMPARED_AT_ONCE)):  # equal parts: few rows round differently
         near = (time[rows, None] - time).abs() < far_steps  # (R, T)
         distance = torch.cdist(statistics[rows], statistics).masked_fill_(near, torch.inf)
-        nearest.append(distance.argsort(dim=1)[:, :_ALIKE])  # topk would choose others among equals
+        nearest.append(distance.argsort(dim=1)[:, :_ALIKE].clone())  # topk would choose others among equals
     return np.asarray(torch.cat(nearest).cpu().numpy(), np.int64)
 
 
