@@ -164,7 +164,6 @@ def test_over_its_quota_the_service_refuses_and_a_closed_session_makes_room(sim:
 
 
 @pytest.mark.fault("G3")
-@pytest.mark.timeout(1200)
 def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, fuzz: bool) -> None:
     processes = [psutil.Process(service.process.pid), *psutil.Process(service.process.pid).children()]
 
