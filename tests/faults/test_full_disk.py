@@ -23,7 +23,7 @@ from freerein.types.learning import StartFitRequest
 from freerein.types.orchestrator import StartRunRequest
 
 pytestmark = pytest.mark.e2e
-FIT = {"steps": 150, "checkpoint_every": 5, "log_every": 1, "features": 8, "hidden_size": 8}
+FIT = {"steps": 100, "checkpoint_every": 5, "log_every": 1, "features": 8, "hidden_size": 8}
 RUN = {"task": "grid", "dataset": "few", "count": 1}
 STATES = ("full", "read_only")
 
@@ -186,7 +186,10 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     assert json.loads(resumed.stdout)["state"] in ("queued", "running")
     assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 409
     wait_for(faulty, fit_id, lambda fit: fit["step"] >= 40)
+    (child,) = living(faulty)
+    child.suspend()  # so that it does not end before the disk is full
     with disk.full():
+        child.resume()
         until(lambda: not living(faulty))
     failed = wait_for(faulty, fit_id, lambda fit: fit["state"] == "failed")
     assert "must be writable" in failed["error"] or "must work" in failed["error"]  # its checkpoints, or another file
