@@ -23,9 +23,10 @@ import torch
 from experiments.robustness.worlds import CAMERA, DEMONSTRATED, NOMINAL, SCATTERED, build_hash, open_world
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
+from freerein.learning.actor_critic.policy_files import load_policy
 from freerein.types.common import Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
-from freerein_orchestrator.rl.policy_files import NetworkPolicy, load_policy
+from freerein_orchestrator.rl.network_policy import NetworkPolicy
 from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy

@@ -11,7 +11,7 @@ from experiments.robustness.draw import Drawn, Rollouts, open_or_draw
 from experiments.robustness.worlds import CAMERA, NOMINAL, SCATTERED, conditions
 from experiments.workbench.results import Outcome, Sample
 from freerein.learning import model_files
-from freerein_orchestrator.rl.policy_files import NAMES
+from freerein.learning.actor_critic.policy_files import NAMES
 from freerein_reward.model import DualEncoderModel
 from freerein_sim.worlds.tasks import tasks
 

@@ -75,7 +75,7 @@ class LearnedReward:
         if answer.unknown:
             raise InvalidInput(
                 f"The model must know every word of the goal text; it does not know {', '.join(answer.unknown)}.",
-                field="goal_text",
+                field="config.goal_text",
                 hint="Relate two noun phrases of the model, such as: the red block is on the blue one.",
             )
         return answer

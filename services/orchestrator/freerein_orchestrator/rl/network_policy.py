@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein_orchestrator.rl.vec_env import Actions, Observations, env_actions, observation_tensor
+from freerein_orchestrator.rl.vec_env import Actions, Observations, env_actions, executed_actions, observation_tensor
 
 
 class NetworkPolicy:
@@ -49,7 +49,7 @@ class NetworkPolicy:
     def _choose(self, observations: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> tuple[Tensor, Tensor]:
         """Returns new actions and recurrent states of the environments that are `due`."""
         device = next(self._network.parameters()).device
-        seen = self._network.observe(observations, memory.actions[due].clamp(-1, 1))
+        seen = self._network.observe(observations, executed_actions(memory.actions[due]))
         state = memory.recurrent_state[due].to(device)
         outputs = self._network(seen[None].to(device), starts[None].to(device), state)
         actions = outputs.actions.mode() if self._generator is None else outputs.actions.sample(self._generator)
