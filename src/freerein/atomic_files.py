@@ -15,20 +15,20 @@ OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
 
 
 @contextmanager
-def storage_errors() -> Iterator[None]:
+def storage_errors(folder: str = "the data directory") -> Iterator[None]:
     """Turns the errors of a full, broken or read-only disk into `OutOfStorage`; other errors stay as they are."""
     try:
         yield
     except OSError as error:
         if error.errno not in _REFUSALS:
             raise
-        raise out_of_storage(os.strerror(error.errno)) from error
+        raise out_of_storage(os.strerror(error.errno), folder) from error
 
 
-def out_of_storage(reason: str) -> OutOfStorage:
+def out_of_storage(reason: str, folder: str = "the data directory") -> OutOfStorage:
     """Returns the error of a disk that cannot be read or written, for a reason such as `No space left on device`."""
     return OutOfStorage(
-        f"The disk of the data directory must work; got: {reason}.",
+        f"The disk of {folder} must work; got: {reason}.",
         hint="Free space or mend the disk; then repeat the call with the same idempotency key, or resume the fit or "
         "run that failed.",
     )

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import tempfile
 from typing import Any, TypeVar
 
 import PIL.Image
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 
 from freerein import wire
-from freerein.errors import Cancelled, InvalidInput, MalformedRequest, ServiceError, UnsupportedMedia
+from freerein.errors import Cancelled, InvalidInput, MalformedRequest, OutOfStorage, ServiceError, UnsupportedMedia
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_IMAGE_BYTES
 from freerein.serving.rest import body
 from freerein.types.common import ModelRef
@@ -140,6 +141,18 @@ async def test_minus_zero_is_a_number() -> None:
 async def test_what_is_no_json_object_in_utf_8_with_each_key_once_is_refused(data: bytes) -> None:
     with pytest.raises(InvalidInput):
         await read(data, StartFitRequest)
+
+
+def test_keys_of_json_in_a_query_are_unique() -> None:
+    with pytest.raises(InvalidInput, match="unique"):
+        body.read_query(request(query='model={"name":"a","name":"b"}'), ListSkillsRequest)
+
+
+async def test_a_disk_that_takes_no_part_of_an_upload_is_out_of_storage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", "/sys")  # takes no files
+    part = b'--b\r\ncontent-disposition: form-data; name="video"; filename="x.mp4"\r\n\r\n%s\r\n--b--\r\n'
+    with pytest.raises(OutOfStorage, match="temporary files"):
+        await read(part % bytes(2**21), SegmentRequest, MULTIPART)
 
 
 @pytest.mark.parametrize("text", ["a:b", '\\"k\\": 1', "\\\\", "{:}", "\\u003a"])

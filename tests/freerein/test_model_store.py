@@ -1,6 +1,7 @@
 """Models on disk and in memory: a version never changes, and what is broken is never loaded."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -212,8 +213,12 @@ async def test_a_damaged_active_model_stops_the_start(
 ) -> None:
     ref = publish("a")
     store.activate(ref)
-    (store.folder(ref) / "weights").write_text("b")
+    folder = store.folder(ref)
+    (folder / "weights").write_text("b")
     with pytest.raises(FailedPrecondition, match=ref.version):
+        await models.start()
+    shutil.rmtree(folder)
+    with pytest.raises(FailedPrecondition, match=f"{ref.version}.*is gone"):
         await models.start()
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
@@ -53,6 +53,12 @@ class ModelCache(Generic[M]):
             if version := self._store.active_version(name):
                 try:
                     await self._get(ModelRef(name, version))
+                except NotFound:
+                    raise FailedPrecondition(
+                        f"The active version of model {name}, {version}, must be in the store; its folder is gone.",
+                        field="model",
+                        hint=f"Restore it, or delete {name}/active.json in the folder of models.",
+                    ) from None
                 except InvalidInput as error:
                     _log.error("a model cannot be loaded: %s", error.detail, extra={"model": f"{name} {version}"})
         self._started = True

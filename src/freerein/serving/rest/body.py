@@ -22,6 +22,7 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect, Request
 
 from freerein import images, wire
+from freerein.atomic_files import storage_errors
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 from freerein.serving.rest.schemas import STRUCT, schema_of
@@ -92,8 +93,7 @@ def _parse_json(body: bytes, cls: type[T], *, load: Callable[[bytes], Any]) -> T
             "The body must be JSON in UTF-8 with finite numbers; it could not be parsed.",
             hint="NaN, Infinity, a byte-order mark, lone surrogates and very deep nesting are not allowed.",
         ) from None
-    if _repeats_a_key(body, value):
-        raise InvalidInput("Keys of a JSON object must be unique; one is repeated.", hint="Send each field once.")
+    _check_keys(body, value)
     return _validated(value, cls, strict=True)
 
 
@@ -112,10 +112,11 @@ def _count(data: bytes, characters: bytes) -> int:
     return sum(int(np.count_nonzero(codes == character)) for character in characters)
 
 
-def _repeats_a_key(body: bytes, value: object) -> bool:
-    """Returns whether an object had duplicate keys: then the body has more colons outside strings than parsed pairs."""
+def _check_keys(text: bytes, value: object) -> None:
+    """Raises InvalidInput where an object had duplicate keys: its JSON has more colons outside strings than pairs."""
     pairs = _count_pairs(value)
-    return _count(body, b":") != pairs and _STRING.sub(b"", body).count(b":") != pairs
+    if _count(text, b":") != pairs and _STRING.sub(b"", text).count(b":") != pairs:
+        raise InvalidInput("Keys of a JSON object must be unique; one is repeated.", hint="Send each field once.")
 
 
 def _count_pairs(value: object) -> int:
@@ -135,7 +136,8 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
         request.headers, request.stream(), max_files=_MAX_PARTS, max_fields=_MAX_PARTS, max_part_size=_MAX_PART_BYTES
     )
     try:
-        form = await parser.parse()
+        with storage_errors("temporary files"):
+            form = await parser.parse()
     except ClientDisconnect:
         raise _disconnected() from None
     except (MultiPartException, UnicodeError):
@@ -213,13 +215,15 @@ def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
     if field.message_type is None:
         return content
     try:
-        return _loads(content.encode())
+        value = _loads(content.encode())
     except orjson.JSONDecodeError:
         raise InvalidInput(
             f"`{field.name}` must be JSON in a text part; it could not be parsed.",
             field=field.name,
             hint="For an image, send a file: with curl, -F images=@frame.png.",
         ) from None
+    _check_keys(content.encode(), value)
+    return value
 
 
 def _field(message: Descriptor, name: str) -> FieldDescriptor:
