@@ -66,6 +66,18 @@ class Peer(
             segmentation.SegmentResponse(labels, confidence, confidence, (), ("move",), ModelRef(), Timing())
         )
 
+    async def SegmentStream(self, request_iterator, context):
+        async for request in request_iterator:
+            timesteps = wire.unpack(request, segmentation.SegmentStreamRequest).timesteps
+            if timesteps is None:
+                skills = segmentation.ListSkillsResponse(("move",), ModelRef(), 1, 1, 1, 0, 0)
+                yield wire.pack(segmentation.SegmentStreamResponse(opened=segmentation.SegmentStreamOpened(skills, 0)))
+                continue
+            labels, confidence = (np.zeros(len(timesteps.frames), kind) for kind in (np.int64, np.float32))
+            final = segmentation.StreamLabels(0, labels, confidence, confidence, (), labels[:0], Timing())
+            yield wire.pack(segmentation.SegmentStreamResponse(timesteps.seq, labels=final))
+            self.calls.append(f"{len(timesteps.frames)} timesteps")
+
     async def CreateSession(self, request, context):
         await self.receive(request, context)
         return wire.pack(sim.CreateSessionResponse(SESSION, 0, 1, TASK, 60.0))
@@ -328,6 +340,15 @@ async def test_a_request_over_the_limit_is_refused_before_it_is_sent(channel: Ch
     assert peer.calls == []
 
 
+async def test_a_trajectory_of_more_timesteps_than_a_request_may_have_is_sent_as_a_stream(
+    channel: Channel, peer: Peer
+) -> None:
+    frames = np.zeros((20_001, 1, 1, 1), np.uint8)
+    answer = await SegmentationClient(channel).segment(segmentation.SegmentRequest(frames=frames), timeout_s=60)
+    assert len(answer.labels) == 20_001
+    assert peer.calls == ["20000 timesteps", "1 timesteps"]
+
+
 async def test_a_reply_over_the_limit_is_too_large_and_not_overload(channel: Channel) -> None:
     with pytest.raises(errors.TooLarge, match="Snapshot at"):
         await SimClient(channel).snapshot(sim.SnapshotRequest(SESSION))
@@ -385,6 +406,25 @@ async def test_a_stepping_stream_answers_message_by_message(channel: Channel) ->
         step_ids.append(reply.step.step_id)
         answered.set()
     assert step_ids == [1, 2]
+
+
+@pytest.mark.parametrize("answered", [0, 1])
+async def test_what_the_iterator_of_requests_raises_is_raised(channel: Channel, answered: int) -> None:
+    async def requests() -> AsyncIterator[sim.ConnectRequest]:
+        for step in range(answered):
+            yield sim.ConnectRequest(step=sim.StepRequest(SESSION, step, np.zeros((1, 2), np.float32)))
+        raise OSError("the camera is gone")
+
+    with pytest.raises(OSError, match="the camera is gone"):
+        [reply async for reply in SimClient(channel).connect(requests())]
+
+
+async def test_a_message_of_a_stream_over_the_limit_is_too_large(channel: Channel) -> None:
+    async def requests() -> AsyncIterator[sim.ConnectRequest]:
+        yield sim.ConnectRequest(step=sim.StepRequest(SESSION, 1, np.zeros((1, MAX_MESSAGE_BYTES), np.float32)))
+
+    with pytest.raises(errors.TooLarge):
+        await anext(SimClient(channel).connect(requests()))
 
 
 # --- the connection

@@ -6,8 +6,9 @@
 Every call gets its deadline, token and request id here.
 """
 
+import asyncio
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
@@ -23,7 +24,7 @@ from typing_extensions import Self
 from freerein import wire
 from freerein.clients.channel import MAX_MESSAGE_BYTES, Channel
 from freerein.clients.grpc_errors import service_error
-from freerein.errors import Internal, InvalidInput, TooLarge
+from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge
 
 DEADLINE_S = 30.0
 
@@ -114,8 +115,9 @@ class Rpc(Generic[Request, Response]):
             raise raised from error
 
     async def _stream(
-        self, sent: Message | AsyncIterator[Message], timeout_s: float | None
+        self, sent: Message | AsyncIterator[Message], timeout_s: float | None, failures: Sequence[Exception] = ()
     ) -> AsyncGenerator[Response, None]:
+        """Yields the responses; a call that ends in an error raises the first of `failures`, if any, instead."""
         request_id = uuid.uuid4().hex
         # Begun only when iterated, so that an unused iterator leaves no call open.
         stream = self._grpc_call(sent, timeout=timeout_s, metadata=self._channel.metadata(request_id))
@@ -123,6 +125,10 @@ class Rpc(Generic[Request, Response]):
             with self._errors(request_id):
                 async for received in stream:
                     yield self._unpacked(received)
+        except (asyncio.CancelledError, ServiceError):
+            if failures:
+                raise failures[0] from None
+            raise
         finally:
             stream.cancel()
 
@@ -170,8 +176,9 @@ class StreamRpc(Rpc[Request, Response]):
     def __call__(
         self, requests: AsyncIterator[Request], *, timeout_s: float | None = None
     ) -> AsyncGenerator[Response, None]:
-        """Returns an iterator over the responses; as `ServerStreamRpc`."""
-        return self._stream((_packed(request) async for request in requests), timeout_s)
+        """Returns an iterator over the responses; as `ServerStreamRpc`. It raises what `requests` raises."""
+        failures: list[Exception] = []
+        return self._stream(_packed_each(requests, failures), timeout_s, failures)
 
 
 def _method_of(request: type[object]) -> MethodDescriptor:
@@ -185,6 +192,16 @@ def _keyed(request: Request) -> Request:
     if getattr(request, "idempotency_key", None) != "":
         return request
     return cast(Request, replace(cast(Any, request), idempotency_key=uuid.uuid4().hex))
+
+
+async def _packed_each(requests: AsyncIterator[object], failures: list[Exception]) -> AsyncGenerator[Message, None]:
+    """Yields messages; an exception is kept in `failures`, since gRPC drops it and cancels the call."""
+    try:
+        async for request in requests:
+            yield _packed(request)
+    except Exception as error:
+        failures.append(error)
+        raise
 
 
 def _packed(request: object) -> Message:

@@ -23,11 +23,12 @@ from freerein.types.segmentation import (
 )
 
 _REQUEST_BYTES = MAX_MESSAGE_BYTES - 2**20  # leaves room for what is not frames
+_REQUEST_TIMESTEPS = 20_000  # of one request, and of one message of a stream
 _MESSAGE_PIXELS = 2**21
 
 
 class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
-    """`Segment`, or `SegmentStream` where the frames are too large for one request."""
+    """`Segment`, or `SegmentStream` where the trajectory is too large for one request."""
 
     async def __call__(self, request: SegmentRequest, *, timeout_s: float = DEADLINE_S) -> SegmentResponse:
         """Sends one trajectory and returns its labels.
@@ -75,8 +76,8 @@ class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
 def _is_too_large(request: SegmentRequest) -> bool:
     """Returns whether frames or images are beyond the bounds of one request."""
     if request.frames is not None:
-        return request.frames.nbytes > _REQUEST_BYTES
-    if sum(len(image.data) for image in request.images) > _REQUEST_BYTES:
+        return request.frames.nbytes > _REQUEST_BYTES or len(request.frames) > _REQUEST_TIMESTEPS
+    if len(request.images) > _REQUEST_TIMESTEPS or sum(len(image.data) for image in request.images) > _REQUEST_BYTES:
         return True
     return len(request.images) * _image_pixels(request) > images.MAX_REQUEST_PIXELS
 
@@ -107,7 +108,7 @@ def _parts(request: SegmentRequest) -> Iterator[slice]:
         count, pixels = len(request.images), _image_pixels(request)
     else:
         count, pixels = len(request.frames), int(np.prod(request.frames.shape[1:3]))
-    at_once = max(1, _MESSAGE_PIXELS // pixels)
+    at_once = min(max(_MESSAGE_PIXELS // pixels, 1), _REQUEST_TIMESTEPS)
     return (slice(start, start + at_once) for start in range(0, count, at_once))
 
 
