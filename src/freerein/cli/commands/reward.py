@@ -29,7 +29,8 @@ _Rivals = Annotated[
     list[str] | None, typer.Option(help="Rival text; repeatable. By default the goal with every other relation.")
 ]
 _Heatmap = Annotated[
-    Path | None, typer.Option(metavar="OUT.png", help="Draw the heatmap of each --phrase in the first image.")
+    Path | None,
+    typer.Option(metavar="OUT.png", help="Draw where the grounding model sees each --phrase in the first image."),
 ]
 _Phrases = Annotated[list[str] | None, typer.Option(help="Noun phrase to find, such as `a red block`; repeatable.")]
 
@@ -46,8 +47,8 @@ def reward(
     raw: Annotated[bool, typer.Option("--raw", help="Return the similarity instead of 0 or 1.")] = False,
     dataset: Annotated[str, typer.Option(help="Reward a trajectory of this dataset instead of images.")] = "",
     index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
-    model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
-    version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
+    model: Annotated[str, typer.Option(help="Name of the reward model; `default` when empty.")] = "",
+    version: Annotated[str, typer.Option(help="Version of that model; the active one by default.")] = "",
     heatmap: _Heatmap = None,
     phrase: _Phrases = None,
     as_json: AsJson = False,
