@@ -84,9 +84,21 @@ def test_a_video_file_is_labelled_drawn_and_subtitled(
 @pytest.mark.e2e
 @pytest.mark.parametrize(
     ("words", "field"),
-    [(["none.mp4"], "source"), (["demo.mp4", "--save"], "save"), ([__file__], "source"), (["a/folder"], "dataset")],
+    [
+        (["none.mp4"], "source"),
+        ([__file__], "source"),
+        (["a/folder"], "dataset"),
+        (["demo.mp4", "--save"], "save"),
+        (["demo.mp4", "--index", "0"], "index"),
+        (["demo.mp4", "--camera", "top"], "camera"),
+        (["demos", "--resize"], "resize"),
+        (["demos", "--actions", "actions.csv"], "actions"),
+        (["demos", "--save", "--index", "0"], "index"),
+        (["demos", "--save", "--png", "timeline.png"], "png"),
+        (["demos", "--save", "--vtt", "demos.vtt"], "vtt"),
+    ],
 )
-def test_what_is_no_video_is_an_error(words: list[str], field: str) -> None:
+def test_what_cannot_be_labelled_or_would_be_ignored_is_an_error(words: list[str], field: str) -> None:
     result = run(*words, "--json")
     assert result.exit_code == 1
     assert json.loads(result.stderr)["error"]["field"] == field

@@ -113,12 +113,16 @@ def test_what_cannot_be_asked_is_an_error_that_names_the_option(folder: Path, wo
     assert json.loads(result.stderr)["error"]["field"] == field
 
 
-def test_fits_are_found_in_whichever_services_run(
+def test_only_where_every_service_answers_there_is_no_such_fit(
     folder: Path, monkeypatch: pytest.MonkeyPatch, reserve_ports: Any
 ) -> None:
     for name, ports in reserve_ports(["segmentation", "imitation"]).items():
         monkeypatch.setitem(PORTS, name, ports)
 
     assert _json("fit", "list") == []
-    result = _run("fit", "cancel", "0" * 32, "--json")
-    assert json.loads(result.stderr)["error"]["code"] == "not_found"
+    for fit in ("0" * 32, "0"):
+        error = json.loads(_run("fit", "cancel", fit, "--json").stderr)["error"]
+        assert error["code"] == "unavailable"
+        assert "segmentation, imitation" in error["detail"]
+    one = _run("fit", "cancel", "0" * 32, "--service", "reward", "--json")
+    assert json.loads(one.stderr)["error"]["code"] == "not_found"

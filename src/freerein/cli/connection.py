@@ -10,8 +10,10 @@ import typer
 from freerein.cli.settings import CliSettings
 from freerein.clients.channel import Channel
 from freerein.clients.rpc import Client
-from freerein.errors import ServiceError, Unavailable
+from freerein.errors import NotFound, ServiceError, Unavailable
 from freerein.ports import address
+
+SEGMENT_TIMEOUT_S = 600.0  # of a trajectory of any length
 
 C = TypeVar("C", bound=Client)
 T = TypeVar("T")
@@ -32,7 +34,7 @@ def call_each(
 ) -> tuple[dict[str, T], dict[str, ServiceError]]:
     """Returns the answers of several services, at least one, and the errors of the others, by service.
 
-    Raises ServiceError where no service has an answer: the error of one that runs, if any.
+    Raises ServiceError where no service has an answer: NotFound only where each of them runs and says so.
     """
 
     async def answer(service: str) -> T | ServiceError:
@@ -48,7 +50,8 @@ def call_each(
     answers = {service: reply for service, reply in replies.items() if not isinstance(reply, ServiceError)}
     errors = {service: reply for service, reply in replies.items() if isinstance(reply, ServiceError)}
     if not answers:
-        raise min(errors.values(), key=lambda error: isinstance(error, Unavailable))
+        check_all_answer({name: error for name, error in errors.items() if not isinstance(error, NotFound)})
+        raise next(iter(errors.values()))
     return answers, errors
 
 
@@ -59,6 +62,18 @@ def check_only_unavailable(errors: Mapping[str, ServiceError]) -> None:
             raise error
     if errors:
         typer.echo(f"Not running, so not listed: {', '.join(errors)}.", err=True)
+
+
+def check_all_answer(errors: Mapping[str, ServiceError]) -> None:
+    """Raises Unavailable with the names of services that do not answer; the first error of a service that does."""
+    for error in errors.values():
+        if not isinstance(error, Unavailable):
+            raise error
+    if errors:
+        raise Unavailable(
+            f"A service that has what is asked for must answer; no answer came from {', '.join(errors)}.",
+            hint="Start what does not run, or check FREEREIN_<SERVICE>_ADDRESS.",
+        ) from next(iter(errors.values()))
 
 
 async def _call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:

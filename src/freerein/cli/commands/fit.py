@@ -10,7 +10,7 @@ import typer
 
 from freerein import wire
 from freerein.cli.commands.dataset import check_no_path, dataset_root, import_with_progress
-from freerein.cli.connection import call, call_each, check_only_unavailable
+from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.ids import ID_DIGITS, whole_id
@@ -222,8 +222,10 @@ def _find(fit: str, service: str) -> tuple[str, str]:
     """Returns the service and the id of the fit that is meant; an empty service is looked for."""
     if len(fit) == ID_DIGITS:
         return service or _service_of(fit), fit
-    answers, _ = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
+    answers, errors = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
     services = {each.id: name for name, fits in answers.items() for each in fits}
+    if not any(each.startswith(fit) for each in services):
+        check_all_answer(errors)
     fit_id = whole_id(fit, list(services), list_command="freerein fit list")
     return services[fit_id], fit_id
 

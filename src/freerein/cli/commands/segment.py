@@ -1,6 +1,6 @@
 """`freerein segment`: labels the timesteps of a video, of one trajectory, or of a whole dataset with skills."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -13,7 +13,7 @@ import typer
 from freerein import wire
 from freerein.atomic_files import write_atomic
 from freerein.cli.commands.dataset import camera_or_first, dataset_root, read_trajectory
-from freerein.cli.connection import call
+from freerein.cli.connection import SEGMENT_TIMEOUT_S, call
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
@@ -26,9 +26,18 @@ from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein.video import open_video
 
-_TIMEOUT_S = 600.0
 _WRITER = "freerein segment"
 _FILM_HEIGHT = 120
+_VIDEO, _TRAJECTORY, _DATASET = "a video", "a trajectory of a dataset", "a whole dataset with --save"
+_GOES_WITH = {
+    "index": (_TRAJECTORY,),
+    "camera": (_TRAJECTORY, _DATASET),
+    "resize": (_VIDEO,),
+    "actions": (_VIDEO,),
+    "png": (_VIDEO, _TRAJECTORY),
+    "vtt": (_VIDEO, _TRAJECTORY),
+    "save": (_DATASET,),
+}
 
 Film = Sequence[npt.NDArray[np.uint8]]
 
@@ -40,7 +49,7 @@ app = typer.Typer(add_completion=False)
 def segment(
     source: Annotated[str, typer.Argument(help="An mp4 file, or the name of a dataset in the data directory.")],
     *,
-    index: Annotated[int, typer.Option(min=0, help="Index of the dataset's trajectory.")] = 0,
+    index: Annotated[int | None, typer.Option(min=0, help="Index of the dataset's trajectory; 0 by default.")] = None,
     model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
     camera: Annotated[str, typer.Option(help="Camera of the dataset's frames; its first by default.")] = "",
@@ -68,19 +77,22 @@ def segment(
         min_kept=min_kept,
         min_confidence=min_confidence,
     )
+    given = {"index": index is not None, "camera": camera, "resize": resize, "actions": actions}
+    given |= {"png": png, "vtt": vtt, "save": save}
     if source.lower().endswith(".mp4"):
-        _check_not_saved(save)
+        _check_all_go_with(_VIDEO, given)
         labelled, film = _segment_video(
             Path(source), replace(request, resize=resize), actions, is_drawn=png is not None
         )
     else:
         _check_no_file(source)
+        _check_all_go_with(_DATASET if save else _TRAJECTORY, given)
         opened = Dataset(dataset_root(source))
         chosen = camera_or_first(opened, camera)
         if save:
             _segment_all(source, opened, request, chosen, as_json=as_json)
             return
-        labelled, film = _segment_one(opened, index, request, chosen)
+        labelled, film = _segment_one(opened, index or 0, request, chosen)
     if png is not None:
         picture.draw(png, labelled, film)
     if vtt is not None:
@@ -97,13 +109,15 @@ def _check_no_file(source: str) -> None:
         )
 
 
-def _check_not_saved(save: bool) -> None:
-    if save:
-        raise InvalidInput(
-            "Only the labels of a dataset can be saved; a video is none.",
-            field="save",
-            hint="Leave out --save; --json prints the labels.",
-        )
+def _check_all_go_with(labelled: str, given: Mapping[str, object]) -> None:
+    """Raises InvalidInput for an option that is not of what is labelled; it would be ignored."""
+    for option, forms in _GOES_WITH.items():
+        if given[option] and labelled not in forms:
+            raise InvalidInput(
+                f"--{option} must be given for {' or '.join(forms)}; got {labelled}.",
+                field=option,
+                hint=f"Leave out --{option}.",
+            )
 
 
 def _segment_video(
@@ -124,7 +138,7 @@ def _segment_video(
         if actions is not None:
             skills = await client.list_skills(ListSkillsRequest(request.model))
             asked = replace(filled, model=skills.model, actions=_read_actions(actions, skills))
-        return await client.segment(asked, timeout_s=_TIMEOUT_S)
+        return await client.segment(asked, timeout_s=SEGMENT_TIMEOUT_S)
 
     answer = call(SegmentationClient, "segmentation", ask)
     return timeline.of_video(answer), _film_of(path, len(answer.labels)) if is_drawn else ()
@@ -160,7 +174,9 @@ def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: 
     trajectory = read_trajectory(dataset, index)
     frames = trajectory.frames[camera]
     filled = replace(request, frames=frames, actions=trajectory.actions)
-    answer = call(SegmentationClient, "segmentation", lambda client: client.segment(filled, timeout_s=_TIMEOUT_S))
+    answer = call(
+        SegmentationClient, "segmentation", lambda client: client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
+    )
     film = [frames[t] for t in _film_indices(len(frames))]
     return timeline.at_rate(answer, fps=dataset.spec.fps), film
 
@@ -200,7 +216,8 @@ async def label_all(
     labels.begin(root, writer=_WRITER)
     for index, trajectory in enumerate(Dataset(root)):
         frames, actions = trajectory.frames[camera], trajectory.actions
-        answer = await client.segment(replace(request, model=skills.model, frames=frames, actions=actions))
+        filled = replace(request, model=skills.model, frames=frames, actions=actions)
+        answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
         labels.save(root, index, answer.labels)
         on_count(index + 1)
     info = labels.LabelsInfo(skills.skills, skills.model)

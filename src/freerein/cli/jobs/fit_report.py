@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import metrics
+from freerein.cli.connection import SEGMENT_TIMEOUT_S
 from freerein.clients import SegmentationClient
 from freerein.data import Dataset, truth
 from freerein.errors import FailedPrecondition
@@ -62,7 +63,8 @@ async def labelled_accuracy(client: SegmentationClient, fit: Fit, root: Path, it
     for index in items:
         trajectory = dataset[index]
         request = SegmentRequest(fit.model) if fit.model else SegmentRequest()
-        answer = await client.segment(replace(request, frames=trajectory.frames[camera], actions=trajectory.actions))
+        filled = replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)
+        answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
         names = np.array([_place(skill, dataset.spec.skills) for skill in answer.skills], np.int64)
         predicted.append(names[answer.labels])
         labels.append(truth.labels(root, index))
