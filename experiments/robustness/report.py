@@ -56,9 +56,10 @@ refused. What the grammar reads has the reward of its caption, so classes that i
 
 The baseline of a segmentation or reward claim is the plain fit.
 
-Intervals are 95 %: bootstrap over seeds, then over trials (trajectories, or episodes of two scenes); of AUROC over
-wrong answers, and of ECE with the sign of each bin's gap held fixed. Answers of one trajectory under several conditions
-count as independent there. A claim is met where its mean reaches the bar.
+Intervals are 95 %: bootstrap over seeds and over trials (trajectories, or episodes of two scenes), which all seeds
+share: more seeds do not make up for few trials. They cover less than 95 % where seeds are three. Those of AUROC are
+over wrong answers, and of ECE with the sign of each bin's gap held fixed; there answers of one trajectory under several
+conditions count as independent. A claim is met where its mean reaches the bar.
 """
 
 _VARIANTS = (OURS, BASELINE)

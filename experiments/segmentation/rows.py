@@ -74,6 +74,12 @@ class Rows:
         low, high = claims.interval(samples, rng=np.random.default_rng(0))
         return PER_CENT * low, PER_CENT * high
 
+    def difference(self, row: Row, other: Row, figure: str) -> tuple[float, float]:
+        """Returns the 95 % interval of how much a row is above another one on the same trials, in per cent."""
+        ours, theirs = ([arm.samples[figure] for arm in self.arms[each]] for each in (row, other))
+        low, high = claims.difference_interval(ours, theirs, rng=np.random.default_rng(0))
+        return PER_CENT * low, PER_CENT * high
+
     def baseline(self, row: Row, figure: str) -> float | None:
         """Returns the value of the dissertation's method that a network's is compared with; None for its rows."""
         return self.value(BASELINE, figure) if row.context and row.method != BASELINE.method else None

@@ -85,8 +85,8 @@ class Target:
             yield from self._missing_beside_dissertation(rows, value, self.above)
         if self.least_gap_closed is not None:
             yield from self._missing_of_gap(rows, value, self.least_gap_closed)
-        if self.above_row is not None and not self._is_apart(rows, self.above_row):
-            yield f"its interval is not above that of {self.above_row.method}"
+        if self.above_row is not None:
+            yield from self._missing_above(rows, self.above_row)
         for name, least in self.least_figures.items():
             if rows.mean(row, name) < least:
                 yield f"{name} is {rows.mean(row, name):.3f}, below {least:g}"
@@ -109,7 +109,11 @@ class Target:
         elif gap < least:
             yield f"gap closed {gap:.2f} is below {least:g}"
 
-    def _is_apart(self, rows: Rows, other: Row) -> bool:
+    def _missing_above(self, rows: Rows, other: Row) -> Iterator[str]:
+        row = self.row(rows)
         if other not in rows.arms:
-            return False
-        return rows.interval(self.row(rows), self.figure)[0] > rows.interval(other, self.figure)[1]
+            yield f"no result of {other.method}"
+        elif rows.interval(row, self.figure)[0] <= rows.interval(other, self.figure)[1]:
+            low, high = rows.difference(row, other, self.figure)
+            beside = f"on the same trials it is {low:.2f} to {high:.2f} above"
+            yield f"its interval is not above that of {other.method}; {beside}"

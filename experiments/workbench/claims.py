@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -62,32 +62,29 @@ def mean(samples: Sequence[Sample]) -> float:
 
 
 def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[float, float]:
-    """Returns the 95 % interval of the mean over seeds: percentile bootstrap over seeds, then over trials of each.
+    """Returns the 95 % interval of the mean over seeds: percentile bootstrap over seeds and over trials.
 
-    With one seed it is over its trials, and says nothing about other seeds.
+    All seeds have the same resampled trials, for they are evaluated on the same ones: more seeds do not make up for few
+    trials. With one seed it is over its trials, and says nothing about other seeds.
     """
-    from scipy import stats  # half a second, which processes of arms do without
-
-    arrays = [np.array([sample.totals, sample.counts], np.float64) for sample in samples]  # (2, trials) each
-
-    def resampled_mean(seeds: npt.NDArray[np.int64]) -> float:
-        return float(np.mean([_resampled_ratio(arrays[seed], rng) for seed in seeds]))
-
-    options: dict[str, Any] = {"n_resamples": _RESAMPLES, "method": "percentile", "rng": rng}
-    if len(arrays) > 1:
-        found = stats.bootstrap((np.arange(len(arrays)),), resampled_mean, vectorized=False, **options)
-    else:
-        found = stats.bootstrap(arrays[0], _ratio, paired=True, **options)
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+    (means,) = _resampled_means([samples], rng)
+    return _middle(means)
 
 
 def ratio_interval(
     samples: Sequence[Sample], others: Sequence[Sample], *, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Returns the 95 % interval of the ratio of two means over seeds, which are resampled apart, as in `interval`."""
-    ratios = [_resampled(samples, rng) / _resampled(others, rng) for _ in range(_RESAMPLES)]
-    low, high = np.percentile(ratios, [2.5, 97.5])
-    return float(low), float(high)
+    means, other_means = _resampled_means([samples, others], rng)
+    return _middle(means / other_means)
+
+
+def difference_interval(
+    samples: Sequence[Sample], others: Sequence[Sample], *, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Returns the 95 % interval of the difference of two means over seeds, as `ratio_interval`."""
+    means, other_means = _resampled_means([samples, others], rng)
+    return _middle(means - other_means)
 
 
 def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, least_gap: float) -> float | None:
@@ -100,21 +97,28 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     return (value - baseline) / (ceiling - baseline)
 
 
-def _resampled(samples: Sequence[Sample], rng: np.random.Generator) -> float:
-    """Returns the mean over resampled seeds of the figure over resampled trials."""
-    chosen = [
-        np.array([each.totals, each.counts], np.float64)
-        for each in [samples[i] for i in rng.integers(len(samples), size=len(samples))]
-    ]
-    return float(np.mean([_resampled_ratio(each, rng) for each in chosen]))
+def _resampled_means(groups: Sequence[Sequence[Sample]], rng: np.random.Generator) -> list[npt.NDArray[np.float64]]:
+    """Returns the means over resampled seeds of the figure over resampled trials, float64 (resamples,), of each group.
+
+    Samples of as many trials have the same resampled trials.
+    """
+    lengths = sorted({len(sample.totals) for samples in groups for sample in samples})
+    trials = {length: rng.integers(length, size=(_RESAMPLES, length)) for length in lengths}
+    means = []
+    for samples in groups:
+        ratios = np.stack([_ratios(sample, trials[len(sample.totals)]) for sample in samples], axis=1)  # (R, seeds)
+        seeds = rng.integers(len(samples), size=ratios.shape)
+        means.append(np.take_along_axis(ratios, seeds, axis=1).mean(axis=1))
+    return means
 
 
-def _resampled_ratio(sample: npt.NDArray[np.float64], rng: np.random.Generator) -> Any:
-    """Returns the ratio over resampled trials of a sample (2, trials): totals and counts."""
-    trials = rng.integers(sample.shape[1], size=sample.shape[1])  # as rng.choice draws them, sooner
-    totals, counts = np.take(sample, trials, axis=1)
-    return _ratio(totals, counts)
+def _ratios(sample: Sample, trials: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Returns a sample's figure over each choice of trials, of int64 (R, trials): float64 (R,)."""
+    totals, counts = np.array(sample.totals, np.float64), np.array(sample.counts, np.float64)
+    ratios: npt.NDArray[np.float64] = totals[trials].sum(axis=1) / counts[trials].sum(axis=1)
+    return ratios
 
 
-def _ratio(totals: npt.NDArray[np.float64], counts: npt.NDArray[np.float64], axis: int = -1) -> Any:
-    return totals.sum(axis=axis) / counts.sum(axis=axis)
+def _middle(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)

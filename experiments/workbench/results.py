@@ -32,7 +32,7 @@ class Sample:
 
     Attributes:
         totals: Numerator of each trial.
-        counts: Denominator of each trial, positive.
+        counts: Denominator of each trial; 0 where it has nothing to count.
     """
 
     totals: Sequence[float]

@@ -13,6 +13,9 @@ from freerein.errors import InvalidInput
 
 Labels: TypeAlias = npt.NDArray[np.integer[Any]]
 
+_DRAWN_AT_ONCE = 10_000_000
+"""Numbers of a bootstrap's resamples in memory at once."""
+
 
 def run_starts(labels: Labels) -> npt.NDArray[np.int64]:
     """Returns the start of each maximal run of equal labels: int64 (S,), for labels (T,)."""
@@ -157,8 +160,13 @@ def ratio_interval(
             field="part",
         )
     trials = len(parts)
-    drawn = rng.multinomial(trials, np.full(trials, 1 / trials), size=resamples)  # (resamples, N)
-    sums, totals = drawn @ parts, drawn @ wholes  # (resamples, C)
+    both = np.concatenate([parts, wholes], axis=1)
+    at_once = max(1, _DRAWN_AT_ONCE // trials)
+    drawn = [
+        rng.multinomial(trials, np.full(trials, 1 / trials), size=min(at_once, resamples - first)) @ both
+        for first in range(0, resamples, at_once)
+    ]
+    sums, totals = np.split(np.concatenate(drawn), 2, axis=1)  # (resamples, C) each
     present = totals > 0
     counted = present.any(axis=1)
     ratios = np.divide(sums, totals, out=np.zeros_like(sums), where=present)[counted]
