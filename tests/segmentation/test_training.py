@@ -10,14 +10,14 @@ import torch
 from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.fit import fit
+from freerein.learning.fit import FitResult, fit
 from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation import training
 from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.objectives import OBJECTIVES
-from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
+from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner
 
 SKILLS = ("blue", "green", "red")
 COLOURS = np.array([[40, 40, 220], [40, 220, 40], [220, 40, 40]], np.uint8)
@@ -137,6 +137,25 @@ def test_the_loss_on_held_out_trajectories_counts_augmented_frames_that_are_draw
     whole, plain = learner(), learner(replace(FAST, augmentation=0.0))
     state = whole.init(torch.Generator().manual_seed(0))
     assert whole.evaluate(state) == whole.evaluate(state) != plain.evaluate(state)
+
+
+@pytest.mark.parametrize("final_objective", ["set_likelihood", "self_training"])
+def test_the_confidence_is_of_the_network_before_its_final_objective(final_objective: str) -> None:
+    whole = learner(replace(FAST, steps=3, final_objective=final_objective, final_share=0.7, augmentation=0.0))
+    state, _ = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(8))
+    before = whole.confidence(FitResult(state.network, 1, 0.0))
+    for _ in range(2):
+        state, _ = whole.update(state, np.arange(8))
+    assert whole.confidence(FitResult(state.network, 3, 0.0)) != before
+    assert whole.confidence(FitResult(state.network, 3, 0.0, state.carried)) == before
+
+
+def test_only_trajectories_with_two_tags_say_whether_a_network_is_decided() -> None:
+    highest = torch.tensor([1.0, 0.5, 0.75, 1.0])
+    assert Confidence.over(highest, torch.tensor([1, 2, 2, 1])) == Confidence(0.625, 0.5)
+    assert not Confidence(0.625, 0.5).is_decided
+    alone = Confidence.over(highest, torch.ones(4, dtype=torch.int64))
+    assert (alone.is_decided, alone.has_choice) == (True, False)
 
 
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:

@@ -66,10 +66,11 @@ def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[Se
     each = [figures["average_precision"] for figures in precision.values()]
     mean = {"tag_average_precision": float(np.mean(each))} if each else {}
     confidence = learner.confidence(fitted)
+    decided = {"confidence": confidence.mean} if confidence.has_choice else {}
     problems = tag_problems(source.dataset.spec.skills, source.dataset.skills)
     return {
         "supervision": "the set of skills of each trajectory",
-        "figures": fitted.figures | mean | {"confidence": confidence.mean},
+        "figures": fitted.figures | mean | decided,
         "tag_average_precision": precision,
         "held_out": len(learner.validation),
         "warnings": [*(problem.sentence for problem in problems), *_undecided(confidence)],
@@ -80,9 +81,9 @@ def _undecided(confidence: Confidence) -> Iterator[str]:
     """Yields a warning where the network names all tags of a trajectory at every timestep."""
     if not confidence.is_decided:
         yield (
-            f"Labels must be decided; held-out timesteps have a confidence of {confidence.mean:.2f} on average, where "
-            f"all tags of a trajectory at every timestep would have {confidence.equal:.2f}. If its last frames show "
-            "what was done, let the network see fewer: --set context=5."
+            "Labels must be decided; held-out timesteps of trajectories with several tags have a confidence of "
+            f"{confidence.mean:.2f} on average, where all tags at every timestep would have {confidence.equal:.2f}. If "
+            "the last frames show what was done, let the network see fewer: --set context=5."
         )
 
 

@@ -11,16 +11,24 @@ _LEAST_DECIDED = 1 / 3
 
 @dataclass(frozen=True)
 class Confidence:
-    """The confidence of a network on held-out timesteps: their highest probability.
+    """The confidence of a network on held-out timesteps of trajectories with two or more tags: the highest probability.
 
     Attributes:
-        mean: Its mean.
+        mean: Its mean; 1, as is `equal`, where no trajectory has two tags.
         equal: What it were if all tags of a trajectory had equal shares at every timestep. A loss that wants equal
             shares over time is at its optimum then, and labels say nothing.
     """
 
     mean: float
     equal: float
+
+    @classmethod
+    def over(cls, highest: Tensor, tags: Tensor) -> "Confidence":
+        """Returns that of timesteps, of their highest probability and their trajectory's number of tags, both (N,)."""
+        is_open = tags > 1
+        if not is_open.any():
+            return cls(1.0, 1.0)
+        return cls(highest[is_open].mean().item(), (1 / tags[is_open]).mean().item())
 
     @classmethod
     def of(cls, tensor: Tensor) -> "Confidence":
@@ -34,6 +42,11 @@ class Confidence:
         return torch.tensor([self.mean, self.equal], dtype=torch.float64)
 
     @property
+    def has_choice(self) -> bool:
+        """Whether some trajectory has two tags to decide between."""
+        return self.equal < 1
+
+    @property
     def is_decided(self) -> bool:
-        """Whether labels favour one of the tags; where trajectories have a single one, there is nothing to decide."""
+        """Whether labels favour one of the tags, or no trajectory has two."""
         return self.mean - self.equal >= _LEAST_DECIDED * (1 - self.equal)

@@ -36,8 +36,8 @@ _NORMALISATION_FRAMES = 2000
 _ACTION_TRAJECTORIES = 400
 """Most trajectories that an action model is fitted to."""
 
-_BEFORE_SELF_TRAINING = "confidence"
-"""What is carried beside a teacher: the confidence of the first one."""
+_BEFORE_FINAL = "confidence"
+"""What is carried from the start of the final objective on: the confidence of the network as it was."""
 
 
 def network_spec(
@@ -83,6 +83,8 @@ class SegmentationLearner:
 
     def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
         """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
+        if state.step == self.config.final_from:
+            state = self._begin_final(state)
         if state.step in self.config.round_starts:
             state = self._begin_round(state)
         batch, context = self._gather(items.tolist(), state.generator), self.config.context_at(state.step)
@@ -154,21 +156,21 @@ class SegmentationLearner:
         }
 
     def confidence(self, fitted: FitResult[SegmentationNetwork]) -> Confidence:
-        """Returns the confidence on held-out timesteps, before self-training where there is some.
+        """Returns the confidence on held-out timesteps, before the final objective where there is one.
 
-        The labels of a teacher make a network sure, whatever they say.
+        Both final objectives make a network sure, whatever it says: one by its teacher's labels, one by its entropy.
         """
-        before = fitted.carried.get(_BEFORE_SELF_TRAINING)
+        before = fitted.carried.get(_BEFORE_FINAL)
         return self._confidence(fitted.network, self.spec.context) if before is None else Confidence.of(before)
 
     @torch.no_grad()
     def _confidence(self, network: SegmentationNetwork, context: Context) -> Confidence:
-        highest, equal = [], []
+        highest, tags = [], []
         for batch in self._validation_batches():
             scores, mask = network(batch.frames, batch.actions, batch.lengths, context=context)
             highest.append(scores[mask].softmax(dim=1).amax(dim=1))
-            equal.append((1 / batch.tags.sum(dim=1)).repeat_interleave(batch.lengths))
-        return Confidence(torch.cat(highest).mean().item(), torch.cat(equal).mean().item())
+            tags.append(batch.tags.sum(dim=1).repeat_interleave(batch.lengths))
+        return Confidence.over(torch.cat(highest), torch.cat(tags))
 
     def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
         """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
@@ -189,6 +191,10 @@ class SegmentationLearner:
     def _tag_objective(self, *, step: int) -> Objective:
         return set_likelihood if step >= self.config.final_from else OBJECTIVES[self.config.objective]
 
+    def _begin_final(self, state: State) -> State:
+        before = self._confidence(state.network, self.config.context_at(state.step - 1))
+        return replace(state, carried={_BEFORE_FINAL: before.tensor})
+
     def _begin_round(self, state: State) -> State:
         items = torch.randperm(self.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
         size, context = self.config.batch_size, self._teacher_context(state.step)
@@ -201,10 +207,7 @@ class SegmentationLearner:
             log_share=self._log_share() if context != self.spec.context else None,
             generator=state.generator,
         )
-        before = state.carried.get(_BEFORE_SELF_TRAINING)
-        if before is None:
-            before = self._confidence(state.network, context).tensor
-        return replace(state, carried={**teacher.tensors, _BEFORE_SELF_TRAINING: before})
+        return replace(state, carried={**teacher.tensors, _BEFORE_FINAL: state.carried[_BEFORE_FINAL]})
 
     def _teacher_context(self, step: int) -> Context:
         """Returns what the teacher at a step sees: as much as the network did that it was copied from."""
