@@ -57,9 +57,9 @@ def main() -> None:
 
 def _confine(options: Options) -> None:
     """Lets the kernel bound this process, and keep it from opening files, sockets and further processes."""
+    resource.setrlimit(resource.RLIMIT_CPU, (options.cpu_s, options.cpu_s + 1))  # SIGXCPU, and SIGKILL a second later
     for limit, most in (
         (resource.RLIMIT_AS, options.memory_bytes),
-        (resource.RLIMIT_CPU, options.cpu_s),
         (resource.RLIMIT_CORE, 0),
         (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_NOFILE, 0),

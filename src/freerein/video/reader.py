@@ -165,16 +165,16 @@ class Video:
         while len(received) < size:
             left_s = give_up_at - time.monotonic()
             if left_s <= 0 or not poll.poll(left_s * 1e3):
-                raise self._error("time")
+                raise self._error("silence")
             part = self._pipe.read(size - len(received))
             if not part:
                 self.kill()
-                raise self._error("time" if self._process.wait() == -signal.SIGXCPU else "corrupt")
+                raise self._error("cpu" if self._process.wait() == -signal.SIGXCPU else "corrupt")
             received += part
         return bytes(received)
 
     def _error(self, reason: str) -> ServiceError:
-        return refusal(reason, self._options, field=self._field)
+        return refusal(reason, self._options, silence_s=self._silence_s, field=self._field)
 
 
 def open_video(

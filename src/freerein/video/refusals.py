@@ -7,10 +7,10 @@ _ENCODE_AGAIN = "Encode it again: ffmpeg -i IN -c:v libx264 OUT.mp4."
 _SCALE_DOWN = "Scale it down first: ffmpeg -i IN -vf scale=320:-2 OUT.mp4."
 
 
-def refusal(reason: str, options: Options, *, field: str) -> ServiceError:
-    """Returns the error of a reason of the decoder, or of `time`; of one that is not known, that of a corrupt file.
+def refusal(reason: str, options: Options, *, silence_s: float, field: str) -> ServiceError:
+    """Returns the error of a reason of the decoder, of `cpu` or `silence`; of another, that of a corrupt file.
 
-    `field` is the video's name in the request.
+    `silence_s` is the longest wait for a frame, and `field` the video's name in the request.
     """
     if reason == "codec":
         return UnsupportedMedia(
@@ -19,11 +19,12 @@ def refusal(reason: str, options: Options, *, field: str) -> ServiceError:
             hint=_ENCODE_AGAIN,
         )
     must, is_, hint = {
+        "cpu": (f"be decoded within {options.cpu_s} s of CPU time", "takes longer", _SCALE_DOWN),
         "frames": (f"have at most {options.max_frames} frames", "has more", "Cut it."),
         "memory": (f"be decoded in {options.memory_bytes >> 20} MiB", "needs more", _SCALE_DOWN),
         "pixels": (f"have frames of at most {options.max_pixels} pixels", "has larger ones", _SCALE_DOWN),
+        "silence": (f"give each frame within {silence_s:g} s", "takes longer", f"Try again. {_SCALE_DOWN}"),
         "size": ("have frames of one size", "has several", _ENCODE_AGAIN),
         "stream": ("have a video stream", "has none", "Send the file that holds the pictures."),
-        "time": (f"be decoded within {options.cpu_s} s of CPU time", "takes longer", _SCALE_DOWN),
     }.get(reason, ("be a complete mp4 file", "is corrupt or truncated", _ENCODE_AGAIN))
     return InvalidInput(f"`{field}` must {must}; it {is_}.", field=field, hint=hint)
