@@ -661,6 +661,23 @@ async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothin
     assert await snapshot(sessions, session)
 
 
+@pytest.mark.fault("C18")
+async def test_a_service_that_closes_does_not_wait_for_a_call_that_nobody_awaits(start: StartSessions) -> None:
+    tasks = asyncio.all_tasks()
+    sessions, (worker,) = await start()
+    session = await begun(sessions)
+    stop(worker)
+    step = asyncio.create_task(sessions.step(StepRequest(session, 1, UP)))
+    await asyncio.sleep(0)
+    step.cancel()
+
+    await sessions.close()
+
+    assert step.cancelled()
+    assert not worker.is_running()
+    assert asyncio.all_tasks() <= tasks
+
+
 async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
     files, processes, tasks = psutil.Process().num_fds(), set(children()), asyncio.all_tasks()
     sessions = SimCore(WorkerPool(workers=2))
