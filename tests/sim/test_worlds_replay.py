@@ -69,7 +69,7 @@ def test_a_snapshot_holds_the_recipe_and_the_actions_since_the_reset() -> None:
         lambda snapshot: change(snapshot, 3, bytes(37)),
         lambda snapshot: snapshot[: HEADER.size] + b"\xff\0" + snapshot[HEADER.size + 2 :],
         lambda snapshot: snapshot[:-8] + np.array([PICK_UP + 1], "<i8").tobytes(),
-        lambda snapshot: change(snapshot, 2, 51) + np.ones(48, "<i8").tobytes(),
+        lambda snapshot: change(snapshot, 2, 10_001) + np.ones(10_001 - 3, "<i8").tobytes(),
         lambda _: walk_to_the_end(begin(5)),
     ],
     ids=["version", "recipe", "length", "generator", "skill", "action", "too long", "over"],
@@ -102,6 +102,26 @@ def test_a_snapshot_that_miscounts_its_actions_is_refused_and_changes_nothing(st
             envs.restore(snapshots.encode(forged))
 
         assert envs.snapshot() == before
+
+
+@pytest.mark.fault("M10")
+def test_a_session_of_longer_episodes_takes_its_own_snapshots_and_keeps_its_state_when_it_refuses_one() -> None:
+    steps = TASK.spec.max_episode_steps + 5
+    with closing(VectorEnv(TASK, num_envs=2, seed=1, max_episode_steps=steps + 1)) as envs:
+        envs.reset()
+        early = snapshots.decode(envs.snapshot())
+        for _ in range(steps):
+            envs.step(np.array([[1], [0]]))
+        late = envs.snapshot()
+        forged = replace(early, envs=(early.envs[0], replace(early.envs[1], steps=1)))
+
+        with pytest.raises(InvalidInput, match="got 1 for 0"):
+            envs.restore(snapshots.encode(forged))
+        assert envs.snapshot() == late
+        envs.reset()
+        envs.restore(late)
+
+        assert envs.snapshot() == late
 
 
 def test_clients_see_no_difference() -> None:

@@ -9,10 +9,10 @@ from freerein.errors import FailedPrecondition, InvalidInput, SessionNotFound, S
 from freerein.types import sim
 from freerein_sim.workers.protocol import MAX_ENVS, check_frames
 from freerein_sim.workers.worker import Worker
+from freerein_sim.worlds.world import MAX_EPISODE_STEPS
 
 DEFAULT_LEASE_S = 60.0
 MAX_LEASE_S = 3600.0
-MAX_EPISODE_STEPS = 10_000
 _SEED_BITS = 53  # exact in JSON of any language
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from freerein.errors import InvalidInput
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.world import (
+    MAX_EPISODE_STEPS,
     Action,
     StepResult,
     UnsavedWorld,
@@ -97,7 +98,7 @@ def _decode(spec: WorldSpec, snapshot: bytes) -> _Episode:
     version, skills, steps, start = _HEADER.unpack_from(snapshot)
     dtype, middle = _wire_dtype(spec), _HEADER.size + skills * _RECIPE_DTYPE.itemsize
     length = middle + steps * spec.action.size * dtype.itemsize
-    if version != _FORMAT_VERSION or steps > spec.max_episode_steps or len(snapshot) != length:
+    if version != _FORMAT_VERSION or steps > MAX_EPISODE_STEPS or len(snapshot) != length:
         raise _not_of_this_world("another version or length")
     recipe = np.frombuffer(snapshot[_HEADER.size : middle], _RECIPE_DTYPE)
     actions = np.frombuffer(snapshot[middle:], dtype).astype(spec.action.dtype).reshape(steps, spec.action.size)

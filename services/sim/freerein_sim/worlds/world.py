@@ -24,6 +24,9 @@ Frame = npt.NDArray[np.uint8]
 NO_SKILL = -1
 """Label of a timestep without a skill."""
 
+MAX_EPISODE_STEPS = 10_000
+"""Most steps of an episode, whatever its world's own number is."""
+
 
 @dataclass(frozen=True)
 class WorldSpec:
@@ -34,7 +37,7 @@ class WorldSpec:
         action: Action spec.
         control_dt_s: Time between two actions, in seconds.
         skills: Skills that the expert can execute; labels are indices into them. Empty for a task without an expert.
-        max_episode_steps: Steps after which the caller truncates an episode.
+        max_episode_steps: Steps after which the caller truncates an episode, if it chooses no other number.
         state_names: Name of each number of the true state.
         has_expert: Whether worlds of this spec have a scripted expert.
         max_size: Greatest frame height and width, in pixels.
