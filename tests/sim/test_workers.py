@@ -219,6 +219,34 @@ async def test_a_worker_that_hangs_is_killed(start_pool: StartPool) -> None:
     assert worker.is_lost
 
 
+@pytest.mark.fault("M6")
+async def test_a_worker_hangs_when_it_is_silent_and_not_when_calls_wait_behind_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ours, theirs = socket.socketpair()
+    loop, passed_s = asyncio.get_running_loop(), 0.0
+    _, connection = await loop.create_connection(Connection, sock=ours)
+    begun_s = loop.time()
+    monkeypatch.setattr(loop, "time", lambda: begun_s + passed_s)
+    replies = [b"".join(protocol.encode(ListTasksResponse(()), call=1, number=i)) for i in (1, 2)]
+    calls = [asyncio.create_task(connection.ask(ListTasksRequest(), silence_s=100)) for _ in range(3)]
+    await asyncio.sleep(0)
+
+    for call, reply in zip(calls[:2], replies, strict=True):
+        passed_s += 99
+        theirs.sendall(reply)
+        await call
+    passed_s += 99
+    await asyncio.sleep(0)
+    assert not calls[2].done()
+    passed_s += 2
+
+    with pytest.raises(TimeoutError):
+        await calls[2]
+    connection.close()
+    theirs.close()
+
+
 def test_a_worker_dies_with_its_service() -> None:
     service = subprocess.Popen([sys.executable, "-c", ORPHANED], stdout=subprocess.PIPE)
     assert service.stdout is not None
@@ -320,7 +348,7 @@ async def test_a_message_that_announces_too_much_ends_the_connection_unread() ->
     ours, theirs = socket.socketpair()
     _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)  # asyncio tells it
-    asking = asyncio.ensure_future(connection.ask(ListTasksRequest()))
+    asking = asyncio.ensure_future(connection.ask(ListTasksRequest(), silence_s=60))
     await asyncio.sleep(0)
 
     theirs.sendall(struct.pack("<IBQ", protocol.MAX_MESSAGE_BYTES + 1, 1, 1))
@@ -351,12 +379,43 @@ def test_a_bug_in_a_world_ends_its_session_and_no_other(faulty: type[GridWorld])
     for session in (good, bad):
         handler.handle(ResetRequest(session))
 
-    assert isinstance(answer(handler, StepRequest(bad, 1, up)), Internal)
+    refusal = answer(handler, StepRequest(bad, 1, up))
+    assert isinstance(refusal, Internal)
+    assert "its session has ended" in refusal.detail
 
     with pytest.raises(SessionNotFound):
         handler.handle(StepRequest(bad, 1, up))
     assert handler.handle(StepRequest(good, 1, up)).step_id == 1
     assert handler.handle(CloseSessionRequest(good)) == CloseSessionResponse()
+
+
+@pytest.mark.fault("F1")
+def test_a_bug_in_a_demonstration_is_told_as_that_and_its_world_is_made_anew() -> None:
+    worlds: list[World] = []
+    closed: list[World] = []
+
+    class FaultyOnce(GridWorld):
+        def step(self, action: Action) -> StepResult:
+            if self is worlds[0]:
+                raise ZeroDivisionError
+            return super().step(action)
+
+        def close(self) -> None:
+            closed.append(self)
+
+    def make() -> World:
+        worlds.append(FaultyOnce(indicator=True))
+        return worlds[-1]
+
+    handler = RequestHandler({"faulty": TaskDefinition("faulty", "grid", "", grid.SPEC, make)})
+    request = DemonstrateRequest("faulty", "expert")
+
+    refusal = answer(handler, request)
+
+    assert isinstance(refusal, Internal)
+    assert "session" not in f"{refusal.detail} {refusal.hint}"
+    assert closed == worlds
+    assert answer(handler, request) is None
 
 
 def answer(handler: RequestHandler, request: object) -> ServiceError | None:

@@ -46,7 +46,7 @@ def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateR
             return _response(world.spec, request, made)
     raise FailedPrecondition(
         f"The expert must succeed within {_MAX_TRIES} tries; for trajectory {request.first} it did not.",
-        hint=f"Skip it: ask again with `first` {request.first + 1}.",
+        hint=f"Ask for all with another `seed`; in a call of the API, `first` {request.first + 1} skips this one.",
     )
 
 

@@ -30,8 +30,8 @@ class RequestHandler:
     def reply(self, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
         """Returns the framed response to a framed request, or its refusal.
 
-        A bug in one session must not end the others: any other exception, or a response that cannot be sent, closes the
-        session and is answered by `Internal`.
+        A bug in one world must not harm the others: any other exception, or a response that cannot be sent, closes the
+        session, or the world of the task's demonstrations, and is answered by `Internal`.
         """
         request: object = None
         try:
@@ -43,9 +43,8 @@ class RequestHandler:
             return protocol.encode(response, call=header.call, number=header.number)
         except Exception:
             _LOG.exception("a world failed")
-            self._abandon(getattr(request, "session", ""))
-            failed = Internal("The world failed; its session has ended.", hint="Create the session anew.")
-            return _refusal(failed, header)
+            self._abandon(request)
+            return _refusal(_failed(request), header)
 
     def close(self) -> None:
         """Frees every world."""
@@ -132,9 +131,14 @@ class RequestHandler:
             raise SessionNotFound("There is no such session.", field="session", hint="Create the session anew.")
         return envs
 
-    def _abandon(self, session: str) -> None:
+    def _abandon(self, request: object) -> None:
+        """Closes what a request failed in: its session, or the world of its task's demonstrations."""
         try:
-            self._discard(session)
+            if isinstance(request, sim.DemonstrateRequest):
+                _, world = self._demonstration_worlds.pop(request.task, (None, None))
+                if world is not None:
+                    world.close()
+            self._discard(getattr(request, "session", ""))
         except Exception:
             _LOG.exception("a world that failed cannot be closed either")
 
@@ -177,6 +181,13 @@ def serve(connection: socket.socket, handler: RequestHandler) -> None:
                 connection.sendall(part)
     except (BrokenPipeError, ConnectionResetError):
         return  # the service is gone
+
+
+def _failed(request: object) -> Internal:
+    """Returns the error of a request in which a world failed."""
+    if getattr(request, "session", ""):
+        return Internal("The world failed; its session has ended.", hint="Create the session anew.")
+    return Internal("The world failed; the service's log holds the cause.", hint="Report it; another `seed` may do.")
 
 
 def _refusal(error: ServiceError, header: protocol.Header) -> tuple[bytes, bytes]:

@@ -18,7 +18,7 @@ class WorkerPool:
     Args:
         workers: Number of processes that hold sessions.
         demonstrators: Number of processes that record demonstrations; started on demand.
-        stuck_s: Time after which a worker that has not answered a call is killed.
+        stuck_s: Time without a reply after which a worker that was called is killed.
 
     Attributes:
         tasks: The tasks by name; empty before `start`.

@@ -5,6 +5,7 @@ Replies are received into the buffer that they are parsed from.
 
 import asyncio
 import logging
+import math
 import os
 import socket
 import subprocess
@@ -63,15 +64,15 @@ class Worker:
     async def call(self, request: object, response: type[Response], *, timeout_s: float | None = None) -> Response:
         """Sends a request and returns the response. The child completes it even if the caller is cancelled.
 
-        A child that does not answer within `timeout_s` (None: the worker's `stuck_s`) is killed.
+        A child that replies to nobody for `timeout_s` (None: the worker's `stuck_s`) is killed. Calls that wait behind
+        others are no sign that it hangs: the time begins anew with each reply.
 
         Raises:
             WorkerLost: The child died, or hung and was killed.
             ServiceError: The child refused the request.
         """
         try:
-            async with asyncio.timeout(timeout_s or self._stuck_s):
-                message = await self._connection.ask(request)
+            message = await self._connection.ask(request, silence_s=timeout_s or self._stuck_s)
         except TimeoutError:
             _LOG.error("worker %d hangs and is killed", self._process.pid)
             self._process.kill()
@@ -104,12 +105,19 @@ class Connection(asyncio.BufferedProtocol):
         self.lost = asyncio.Event()
         self._calls: dict[int, asyncio.Future[bytearray]] = {}
         self._asked = 0
+        self._replied_at = -math.inf
         self._header: protocol.Header | None = None
         self._buffer = bytearray(protocol.HEADER_BYTES)
         self._received = 0
 
-    async def ask(self, request: object) -> bytearray:
-        """Sends a request and returns the bytes of the response. Raises WorkerLost or the child's refusal."""
+    async def ask(self, request: object, *, silence_s: float) -> bytearray:
+        """Sends a request and returns the bytes of the response.
+
+        Raises:
+            WorkerLost: The child died.
+            TimeoutError: The child replied to no call for `silence_s`.
+            ServiceError: The child refused the request.
+        """
         self._asked += 1
         number = self._asked
         frame = protocol.encode(request, call=protocol.CALLS.index(type(request)), number=number)
@@ -119,7 +127,8 @@ class Connection(asyncio.BufferedProtocol):
         self._calls[number] = answer
         self._transport.writelines(frame)
         try:
-            return await answer
+            await self._wait(answer, silence_s)
+            return answer.result()
         finally:
             del self._calls[number]
 
@@ -153,7 +162,18 @@ class Connection(asyncio.BufferedProtocol):
             if not answer.done():
                 answer.set_exception(worker_lost())
 
+    async def _wait(self, answer: "asyncio.Future[bytearray]", silence_s: float) -> None:
+        """Waits for an answer. Raises TimeoutError after `silence_s` without a reply to this call or another."""
+        loop = asyncio.get_running_loop()
+        asked_at = loop.time()
+        while not answer.done():
+            left_s = max(asked_at, self._replied_at) + silence_s - loop.time()
+            if left_s <= 0:
+                raise TimeoutError
+            await asyncio.wait({answer}, timeout=left_s)
+
     def _end_message(self, header: protocol.Header) -> None:
+        self._replied_at = asyncio.get_running_loop().time()
         message, self._buffer, self._header = self._buffer, bytearray(protocol.HEADER_BYTES), None
         answer = self._calls.get(header.number)
         if answer is None or answer.done():
@@ -167,7 +187,8 @@ class Connection(asyncio.BufferedProtocol):
 def worker_lost() -> WorkerLost:
     """Returns the error for calls of a dead worker."""
     return WorkerLost(
-        "The process that held the session is gone.", hint="Create the session anew and restore its last snapshot."
+        "The worker process is gone, and with it the sessions that it held.",
+        hint="Create the session anew and restore its last snapshot; repeat a call that needs none.",
     )
 
 
