@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from freerein.clients import Channel
+from freerein.errors import InvalidInput
 from freerein.serving.settings import ServiceSettings
 
 SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
@@ -37,6 +39,17 @@ def test_the_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = ServiceSettings()
     assert settings.token_text == "secret"
     assert "secret" not in f"{settings} {settings!r} {settings.model_dump_json()}"
+
+
+@pytest.mark.parametrize("token", ["schlüssel", "two words", "line\n", "\x7f"])
+def test_a_token_that_no_header_carries_is_refused(monkeypatch: pytest.MonkeyPatch, token: str) -> None:
+    monkeypatch.setenv("FREEREIN_TOKEN", token)
+    with pytest.raises(ValidationError, match="FREEREIN_TOKEN must be printable ASCII") as error:
+        ServiceSettings()
+    assert token not in error.value.errors()[0]["msg"]
+    with pytest.raises(InvalidInput, match="printable ASCII") as refused:
+        Channel("127.0.0.1:9104", token=token)
+    assert token not in f"{refused.value.detail} {refused.value.hint}"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The connection to one service."""
 
 import os
+import re
 import threading
 from functools import cache
 from typing import Any
@@ -10,9 +11,10 @@ import grpc
 from grpc import aio
 
 from freerein.clients import retry_policy
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, InvalidInput
 
 MAX_MESSAGE_BYTES = 64 * 2**20
+_TOKEN = re.compile(r"[!-~]*")  # what a header carries unchanged
 
 _OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
@@ -40,10 +42,13 @@ class Channel:
 
     Args:
         address: `host:port`.
-        token: Bearer token; empty for none.
+        token: Bearer token, printable ASCII without spaces; empty for none.
         root_certificates: PEM root certificates for TLS; None for no TLS.
         keepalive_s: Seconds of silence before a ping, at least 1. A service that hangs is noticed 1 s later. On a slow
             line a ping waits behind what is being sent, so a short time takes a long upload for a silence.
+
+    Raises:
+        InvalidInput: The token has other characters.
 
     Attributes:
         methods: Methods of the gRPC channel, by RPC; forgotten when it is closed, since they keep gRPC running.
@@ -52,6 +57,12 @@ class Channel:
     def __init__(
         self, address: str, *, token: str = "", root_certificates: bytes | None = None, keepalive_s: float = 10.0
     ) -> None:
+        if not _TOKEN.fullmatch(token):
+            raise InvalidInput(
+                "The token must be printable ASCII without spaces; it has other characters.",
+                field="token",
+                hint="Give the token as the service has it in FREEREIN_TOKEN, without line breaks.",
+            )
         self.address = address
         self._keepalive_ms = int(keepalive_s * 1000)
         self._authorization = (("authorization", f"Bearer {token}"),) if token else ()

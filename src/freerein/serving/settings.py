@@ -9,6 +9,7 @@ from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
+_TOKEN = re.compile(r"[!-~]+")  # what a header carries unchanged
 _ORIGIN = re.compile(r"https?://[^/\s?#*]+")
 
 
@@ -20,7 +21,8 @@ class ServiceSettings(BaseSettings):
         http_port: Port of the REST API; 0 for a free one, unset for the service's own: orchestrator 8100, segmentation
             8101, imitation 8102, reward 8103, sim 8104.
         grpc_port: Port of the gRPC server; 0 for a free one, unset for the service's own: 9100 to 9104 in that order.
-        token: Bearer token that every call except health checks must carry; unset for none.
+        token: Bearer token that every call except health checks must carry, printable ASCII without spaces; unset for
+            none.
         tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
         tls_key: PEM file with the private key.
         insecure: Allows a bind beyond loopback without token and TLS.
@@ -61,6 +63,15 @@ class ServiceSettings(BaseSettings):
             raise ValueError(
                 "a bind beyond loopback needs FREEREIN_TOKEN or FREEREIN_TLS_CERT and FREEREIN_TLS_KEY; "
                 "set FREEREIN_INSECURE=1 to serve without either on a trusted network"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_token(self) -> Self:
+        if self.token and not _TOKEN.fullmatch(self.token_text):
+            raise ValueError(
+                "FREEREIN_TOKEN must be printable ASCII without spaces, so that a header can carry it; it has other "
+                "characters. Make one with: openssl rand -hex 32"
             )
         return self
 
