@@ -118,6 +118,20 @@ def test_loose_images_are_runs_of_about_a_fiftieth(tmp_path: Path) -> None:
     assert not dataset.spec.has_actions
 
 
+@pytest.mark.parametrize(
+    ("size", "scaled"),
+    [((720, 1280), (128, 228)), ((400, 300), (171, 128)), ((40, 40), (128, 128)), ((9, 100), (128, 1024))],
+)
+def test_loose_images_keep_the_proportions_of_the_first(
+    size: tuple[int, int], scaled: tuple[int, int], tmp_path: Path
+) -> None:
+    draw(tmp_path, 1, 2, size=size)
+    draw(tmp_path / "more", 3, size=(30, 20))
+    source = ImageSource(tmp_path)
+    assert source.spec.cameras == {"camera": (*scaled, 3)}
+    assert {each.frames["camera"].shape[1:] for each in source} == {(*scaled, 3)}
+
+
 def test_two_images_are_held_apart_and_one_is_refused(tmp_path: Path) -> None:
     draw(tmp_path / "two", 1, 2)
     assert [len(each.actions) for each in ImageSource(tmp_path / "two")] == [1, 1]

@@ -2,18 +2,20 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from freerein.data.layout import DatasetSpec
 from freerein.data.lookup import open_dataset
+from freerein.data.reader import Dataset
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
-from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding
+from freerein_reward.model import DualEncoderModel, GradCamModel, PhraseLocations, load_grounding
 from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import (
     CaptionDataset,
@@ -124,6 +126,28 @@ def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> Non
         cache.unlink()  # as if the fit had been killed before the captions were saved
     rows = (data_dir / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(line) for line in rows] == [{"step": 0, "captioned": 1.0}]
+
+
+class Stacked:
+    """Finds two cubes, one 3 pixels to the left of the other and on top of it, in images of 720 x 1280 pixels."""
+
+    network = SimpleNamespace(spec=SimpleNamespace(image_size=64))
+
+    def ground(self, images: np.ndarray, phrases: tuple[str, ...]) -> PhraseLocations:
+        """Returns the same places in all images."""
+        every, heatmaps = np.ones((len(images), 2)), np.zeros((len(images), 2, 4, 4), np.float32)
+        x, y = np.array([640, 643]) / 1280, np.array([296, 360]) / 720
+        return PhraseLocations(heatmaps, every * x, every * y, 4 * every, np.ones(2, np.float32))
+
+
+def test_in_wide_frames_stacked_objects_are_captioned_as_such(tmp_path: Path) -> None:
+    root, (on_top, below) = tmp_path / "wide", (SpatialRelation.ON_TOP_OF, SpatialRelation.BELOW)
+    spec = DatasetSpec(fps=10, cameras={"front": (72, 128, 3)}, action=ActionSpec(0, 0, ()), robot_type="none")
+    with create(root, spec) as writer:
+        writer.append(Trajectory({"front": np.zeros((2, 72, 128, 3), np.uint8)}, np.empty((2, 0), np.float32), ()))
+    config = RewardConfig(cameras=("front",), phrases=tuple(PHRASES), epsilon=64 / 1280)
+    captioned = caption_images(Dataset(root), Stacked(), config, tmp_path / "captions.safetensors")
+    assert captioned.relations.tolist() == [[[NO_CAPTION, on_top], [below, NO_CAPTION]]] * 2
 
 
 def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:

@@ -34,7 +34,9 @@ CAMERA = "camera"
 ACTIONS, TAGS = "actions.csv", "tags.csv"
 _IMAGES, _VIDEO = frozenset((".png", ".jpg", ".jpeg", ".webp")), ".mp4"
 _RUNS = 50
-_SIDE = 128
+_SHORTER, _LONGEST = 128, 1024
+"""Shorter side that images are scaled to, and most of the longer one."""
+
 _LATE = 1e-3
 """Share of the time between two timesteps by which a frame may be early: times are rounded."""
 
@@ -133,13 +135,14 @@ class ImageSource(Source):
 
     Args:
         folder: Holds PNG, JPEG or WebP files.
-        size: Height and width to scale images to.
+        size: Height and width to scale images to; None for those of the first image, with a shorter side of 128: how
+            things lie to one another is told in its proportions.
 
     Raises:
         NotFound: There are fewer than two images.
     """
 
-    def __init__(self, folder: Path, *, size: tuple[int, int] = (_SIDE, _SIDE)) -> None:
+    def __init__(self, folder: Path, *, size: tuple[int, int] | None = None) -> None:
         by_folder: dict[Path, list[Path]] = {}
         for file in sorted(folder.rglob("*"), key=_natural) if folder.is_dir() else ():
             if _is_image(file) and not any(part[0] == "." for part in file.relative_to(folder).parts):
@@ -155,7 +158,8 @@ class ImageSource(Source):
         self._runs = [files[at : at + run] for files in by_folder.values() for at in range(0, len(files), run)]
         if len(self._runs) == 1:
             self._runs = [self._runs[0][:1], self._runs[0][1:]]
-        self._spec = DatasetSpec(1, {CAMERA: (*size, 3)}, ActionSpec(0, 0, ()), robot_type="")
+        shape = (*(size or _scaled_size(self._runs[0][0])), 3)
+        self._spec = DatasetSpec(1, {CAMERA: shape}, ActionSpec(0, 0, ()), robot_type="")
 
     @property
     def spec(self) -> DatasetSpec:
@@ -231,6 +235,13 @@ def _shape(files: Files, size: tuple[int, int] | None) -> tuple[int, int, int]:
             return (*(size or (video.info.height, video.info.width)), 3)
     height, width, channels = _decoded(files[0]).shape
     return (*(size or (height, width)), channels)
+
+
+def _scaled_size(file: Path) -> tuple[int, int]:
+    """Returns the height and width of an image after scaling its shorter side to `_SHORTER`."""
+    height, width, _ = _decoded(file).shape
+    scale = _SHORTER / min(height, width)
+    return min(_LONGEST, round(height * scale)), min(_LONGEST, round(width * scale))
 
 
 def _pixels(file: Path, size: tuple[int, int] | None, shape: tuple[int, int, int]) -> Pixels:

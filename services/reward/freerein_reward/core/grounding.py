@@ -81,9 +81,10 @@ class GroundingCore:
         frames = inputs.EncodedFrames(request.images, range(len(request.images)))
         for start in range(0, len(frames), _IMAGES_AT_ONCE):
             stop = min(start + _IMAGES_AT_ONCE, len(frames))
-            decode = partial(inputs.model_inputs, frames, model.preprocess, start=start, stop=stop)
-            found = await self._locate(model, await timer.decode(asyncio.to_thread(decode)), request.phrases, timer)
-            descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon))
+            decode = partial(inputs.shaped_inputs, frames, model.preprocess, start=start, stop=stop)
+            images, aspects = await timer.decode(asyncio.to_thread(decode))
+            found = await self._locate(model, images, request.phrases, timer)
+            descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon, aspects=aspects))
             known = found.known  # alike in all parts
         unknown = await asyncio.to_thread(_unknown, model.grammar, request.phrases, known)
         return DescribeResponse(tuple(descriptions), ref, timer.timing(), *unknown)
@@ -103,12 +104,15 @@ class GroundingCore:
         return cast(PhraseLocations, await timer.infer(done))
 
 
-def captions(found: PhraseLocations, phrases: Sequence[str], *, epsilon: float) -> list[tuple[str, ...]]:
+def captions(
+    found: PhraseLocations, phrases: Sequence[str], *, epsilon: float, aspects: npt.NDArray[np.float64]
+) -> list[tuple[str, ...]]:
     """Returns for each image a caption of each ordered pair of phrases that it shows (table 4.1).
 
-    `epsilon` is the object width as a fraction of the image width.
+    `epsilon` is the object width as a fraction of the image width; `aspects`, (N,), are height over width.
     """
-    relations = pairwise_relations(found.x, found.y, found.presence >= _MIN_PRESENCE, epsilon=epsilon)  # (N, P, P)
+    y = found.y * aspects[:, None]  # in the unit of x, the width
+    relations = pairwise_relations(found.x, y, found.presence >= _MIN_PRESENCE, epsilon=epsilon)  # (N, P, P)
     pairs = tuple(permutations(range(len(phrases)), 2))
     return [
         tuple(

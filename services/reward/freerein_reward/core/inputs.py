@@ -109,6 +109,18 @@ def model_inputs(frames: FrameSequence, preprocess: Preprocess, *, start: int, s
     return np.stack([preprocess(frames[index]) for index in range(start, stop)])
 
 
+def shaped_inputs(
+    frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int
+) -> tuple[Pixels, npt.NDArray[np.float64]]:
+    """Returns `model_inputs`, and the height of each frame over its width, float64 (N,)."""
+    pixels, aspects = [], []
+    for index in range(start, stop):
+        frame = frames[index]
+        pixels.append(preprocess(frame))
+        aspects.append(frame.shape[0] / frame.shape[1])
+    return np.stack(pixels), np.array(aspects)
+
+
 def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[str, FrameSequence]:
     """Returns the frames of a request from the cameras of a model; other cameras are ignored.
 

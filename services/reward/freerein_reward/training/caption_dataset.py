@@ -113,18 +113,21 @@ class CaptionDataset:
 def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConfig, path: Path) -> CaptionDataset:
     """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
 
-    The phrases are located in the frames of the first camera. `path` is a cache of the captions, read when it exists,
-    else written; `metrics.jsonl` beside it then has the fraction done, `captioned`, at step 0.
+    The phrases are located in the frames of the first camera, and related in units of their width. `path` is a cache of
+    the captions, read when it exists, else written; `metrics.jsonl` beside it then has the fraction done, `captioned`,
+    at step 0.
     """
     size = grounding.network.spec.image_size
-    views = tuple(_resized(dataset.cached_frames(camera).steps, size) for camera in config.cameras)
+    steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
+    views = tuple(_resized(frames, size) for frames in steps)
+    aspect = steps[0].shape[1] / steps[0].shape[2]
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
         relations, half_heat = cached["relations"].numpy(), cached["half_heat"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
         x, y, heat, presence = _located(views[0], grounding, config, rows)
-        relations, half_heat = image_relations(x, y, heat, presence, config)
+        relations, half_heat = image_relations(x, y * aspect, heat, presence, config)
         tensors = {"relations": torch.from_numpy(relations), "half_heat": torch.from_numpy(half_heat)}
         write_atomic(path, tensor_files.dump(tensors))
     return CaptionDataset(views, config.phrases, relations, half_heat)
@@ -181,7 +184,8 @@ def image_relations(
 ) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float64]]:
     """Returns the relations, int8 (N, P, P), of phrases that were located in N images, float64 (N, P), and `half_heat`.
 
-    `heat` and `presence` are those of `PhraseLocations`.
+    `x` and `y` are fractions of the image width, as is `config.epsilon`; `heat` and `presence` are those of
+    `PhraseLocations`.
     """
     judged = presence_in_dataset(heat, presence)
     is_alone = alone_in_place(x, y, judged.probability, heat, epsilon=config.epsilon)

@@ -53,7 +53,11 @@ def import_dataset(
     name: Annotated[str, typer.Argument(help="Name of the new dataset in the data directory.")],
     *,
     size: Annotated[
-        str, typer.Option(metavar="HxW", help="Scale frames, such as 96x128; their own size if empty.")
+        str,
+        typer.Option(
+            metavar="HxW",
+            help="Scale frames, such as 96x128; their own size if empty. Rewards of relations need their proportions.",
+        ),
     ] = "",
     layout: Annotated[
         Literal["auto", "folder", "lerobot", "mime"], typer.Option(help="What the folder holds; auto: by its `meta`.")

@@ -80,7 +80,10 @@ def reward(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset; with --images of the new one.")] = "",
     *,
     images: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Import the images of a folder first, as the dataset.")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Import the images of a folder first, as the dataset; all get the shape of the first."
+        ),
     ] = None,
     phrases: _Phrases = None,
     model_name: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
