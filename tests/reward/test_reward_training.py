@@ -24,6 +24,7 @@ from freerein_reward.training.caption_dataset import (
     pairwise_absences,
     pairwise_relations,
 )
+from freerein_reward.training.evaluation import pair_majority_accuracy
 from freerein_reward.training.reward_model_learner import naming_loss
 
 CPU = torch.device("cpu")
@@ -161,6 +162,14 @@ def test_evaluation_has_accuracy_precision_and_recall(learner: RewardModelLearne
     assert {
         f"{relation.name.lower()}.{kind}" for relation in SpatialRelation for kind in ("precision", "recall")
     } < set(figures)
+
+
+def test_the_majority_is_that_of_each_ordered_pair_by_the_number_of_its_captions() -> None:
+    left, right, apart = SpatialRelation.LEFT_OF, SpatialRelation.RIGHT_OF, SpatialRelation.APART_FROM
+    mirrored = np.array([[left, right]] * 7 + [[right, left]] * 3 + [[ABSENT, NO_CAPTION]] * 20, np.int64)
+    assert pair_majority_accuracy(mirrored) == 0.7
+    third = np.array([apart] * 20 + [NO_CAPTION] * 10, np.int64)
+    assert pair_majority_accuracy(np.column_stack([mirrored, third])) == (7 + 7 + 20) / 40
 
 
 def test_in_a_mirror_left_is_right_and_top_is_top() -> None:

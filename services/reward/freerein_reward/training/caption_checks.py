@@ -49,11 +49,11 @@ def caption_warnings(images: CaptionDataset) -> list[str]:
 
 
 def accuracy_warnings(figures: Mapping[str, float]) -> list[str]:
-    """Returns a warning where a model tells relations no better than the most frequent one does alone."""
+    """Returns a warning where a model tells relations no better than the most frequent one of each pair does."""
     accuracy, majority = figures["relation_accuracy"], figures["majority_accuracy"]
     if accuracy > majority:
         return []
     return [
         f"On held-out images the model tells {accuracy:.0%} of the relations, and always saying the most frequent one "
-        f"{majority:.0%}: it has learned nothing else. Add images, or steps."
+        f"of each pair {majority:.0%}: it has learned nothing else. Add images, or steps."
     ]

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.metrics import majority_accuracy
 from freerein_reward.model import DualEncoder, contrast_texts
 from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
@@ -23,7 +22,7 @@ _THRESHOLDS = 200
 def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, float]:
     """Returns the accuracy of relations against the grounding model's captions, and precision and recall of each.
 
-    `majority_accuracy` is that of always saying the most frequent relation.
+    `majority_accuracy` is that of always saying the most frequent relation of each ordered pair.
 
     Captions come from the grounding model, so that this is agreement with it, not ground truth.
     """
@@ -32,7 +31,7 @@ def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, 
     targets, predictions = targets[has_caption], caption_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
     figures = {
         "relation_accuracy": float((predictions == targets)[targets != ABSENT].mean()),
-        "majority_accuracy": majority_accuracy(targets[targets != ABSENT]),
+        "majority_accuracy": pair_majority_accuracy(flatten_pairs(dataset.relations)),
         "absence_accuracy": float(((predictions == ABSENT) == (targets == ABSENT)).mean()),
     }
     for relation in SpatialRelation:
@@ -41,6 +40,15 @@ def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, 
         figures[f"{name}.precision"] = true_positives / max(1, int((predictions == relation).sum()))
         figures[f"{name}.recall"] = true_positives / max(1, int((targets == relation).sum()))
     return figures
+
+
+def pair_majority_accuracy(relations: npt.NDArray[np.int64]) -> float:
+    """Returns the accuracy of always saying the most frequent relation of each ordered pair, of relations (N, pairs).
+
+    A pair and its reverse have mirrored relations, so that one answer for all pairs would be a weak guess.
+    """
+    counts = (relations[:, :, None] == np.array(SpatialRelation)).sum(axis=0)  # (pairs, relations)
+    return float(counts.max(axis=1).sum() / counts.sum())
 
 
 def calibrate_presence(network: DualEncoder, learner: GroundingLearner) -> None:
