@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
@@ -14,7 +15,7 @@ import psutil
 import pytest
 
 from freerein.cli.services import RestartPolicy, ServiceStatus, Stack
-from freerein.cli.services.endpoints import check_free, free_ports
+from freerein.cli.services.endpoints import free_ports, hold
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import Ports
 
@@ -180,8 +181,21 @@ async def test_a_port_that_somebody_holds_is_named_before_anything_starts(tmp_pa
                 pass
 
 
+async def test_the_ports_of_services_that_do_not_listen_yet_are_given_to_nobody(
+    tmp_path: Path, environ: dict[str, str]
+) -> None:
+    (tmp_path / "tiny.py").write_text(_MUTE)
+    ports = free_ports(["sim"])
+
+    async with Stack({"sim": "tiny"}, data_dir=tmp_path, environ=environ, ports=ports):
+        for port in (ports["sim"].rest, ports["sim"].grpc):
+            with socket.socket() as other, pytest.raises(OSError, match="in use"):
+                other.bind(("127.0.0.1", port))
+    hold(ports).close()
+
+
 def test_free_ports_are_free_and_different() -> None:
     ports = free_ports(["sim", "segmentation"])
 
-    check_free(ports)
+    hold(ports).close()
     assert len({port for pair in ports.values() for port in (pair.rest, pair.grpc)}) == 4

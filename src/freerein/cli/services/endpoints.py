@@ -95,27 +95,44 @@ def connectable(host: str) -> str:
     return f"[{reachable}]" if ":" in reachable else reachable
 
 
-def check_free(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> None:
-    """Raises FailedPrecondition where a port is in use."""
-    for service, pair in ports.items():
-        for port in (pair.rest, pair.grpc):
-            if not is_free(port, host=host):
-                raise FailedPrecondition(
-                    f"Port {port} must be free for {service}; it is in use.",
-                    hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
-                )
+def hold(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> contextlib.ExitStack:
+    """Binds the ports of services until the result is closed, so that no other program is given one of them.
+
+    The services bind them all the same, by SO_REUSEADDR, since nobody listens here. Raises FailedPrecondition where a
+    port is in use.
+    """
+    with contextlib.ExitStack() as held:
+        for service, pair in ports.items():
+            for port in (pair.rest, pair.grpc):
+                try:
+                    held.enter_context(_bound(port, host))
+                except OSError:
+                    raise FailedPrecondition(
+                        f"Port {port} must be free for {service}; it is in use.",
+                        hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
+                    ) from None
+        return held.pop_all()
 
 
 def is_free(port: int, *, host: str = LOOPBACK) -> bool:
     """Returns whether a port can be bound."""
+    try:
+        _bound(port, host).close()
+    except OSError:
+        return False
+    return True
+
+
+def _bound(port: int, host: str) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as candidate:
-        candidate.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            candidate.bind((host, port))
-        except OSError:
-            return False
-        return True
+    candidate = socket.socket(family, socket.SOCK_STREAM)
+    candidate.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        candidate.bind((host, port))
+    except OSError:
+        candidate.close()
+        raise
+    return candidate
 
 
 def tls_context(certificate: str | None) -> ssl.SSLContext | bool:

@@ -14,7 +14,7 @@ from typing import Self
 
 import httpx
 
-from freerein.cli.services.endpoints import check_free, configured_host, connectable, tls_context
+from freerein.cli.services.endpoints import configured_host, connectable, hold, tls_context
 from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
@@ -26,8 +26,8 @@ _PROBE_TIMEOUT_S = 2.0
 class Stack:
     """Services that run within `async with`, and are drained at its end.
 
-    The services die with this process and with the thread of its event loop. They log to
-    `<data_dir>/logs/<service>.log`.
+    Their ports are bound here as well, so that no other program is given one. The services die with this process and
+    with the thread of its event loop. They log to `<data_dir>/logs/<service>.log`.
 
     Args:
         services: Module for `python -m` by service; see `choose`.
@@ -106,7 +106,7 @@ class Stack:
 
     async def __aenter__(self) -> Self:
         """Starts the services; raises FailedPrecondition where a port is in use."""
-        check_free(self._ports, host=self._host)
+        self._held = hold(self._ports, host=self._host)
         self._tasks = [asyncio.create_task(process.run()) for process in self._processes]
         for task in self._tasks:
             task.add_done_callback(lambda _: self._on_change())
@@ -119,6 +119,7 @@ class Stack:
             task.cancel()
         results = await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._client.aclose()
+        self._held.close()
         for result in results:
             if isinstance(result, Exception):
                 raise result
