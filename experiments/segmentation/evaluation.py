@@ -28,7 +28,7 @@ ACTION_LOSS = "action_loss"
 see `freerein_segmentation.training.held_out_action_loss`."""
 
 CONFIDENCE, IS_DECIDED = "confidence", "is_decided"
-"""Of held-out timesteps, before self-training where there is some; see `freerein_segmentation.training.Confidence`."""
+"""Of held-out timesteps, before a final objective; see `freerein_segmentation.training.Confidence`."""
 
 SMOOTHING, LEAST_SEGMENT = 2.0, 5
 """What is decoded: the Gaussian's standard deviation and the shortest segment, in timesteps. Chapter 2 rejects segments
