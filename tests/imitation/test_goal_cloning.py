@@ -133,6 +133,16 @@ def test_differences_of_places_are_sums_of_actions(trained: GoalCloningNetwork) 
     assert (trained.recognizer.spread < 0.3).all()
 
 
+def test_actions_that_do_not_displace_the_robot_are_warned_of(trained: GoalCloningNetwork) -> None:
+    made = learner()
+    targets = [np.clip(np.cumsum(done, axis=0) / 4, -1, 1) for done in map(np.asarray, made.validation.actions)]
+    absolute = replace(made, validation=replace(made.validation, actions=targets))
+    assert made.warnings(trained) == []
+    (warning,) = absolute.warnings(trained)
+    assert warning.startswith("Actions must displace the robot")
+    assert "the sums of `down`, `right`:" in warning
+
+
 def test_fingers_do_not_count_as_places() -> None:
     gripper = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (0.05, 0.04, 0.02))
     recognizer = OdometryRecognizer(features=8, hidden_size=8, action=gripper)
@@ -246,6 +256,7 @@ def test_discrete_actions_are_learned_from_without_odometry() -> None:
     made.calibrate(state.network)
     assert np.isfinite(list(figures.values())).all()
     assert figures["odometry_loss"] == 0
+    assert made.warnings(state.network) == []
     frames = {"front": explore(1, seed=5).frames["front"][0][:3]}
     policy = GoalCloningPolicy(state.network, CONTROL)
     recurrent = np.zeros((3, policy.spec.recurrent_size), np.float32)

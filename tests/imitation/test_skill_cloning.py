@@ -191,6 +191,17 @@ def test_velocity_is_known_from_earlier_frames_and_outlasts_a_skill(policy: Skil
     assert forces[0] - forces[1] > 0.5
 
 
+def test_an_evaluation_encodes_no_more_frames_at_once_than_an_update() -> None:
+    learner = prepare(*demonstrate(20, seed=1), config=replace(FAST, batch_size=2))
+    network, at_once = learner.init(torch.Generator().manual_seed(0)).network, []
+    network.encoder.register_forward_pre_hook(lambda _, args: at_once.append(len(args[0]["front"])))
+    losses, threshold = learner.validation_losses(network), learner.termination_threshold(network)
+    assert max(at_once) == 2 * (FAST.memory + FAST.span)
+    whole = replace(learner, config=replace(FAST, batch_size=1000))
+    torch.testing.assert_close(vars(whole.validation_losses(network)), vars(losses))
+    assert whole.termination_threshold(network) == threshold
+
+
 def test_timesteps_without_a_label_are_left_out() -> None:
     demonstrations, labels = demonstrate(8, seed=2)
     for each in labels:

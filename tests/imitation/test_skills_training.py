@@ -178,6 +178,29 @@ def test_each_part_of_a_fit_trains_its_own_layers() -> None:
     assert {"input_layer", "waypoint_head", "termination_head"} <= changed[2]
 
 
+def test_long_demonstrations_are_encoded_in_parts() -> None:
+    demonstrations, labels = demonstrate(4, seed=0)
+    long = Trajectories(
+        {"front": [np.tile(each, (50, 1, 1, 1)) for each in demonstrations.frames["front"]]},
+        [np.tile(each, (50, 1)) for each in map(np.asarray, demonstrations.actions)],
+    )
+    cloned = prepare(long, [np.tile(each, 50) for each in labels])
+    state, at_once = cloned.init(torch.Generator().manual_seed(0)), []
+    state.network.hand.register_forward_pre_hook(lambda _, args: at_once.append(len(args[0])))
+    cloned.update(replace(state, step=FAST.steps - 1), np.arange(16))
+    assert max(at_once) <= 256 < min(long.lengths())
+    assert sum(at_once) == sum(long.lengths())
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [(("dy", "Left.Gripper"), (False, True)), (("dy", "dz"), (False, False)), ((), (False, False))],
+)
+def test_a_gripper_is_known_by_its_name_in_any_case(names: tuple[str, ...], expected: tuple[bool, ...]) -> None:
+    spec = network_spec(FAST, cameras=CAMERAS, action=ActionSpec(2, 0, names), skills=SKILLS)
+    assert spec.is_gripper == expected
+
+
 def test_segments_are_runs_of_one_skill_that_are_long_enough() -> None:
     labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1, -1, -1])]
     assert find_segments(labels, min_steps=2) == [

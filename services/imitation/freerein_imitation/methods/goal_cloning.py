@@ -41,6 +41,7 @@ def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[Goa
         **control.to_card(),
         "figures": fitted.figures | figures,
         "supervision": "images and executed actions of exploration",
+        "warnings": learner.warnings(fitted.network),
     }
 
 

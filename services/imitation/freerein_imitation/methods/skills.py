@@ -1,5 +1,6 @@
 """Skill policies, for recipes: behavioural cloning of labelled segments (section 2.4)."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -10,7 +11,7 @@ from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsSpec
+from freerein_imitation.model.skills import GRIPPER, SkillsNetwork, SkillsPolicy, SkillsSpec
 from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
 
 
@@ -44,7 +45,18 @@ def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNe
         "figures": fitted.figures | figures,
         "labels": asdict(labels.info(source.root)),
         "supervision": "images and executed actions of demonstrations, and skills predicted from tags",
+        "warnings": [*_without_gripper(learner.spec)],
     }
+
+
+def _without_gripper(spec: SkillsSpec) -> Iterator[str]:
+    """Yields a warning where no number of an action is a gripper's."""
+    if not any(spec.is_gripper):
+        yield (
+            f"The number of an action that moves a gripper must have `{GRIPPER}` in its name; got "
+            f"{', '.join(spec.action.names) or 'no names'}. Without one, a skill's object is taken to be where its "
+            "segment ends, and to be put there. If the robot has a gripper, name its number so, and fit again."
+        )
 
 
 def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:

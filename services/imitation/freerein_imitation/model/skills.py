@@ -33,7 +33,7 @@ from freerein_imitation.model.policy import (
 )
 
 GRIPPER = "gripper"
-"""In the name of an action's number that opens and closes a gripper."""
+"""In the name of an action's number that opens and closes a gripper, in any case."""
 
 _CROP_FEATURES = 64
 _CONTEXT, _CONTEXT_FEATURES = 8, 24
@@ -77,8 +77,9 @@ class SkillsSpec(InputSpec):
 
     @property
     def is_gripper(self) -> tuple[bool, ...]:
-        """Which numbers of an action move a gripper's fingers, and not the hand."""
-        return tuple(GRIPPER in name for name in self.action.names)
+        """Which numbers of an action move a gripper's fingers, and not the hand; none where they have no names."""
+        names = self.action.names or ("",) * self.action.size
+        return tuple(GRIPPER in name.lower() for name in names)
 
 
 class SkillsNetwork(nn.Module):

@@ -36,6 +36,7 @@ from freerein_imitation.training.goal_windows import (
     sample_windows,
     window_steps,
 )
+from freerein_imitation.training.odometry_check import odometry_warnings
 from freerein_imitation.training.positive_unlabelled import positive_unlabelled_calibration
 
 _NORMALISATION_FRAMES = 1500
@@ -164,6 +165,14 @@ class GoalCloningLearner:
         rng = np.random.default_rng(self.config.seed)
         parts = [vars(self._losses(network, batch, rng)).values() for batch in self._validation_batches(rng)]
         return GoalCloningLosses(*(torch.stack(terms).mean() for terms in zip(*parts, strict=True)))
+
+    def warnings(self, network: GoalCloningNetwork) -> list[str]:
+        """Returns a warning where places do not tell continuous actions of validation trajectories."""
+        if self.spec.action.choices:
+            return []
+        rng = np.random.default_rng(self.config.seed)
+        windows = self._validation_batches(rng)
+        return odometry_warnings(network, windows, rng, max_goal_steps=self.config.max_goal_steps)
 
     @torch.no_grad()
     def calibrate(self, network: GoalCloningNetwork) -> None:

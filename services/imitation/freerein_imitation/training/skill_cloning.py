@@ -285,10 +285,22 @@ class SkillCloningLearner:
         )
 
     def _encode(self, network: SkillCloningNetwork, batch: SpanBatch) -> Tensor:
-        """Returns the features of spans and of the timesteps before them, float32 (B, n + L, D)."""
-        frames, states = {name: each.to(self.device) for name, each in batch.frames.items()}, batch.robot_states
-        features = network.encode(frames, None if states is None else self._tensor(states))
-        return features.view(len(batch.skill), -1, features.shape[1])
+        """Returns the features of spans and of the timesteps before them, float32 (B, n + L, D).
+
+        They are encoded in parts, none of which has more frames than an update.
+        """
+        spans, length = batch.skill.shape
+        count = spans * (self.config.memory + length)
+        at_once = self.config.batch_size * (self.config.memory + self.config.span)
+        features = torch.cat(
+            [self._encode_part(network, batch, slice(at, at + at_once)) for at in range(0, count, at_once)]
+        )
+        return features.view(spans, -1, features.shape[1])
+
+    def _encode_part(self, network: SkillCloningNetwork, batch: SpanBatch, part: slice) -> Tensor:
+        frames = {name: each[part].to(self.device) for name, each in batch.frames.items()}
+        states = None if batch.robot_states is None else self._tensor(batch.robot_states[part])
+        return network.encode(frames, states)
 
     def _augmented(self, batch: SpanBatch, rng: np.random.Generator) -> SpanBatch:
         """Returns a batch with shifted frames, where some spans have no earlier frames, and some no past actions."""

@@ -334,10 +334,9 @@ class SkillsLearner:
     def _hands(self, network: SkillsNetwork) -> list[Tensor]:
         """Returns places of the hand in all training frames, by trajectory: float32 (T, 2)."""
         if self._found.hands is None:
-            lengths = self.demonstrations.lengths()
             self._found.hands = [
-                network.hand(self._pixels(network, np.full(lengths[item], item), np.arange(lengths[item])))
-                for item in range(len(lengths))
+                torch.cat([network.hand(self._pixels(network, np.full(len(at), item), at)) for at in _parts(length)])
+                for item, length in enumerate(self.demonstrations.lengths().tolist())
             ]
         return self._found.hands
 
@@ -380,3 +379,11 @@ class SkillsLearner:
 
     def _tensor(self, array: npt.NDArray[np.generic]) -> Tensor:
         return torch.from_numpy(array).to(self.device)
+
+
+def _parts(length: int) -> list[Ints]:
+    """Returns the timesteps of a trajectory, in parts that are encoded at once."""
+    return [
+        np.arange(start, min(start + _FRAMES_AT_ONCE, length), dtype=np.int64)
+        for start in range(0, length, _FRAMES_AT_ONCE)
+    ]
