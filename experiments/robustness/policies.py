@@ -44,7 +44,12 @@ WORDINGS_OF_SIDES = tuple(
         "slide the green one to the {other} of the yellow one",
     )
 )
-"""Wordings and converses of which no text that a policy is trained on has the words: those of the left, then right."""
+"""Wordings and converses, of the left, then of the right; none is a goal text that a policy is trained on.
+
+The random texts that train the text reader have `yellow`, `green`, `block`, and the wordings of relations. Held out are
+verbs (`want`, `arrange`, `slide`), the sentences around a statement (`could you`, `so that`), and `cube`. The converse
+without a verb has nothing that is held out.
+"""
 
 _HELD_OUT_SEED = 1_000_003
 _LABEL_STEPS = 4000

@@ -1,7 +1,9 @@
 """Random goal texts whose words are tagged: what a `GoalTextReader` is trained on.
 
-They name objects that no dataset needs to show. A reader is to learn where a noun phrase begins and ends, and which
-words relate it to the other, whatever it names and however it is said.
+A reader is to learn where a noun phrase begins and ends, and which words relate it to the other, whatever it names and
+however it is said. Most objects here need be in no dataset, but `yellow`, `green` and `block` are words of these texts,
+and so are the wordings of relations. Of the wordings that test language policies only these are held out: verbs
+(`want`, `arrange`, `slide`), the sentences around a statement (`could you`, `so that`), and `cube`.
 """
 
 from collections.abc import Mapping
