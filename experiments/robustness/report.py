@@ -46,7 +46,10 @@ flag says so; its baseline is `goal_conditioned`. Skills are cloned from demonst
 segmentation, and execute all four in random order; the ceiling is the scripted expert. PPO's actor and critic begin
 with random weights, behind a frozen eye that comes from the shipped reward model. They are rewarded by that model, and
 for coming nearer to the block as the eye sees it, under `start-on-the-way`; the oracle evaluates them from the task's
-own starts, beside the expert in the same episodes. Steps are simulated control ticks.
+own starts, beside the expert in the same episodes. Steps are simulated control ticks. Of the wordings that the language
+policy is told, verbs, the sentences around a statement and the noun `cube` are held out of the random texts that train
+its text reader; `yellow`, `green`, `block` and the wordings of relations are not, and a converse without a verb has
+nothing that is held out.
 
 `blocks` is the world in which these methods were developed, with true states in sight of people though not of learners:
 episodes here are held out, the world is not. Reward fits without augmentation have two seeds.

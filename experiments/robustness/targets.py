@@ -194,7 +194,7 @@ TARGETS = (
     ),
     _told(
         "language_wordings",
-        "episodes that end as told, held-out wordings and converses, %",
+        "episodes that end as told, wordings and converses that no teacher has, %",
         policies.WORDINGS,
         least=90,
         unit=_PER_CENT,
