@@ -174,9 +174,8 @@ def returns_figure(curve: Sequence[tuple[int, float]], bars: Mapping[str, Mappin
         left=0.05,
         top=0.78,
     )
-    left, *panels = figure.subplots(
-        1, 1 + len(bars), gridspec_kw={"width_ratios": [1.2, *(1.0 for _ in bars)], "wspace": 0.14}
-    )
+    widths = [4, *map(len, bars.values())]  # as many as bars, so that their names fit
+    left, *panels = figure.subplots(1, 1 + len(bars), gridspec_kw={"width_ratios": widths, "wspace": 0.14})
     figure.subplots_adjust(right=0.985, bottom=0.12)
     _draw_curve(left, curve)
     top = 1.1 * max(each.high or each.value for group in bars.values() for each in group.values())
