@@ -58,6 +58,7 @@ class Core:
     health: Health
     versions: list[ModelRef]
     around: Callable[[Any], ControlService]
+    metrics: Metrics
 
 
 @pytest.fixture
@@ -70,10 +71,10 @@ async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
         cache: Any = ModelCache(store, lambda _folder: policy, fit_command="none")
         return ControlService(cache, batcher, health=health, drain_s=5.0)
 
-    batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=Metrics())
-    health = Health()
+    metrics, health = Metrics(), Health()
+    batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=metrics)
     control = ControlService(models, batcher, health=health, drain_s=5.0)
-    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions, around)
+    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions, around, metrics)
     batcher.close()
 
 

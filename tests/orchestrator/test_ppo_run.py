@@ -109,19 +109,20 @@ def test_a_run_s_policy_is_published_and_answers(
 
 
 class Killer:
-    """Kills a service at the `count`th call, and restarts it at its address."""
+    """Kills a service at the first call after a run has recorded a row, and restarts it at its address."""
 
-    def __init__(self, service: Any, module: str, start: Callable[..., Any], *, count: int) -> None:
+    def __init__(self, service: Any, module: str, start: Callable[..., Any], run: Any) -> None:
         self._service = service
         self._module = module
         self._start = start
-        self._left = count
+        self._run = run
+        self._is_done = False
         self._lock = threading.Lock()
 
     def __call__(self) -> bool:
         with self._lock:
-            self._left -= 1
-            if self._left == 0:
+            if not self._is_done and self._run.rows:
+                self._is_done = True
                 self._service.process.send_signal(signal.SIGKILL)
                 self._service.process.wait()
                 threading.Thread(target=self._again).start()
@@ -144,7 +145,7 @@ def test_a_run_outlives_a_service_that_is_killed_and_ends_with_the_same_weights(
     module = f"freerein_{name}"
     own = {**services, name: start_service(module, FREEREIN_SIM_WORKERS="1")}
     run = ppo("killed", own)
-    assert run.do(stop=Killer(own[name], module, start_service, count=45))
+    assert run.do(stop=Killer(own[name], module, start_service, run))
     assert run.artifact("policy.json") == expected
     assert sum(row["recoveries"] for row in run.rows) >= 1
 
