@@ -76,13 +76,13 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
     by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
     sections, made, plotted = [], [], []
     targets = [target for target in report.targets if by_world[target.world][1].chosen(target.rows)]
+    cells_of_targets = []
     for target in targets:
-        made.append(_target_claim(report, *by_world[target.world], target))
+        study, rows = by_world[target.world]
+        made.append(_target_claim(report, study, target.counted(rows), target))
+        cells_of_targets.append(_target_cells(target, made[-1], target.counted(rows)))
     if targets:
-        cells = [
-            _target_cells(target, claim, by_world[target.world][1]) for target, claim in zip(targets, made, strict=True)
-        ]
-        sections.append(Section(_CLAIM_HEADER, tuple(cells), title="Claims"))
+        sections.append(Section(_CLAIM_HEADER, tuple(cells_of_targets), title="Claims"))
     for study, rows in by_world.values():
         if rows.arms:
             of_rows = {row: [_row_claim(report, study, rows, row, split) for split in SPLITS] for row in rows.arms}

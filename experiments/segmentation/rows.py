@@ -1,7 +1,7 @@
 """Rows of a table: the arms of one world that differ in the seed alone, and their figures."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from experiments.segmentation.evaluation import ACTION_LOSS, IS_DECIDED, TAG_LOSS
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
-from experiments.workbench.results import ArmResult
+from experiments.workbench.results import ArmResult, Sample
 
 PER_CENT = 100
 
@@ -59,6 +59,10 @@ class Rows:
     def _objective(self, row: Row) -> str:
         return str(cast(Any, self.arms[row][0].config["fit"])["objective"])
 
+    def from_trial(self, first: int, figure: str) -> "Rows":
+        """Returns the same rows with the samples of one figure, from a trial on; its mean in `figures` stays."""
+        return Rows({row: [_from_trial(arm, first, figure) for arm in arms] for row, arms in self.arms.items()})
+
     def mean(self, row: Row, figure: str) -> float:
         """Returns the mean of a figure over seeds."""
         return float(np.mean([arm.figures[figure] for arm in self.arms[row]]))
@@ -93,3 +97,10 @@ class Rows:
         """Returns the value with full supervision in a network's context; None for itself."""
         ceiling = Row(SUPERVISED, row.context)
         return None if row == ceiling or not row.context else self.value(ceiling, figure)
+
+
+def _from_trial(arm: ArmResult, first: int, figure: str) -> ArmResult:
+    found = arm.samples.get(figure)
+    if found is None:
+        return arm
+    return replace(arm, samples={figure: Sample(found.totals[first:], found.counts[first:])})

@@ -31,6 +31,7 @@ class Target:
             5 points of it here.
         above_row: A row whose interval must lie below its own.
         least_figures: Other figures of the row, as shares, that must reach a least value.
+        first_trial: Index of the first trajectory that counts, where those before it had been looked at already.
     """
 
     claim: str
@@ -43,6 +44,11 @@ class Target:
     above: float | None = None
     above_row: Row | None = None
     least_figures: Mapping[str, float] = field(default_factory=dict)
+    first_trial: int = 0
+
+    def counted(self, rows: Rows) -> Rows:
+        """Returns the rows with the trajectories that count."""
+        return rows.from_trial(self.first_trial, self.figure) if self.first_trial else rows
 
     def row(self, rows: Rows) -> Row:
         """Returns whose figure it is.

@@ -44,7 +44,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
     made_by: dict[str, JSON] = {
         "fit": json.loads(json.dumps(asdict(config))),
         "supervised": arm.method == SUPERVISED,
-        "data": json.loads(json.dumps(asdict(study.data))),
+        "data": {part: each for part, each in json.loads(json.dumps(asdict(study.data))).items() if part != "test"},
         "learning_rates": list(study.learning_rates),
         "world_hash": world_hash,
     }
