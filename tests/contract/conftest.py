@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import grpc
 import httpx
 import pytest
-from fastapi import FastAPI
+from starlette.applications import Starlette
 
 from freerein import errors, wire
 from freerein.clients.grpc_errors import service_error
@@ -37,7 +37,8 @@ class Transports:
     core: Transport
     rest: Transport
     grpc: Transport
-    app: FastAPI
+    app: Starlette
+    document: dict[str, Any]
     channel: grpc.aio.Channel
 
     @property
@@ -74,7 +75,8 @@ async def _connect(build: Build, data_dir: Path) -> AsyncIterator[Transports]:
         await grpc_server.server.start()
         stack.push_async_callback(grpc_server.server.stop, None)
         channel = await stack.enter_async_context(grpc.aio.insecure_channel(f"127.0.0.1:{port}"))
-        yield Transports(service.methods, _call_core, _Rest(client), _Grpc(channel), app, channel)
+        document = (await client.get("/openapi.json")).json()
+        yield Transports(service.methods, _call_core, _Rest(client), _Grpc(channel), app, document, channel)
 
 
 async def _call_core(method: Method, request: object) -> list[Any]:

@@ -314,7 +314,7 @@ async def test_events_are_equal_over_every_transport_and_can_be_resumed(learning
 
 
 async def test_every_rpc_is_reachable_over_rest_and_grpc(transports: Any) -> None:
-    paths = transports.app.openapi()["paths"]
+    paths = transports.document["paths"]
     for method in transports.methods:
         if method.rest_form != "none":
             assert list(paths[method.path]) == ["get" if method.reads else "post"]
@@ -338,7 +338,7 @@ async def test_reflection_lists_what_the_grpc_server_serves(transports: Any) -> 
 async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
     transports: Any,
 ) -> None:
-    document = transports.app.openapi()
+    document = transports.document
     schemathesis.openapi.from_dict(document).validate()
     schemas = document["components"]["schemas"]
     served = [method for method in transports.methods if method.rest_form != "none"]

@@ -55,7 +55,7 @@ class Door:
         self._opened = opened
         transport = httpx.ASGITransport(opened.app, raise_app_exceptions=False)
         self._client = httpx.AsyncClient(transport=transport, base_url="http://service")
-        self.document = opened.app.openapi()
+        self.document = opened.document
 
     async def send_json(self, name: str, changes: Mapping[str, Any], **options: Any) -> httpx.Response:
         method = self._opened.method(name)

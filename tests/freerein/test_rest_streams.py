@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from fastapi import FastAPI
+from starlette.applications import Starlette
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.api.orchestrator.v1 import orchestrator_pb2
@@ -75,7 +75,7 @@ class Call:
         reading: Whether the client takes the reply.
     """
 
-    def __init__(self, app: FastAPI, path: str, *, run_id: str = "0" * 32, reads: bool = True) -> None:
+    def __init__(self, app: Starlette, path: str, *, run_id: str = "0" * 32, reads: bool = True) -> None:
         self.status, self.body = 0, b""
         self.asked, self.begun, self.received = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.commented = asyncio.Event()
@@ -113,11 +113,11 @@ def core() -> Core:
 
 
 @pytest.fixture
-def app(core: Core) -> FastAPI:
+def app(core: Core) -> Starlette:
     return make_toy(core, Limits(streams=STREAMS))
 
 
-def make_toy(core: Core, limits: Limits) -> FastAPI:
+def make_toy(core: Core, limits: Limits) -> Starlette:
     contracts = learning_pb2.DESCRIPTOR.services_by_name, orchestrator_pb2.DESCRIPTOR.services_by_name
     methods = methods_of(contracts[0]["FitService"], core) + methods_of(contracts[1]["OrchestratorService"], core)
     return make_app("toy", methods, health=Health(), metrics=Metrics(), limits=limits)
@@ -137,7 +137,7 @@ async def test_a_stream_of_events_has_comments_where_it_has_no_events(core: Core
 
 
 @pytest.mark.parametrize("path", [EVENTS, FILE])
-async def test_a_stream_above_the_limit_is_refused_at_once(app: FastAPI, path: str) -> None:
+async def test_a_stream_above_the_limit_is_refused_at_once(app: Starlette, path: str) -> None:
     streams = [Call(app, path) for _ in range(STREAMS)]
     for stream in streams:
         await soon(stream.received.wait())
@@ -151,7 +151,7 @@ async def test_a_stream_above_the_limit_is_refused_at_once(app: FastAPI, path: s
 
 
 @pytest.mark.parametrize("path", [EVENTS, FILE])
-async def test_a_stream_holds_its_slot_while_its_reply_begins(app: FastAPI, path: str) -> None:
+async def test_a_stream_holds_its_slot_while_its_reply_begins(app: Starlette, path: str) -> None:
     slow = [Call(app, path, reads=False) for _ in range(STREAMS)]
     for stream in slow:
         await soon(stream.begun.wait())
@@ -190,7 +190,7 @@ async def leave_within_the_body(call: Call) -> None:
     ids=["first item raises", "gone before first item", "gone before body", "gone within body"],
 )
 async def test_a_slot_is_released_once_however_its_stream_ends(
-    app: FastAPI, core: Core, path: str, run_id: str, reads: bool, end: Callable[[Call], Awaitable[None]]
+    app: Starlette, core: Core, path: str, run_id: str, reads: bool, end: Callable[[Call], Awaitable[None]]
 ) -> None:
     for _ in range(STREAMS + 1):
         await end(Call(app, path, run_id=run_id, reads=reads))

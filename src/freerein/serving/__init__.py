@@ -1,6 +1,6 @@
 """The parts of a service: REST API and gRPC server over one core, limits, auth, health, batching, models.
 
-    core object --methods--> rest (FastAPI) | grpc_server (grpc.aio) --lifecycle--> a process
+    core object --methods--> rest (Starlette) | grpc_server (grpc.aio) --lifecycle--> a process
 
 The core has one coroutine per RPC of the service's `.proto`, of the same name; REST and gRPC are generated from it.
 """

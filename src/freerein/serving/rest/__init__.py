@@ -1,1 +1,1 @@
-"""The REST API of a service: a FastAPI app made from its methods, its middleware and its HTTP server."""
+"""The REST API of a service: a Starlette app made from its methods, its middleware and its HTTP server."""

@@ -1,4 +1,4 @@
-"""The FastAPI app of a service: one route per method, health, metrics, and errors as problem documents."""
+"""The Starlette app of a service: one route per method, health, metrics, and errors as problem documents."""
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Sequence
@@ -8,14 +8,15 @@ from functools import cache
 from typing import Any, cast
 
 import orjson
-from fastapi import FastAPI
+from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 
-from freerein import __version__, wire
+from freerein import wire
 from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
 from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
@@ -24,9 +25,9 @@ from freerein.serving.limits import Limits, Slots
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body, pictures, tensor_lists
-from freerein.serving.rest.docs_page import add_docs_page
+from freerein.serving.rest.docs_page import docs_routes
 from freerein.serving.rest.middleware import RequestMiddleware
-from freerein.serving.rest.openapi import MEDIA_TYPES, openapi_document
+from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
@@ -43,27 +44,25 @@ def make_app(
     token: str = "",
     origins: Sequence[str] = (),
     open_websocket: OpenSession | None = None,
-) -> FastAPI:
+) -> Starlette:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
     An empty `token` allows every call. Web pages of the `origins` may call it, too. With `open_websocket` it has a
     WebSocket.
     """
     served = [method for method in methods if method.rest_form != "none"]
-    app = FastAPI(title=f"freerein {name}", version=__version__, docs_url=None, redoc_url=None, redirect_slashes=False)
-    slots = Slots(limits.streams, "streams may be open")
-    for method in served:
-        answer = _unary(method, limits) if method.rest_form == "reply" else _stream(method, limits, slots)
-        app.add_route(method.path, answer, methods=["GET" if method.reads else "POST"], include_in_schema=False)
-    _add_health_and_metrics(app, health, metrics)
-    add_docs_page(app)
+    routes = [
+        *_method_routes(served, limits),
+        *_health_and_metrics_routes(health, metrics),
+        *docs_routes(cache(lambda: openapi_document(served, service=name)), title=api_title(name)),
+    ]
     if open_websocket is not None:
         endpoint = WebSocketEndpoint(
             open_websocket, health=health, metrics=metrics, limits=limits, token=token, origins=origins
         )
-        app.router.add_websocket_route(PATH, endpoint.serve)
-    app.add_exception_handler(HTTPException, _answer_http_exception)
-    app.openapi = cache(lambda: openapi_document(app, served, service=name))  # type: ignore[method-assign]  # FastAPI's documented way
+        routes.append(WebSocketRoute(PATH, endpoint.serve))
+    app = Starlette(routes=routes, exception_handlers={HTTPException: _answer_http_exception})
+    app.router.redirect_slashes = False
     recorders = {
         method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
     }
@@ -78,6 +77,18 @@ def make_app(
             expose_headers=["retry-after", "x-request-id"],
         )
     return app
+
+
+def _method_routes(methods: Sequence[Method], limits: Limits) -> list[BaseRoute]:
+    slots = Slots(limits.streams, "streams may be open")
+    return [
+        Route(
+            method.path,
+            _unary(method, limits) if method.rest_form == "reply" else _stream(method, limits, slots),
+            methods=["GET" if method.reads else "POST"],
+        )
+        for method in methods
+    ]
 
 
 def _unary(method: Method, limits: Limits) -> _Endpoint:
@@ -210,7 +221,7 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-def _add_health_and_metrics(app: FastAPI, health: Health, metrics: Metrics) -> None:
+def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRoute]:
     async def live(_request: Request) -> Response:
         return Response(b'{"live":true}', media_type="application/json")
 
@@ -222,14 +233,13 @@ def _add_health_and_metrics(app: FastAPI, health: Health, metrics: Metrics) -> N
     async def prometheus(_request: Request) -> Response:
         return Response(metrics.text(), media_type="text/plain; version=0.0.4")
 
-    for path, endpoint in (
-        ("/healthz", live),
-        ("/v2/health/live", live),
-        ("/readyz", ready),
-        ("/v2/health/ready", ready),
-        ("/metrics", prometheus),
-    ):
-        app.add_route(path, endpoint, methods=["GET"], include_in_schema=False)
+    return [
+        Route("/healthz", live),
+        Route("/v2/health/live", live),
+        Route("/readyz", ready),
+        Route("/v2/health/ready", ready),
+        Route("/metrics", prometheus),
+    ]
 
 
 def _respond(request: Request, error: ServiceError) -> Response:

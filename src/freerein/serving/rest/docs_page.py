@@ -1,12 +1,14 @@
 """Swagger UI at `/docs`, from files of the package fastapi-offline: it opens without internet. `/` leads there."""
 
+from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
+from typing import Any
 
-from fastapi import FastAPI
-from fastapi.openapi.docs import get_swagger_ui_html
+import orjson
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
+from starlette.routing import BaseRoute, Route
 
 _MEDIA_TYPES = {
     "swagger-ui-bundle.js": "text/javascript",
@@ -15,14 +17,19 @@ _MEDIA_TYPES = {
 }
 
 
-def add_docs_page(app: FastAPI) -> None:
-    """Adds the page, its files and the redirection to an app that serves `/openapi.json`."""
+def docs_routes(document: Callable[[], dict[str, Any]], *, title: str) -> list[BaseRoute]:
+    """Returns the routes of the page, its files, the redirection, and the OpenAPI document that it shows."""
     script, style, icon = (f"docs/{name}" for name in _MEDIA_TYPES)
 
+    async def openapi(_request: Request) -> Response:
+        return Response(orjson.dumps(document()), media_type="application/json")
+
     async def page(_request: Request) -> Response:
+        from fastapi.openapi.docs import get_swagger_ui_html  # half a second at the start of a service
+
         return get_swagger_ui_html(
             openapi_url="openapi.json",
-            title=app.title,
+            title=title,
             swagger_js_url=script,
             swagger_css_url=style,
             swagger_favicon_url=icon,
@@ -31,10 +38,12 @@ def add_docs_page(app: FastAPI) -> None:
     async def root(_request: Request) -> Response:
         return RedirectResponse("docs")
 
-    app.add_route("/docs", page, include_in_schema=False)
-    app.add_route("/", root, include_in_schema=False)
-    for name, media_type in _MEDIA_TYPES.items():
-        app.add_route(f"/docs/{name}", partial(_file, name, media_type), include_in_schema=False)
+    return [
+        Route("/openapi.json", openapi),
+        Route("/docs", page),
+        Route("/", root),
+        *(Route(f"/docs/{name}", partial(_file, name, media_type)) for name, media_type in _MEDIA_TYPES.items()),
+    ]
 
 
 async def _file(name: str, media_type: str, _request: Request) -> Response:

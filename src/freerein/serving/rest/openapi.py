@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
 from google.protobuf.descriptor import Descriptor
 
+from freerein import __version__
 from freerein.api.common.v1 import common_pb2
 from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE, TITLES
 from freerein.serving.methods import Method, RestForm
@@ -46,9 +45,15 @@ _PROBLEM_SCHEMA = {
 }
 
 
-def openapi_document(app: FastAPI, methods: Sequence[Method], *, service: str) -> dict[str, Any]:
-    """Returns the OpenAPI document of an app that serves these methods of a service."""
-    document = get_openapi(title=app.title, version=app.version, routes=[])
+def api_title(service: str) -> str:
+    """Returns the title of a service's REST API."""
+    return f"freerein {service}"
+
+
+def openapi_document(methods: Sequence[Method], *, service: str) -> dict[str, Any]:
+    """Returns the OpenAPI document of these methods of a service."""
+    info = {"title": api_title(service), "version": __version__}
+    document: dict[str, Any] = {"openapi": "3.1.0", "info": info, "paths": {}}
     schemas: dict[str, Any] = {"Problem": _PROBLEM_SCHEMA}
     for method in methods:
         document["paths"][method.path] = _operation(method, schemas, service)
