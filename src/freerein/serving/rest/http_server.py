@@ -16,9 +16,11 @@ from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.rest.middleware import MAX_HEADER_BYTES
 
+MOST_PIPELINED = 256
+"""Requests on a connection that wait for the reply to an earlier one; each takes kilobytes."""
+
 _MIN_MEAN_CHUNK_BYTES = 64
 _MIN_BYTES_IN_CHUNKS = 16 * 1024  # fewer may come in chunks of any size
-_MOST_PIPELINED = 256
 
 
 class _PipelineFlow(FlowControl):
@@ -82,7 +84,7 @@ class DeadlineProtocol(HttpToolsProtocol):
         self._in_head, self._head_bytes = False, 0
         if [name for name, _ in self.headers].count(b"host") != 1 and self.parser.get_http_version() == "1.1":
             raise ValueError("a request must have one Host")
-        if len(self.pipeline) >= _MOST_PIPELINED:
+        if len(self.pipeline) >= MOST_PIPELINED:
             raise ValueError("too many requests wait")
         super().on_headers_complete()
         if self.pipeline:
@@ -184,7 +186,7 @@ def _bad_request() -> bytes:
     request_id = uuid.uuid4().hex
     error = MalformedRequest(
         "The bytes must be an HTTP/1.1 request with one Host, a method of HTTP, headers of at most 16 KiB, and chunks "
-        f"of 64 bytes or more on average, and at most {_MOST_PIPELINED} may wait for an answer; they are not.",
+        f"of 64 bytes or more on average, and at most {MOST_PIPELINED} may wait for an answer; they are not.",
         hint="Use an HTTP client that sends large chunks, or Content-Length, and a request after the reply to another.",
     )
     body = problem_document(error, request_id)
