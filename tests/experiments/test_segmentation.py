@@ -296,3 +296,12 @@ def test_ours_is_compared_with_the_dissertations_method_in_the_dissertations_con
 def test_a_claim_is_met_only_with_all_that_it_needs(target: dict[str, Any], rows: Rows, missing: str) -> None:
     found = Target("claim", "dial", (Row("ours", "all"),), **target).missing(rows)
     assert (missing in found[0] and len(found) == 1) if missing else not found
+
+
+def test_a_claim_may_leave_out_trajectories_that_were_looked_at() -> None:
+    ours = Row("ours", "all")
+    (result, *_) = rows_with(ours=0.8).arms[ours]
+    rows = Rows.of([replace(result, samples={TEST_ACCURACY: Sample([0, 0, 9, 8], [10, 10, 10, 10])})], "dial")
+    target = Target("claim", "dial", (ours,), first_trial=2)
+    assert target.counted(rows).value(ours, TEST_ACCURACY) == pytest.approx(85)
+    assert rows.value(ours, TEST_ACCURACY) == pytest.approx(42.5)
