@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
 from functools import reduce
@@ -527,3 +528,20 @@ def test_a_demonstration_that_cannot_be_is_refused(request_: dict[str, object]) 
 def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
     with pytest.raises(FailedPrecondition, match="within 10 tries"):
         demonstrations.make_demonstration(TASKS["grid"], Hopeless(indicator=True), DemonstrateRequest("grid", "expert"))
+
+
+@pytest.mark.fault("M6")
+async def test_a_worker_that_hangs_while_it_starts_does_not_hold_up_the_end() -> None:
+    pool = WorkerPool(workers=1, stuck_s=600.0)
+    starting = asyncio.create_task(pool.start())
+    while not children():  # noqa: ASYNC110  # no event tells of a process
+        await asyncio.sleep(0)
+    stop(children()[0])
+    begun = time.monotonic()
+
+    starting.cancel()
+    await pool.close()
+
+    assert time.monotonic() - begun < 30  # a worker may take 60 s to start
+    assert starting.cancelled()
+    assert children() == []

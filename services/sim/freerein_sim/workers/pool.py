@@ -97,11 +97,18 @@ class _WorkerSlot:
             raise worker_lost()
         if self._filling is None:
             self._filling = asyncio.create_task(self._start())
-        return await asyncio.shield(self._filling)
+        filling = self._filling
+        try:
+            return await asyncio.shield(filling)
+        except asyncio.CancelledError:
+            if filling.cancelled():  # and not the caller
+                raise worker_lost() from None
+            raise
 
     async def close(self) -> None:
         self._is_closed = True
         if self._filling is not None:
+            self._filling.cancel()  # it may hang while it starts
             await asyncio.wait([self._filling])
         if self._worker is not None:
             await self._worker.close()
@@ -123,9 +130,7 @@ class _WorkerSlot:
             try:
                 return await Worker.start(stuck_s=self._stuck_s)
             except WorkerLost:
-                await asyncio.sleep(0 if self._is_closed else pause_s)
-                if self._is_closed:
-                    raise
+                await asyncio.sleep(pause_s)
         try:
             return await Worker.start(stuck_s=self._stuck_s)
         except WorkerLost:
@@ -141,4 +146,5 @@ class _WorkerSlot:
         try:
             await self.fill()
         except WorkerLost:
-            _LOG.error("a worker keeps dying while starting; the next session starts another")
+            if not self._is_closed:
+                _LOG.error("a worker keeps dying while starting; the next session starts another")

@@ -42,13 +42,21 @@ class Worker:
 
     @classmethod
     async def start(cls, *, stuck_s: float) -> "Worker":
-        """Starts a child, and returns when it answers. Raises WorkerLost if it died before."""
+        """Starts a child, and returns when it answers; a call that is cancelled ends it.
+
+        Raises:
+            WorkerLost: It died before.
+        """
         ours, theirs = socket.socketpair()
         with theirs:
+            _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
             process = _spawn(theirs)
-        _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
         worker = cls(process, connection, stuck_s=stuck_s)
-        await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
+        try:
+            await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
+        except asyncio.CancelledError:
+            await worker.close()
+            raise
         return worker
 
     @property
