@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.types.common import Camera
 
 _GRID = 8
@@ -18,7 +18,7 @@ _GRID = 8
 _FRAMES_AT_ONCE = 16
 
 
-def image_statistics(frames: Frames) -> Tensor:
+def image_statistics(frames: FrameTensors) -> Tensor:
     """Returns mean colour and contrast in a grid, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
     return torch.cat([_of_one_camera(each) for each in frames.values()], dim=1)
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -121,6 +121,6 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
             in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
         )
 
-    def _encode(self, frames: Frames) -> Tensor:
+    def _encode(self, frames: FrameTensors) -> Tensor:
         features: Tensor = self._network.encoder(frames)
         return features

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -92,7 +92,7 @@ class GoalImagesNetwork(nn.Module):
         self.recognizer = GoalRecognizer(spec)
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
-    def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
         self.policy.encoder.fit_normalisation(frames, generator=generator)
         self.recognizer.encoder.fit_normalisation(frames, generator=generator)
@@ -109,7 +109,7 @@ class GoalRecognizer(nn.Module):
         self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.embedding_size)
         self.projection = nn.Linear(self.encoder.size, spec.embedding_size, bias=False)
 
-    def forward(self, frames: Frames) -> Tensor:
+    def forward(self, frames: FrameTensors) -> Tensor:
         """Returns embeddings, float32 (N, embedding_size), of frames uint8 (N, H, W, C) by camera."""
         embedding: Tensor = self.projection(self.encoder(frames))
         return embedding
@@ -162,6 +162,6 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
             in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
         )
 
-    def _encode(self, frames: Frames) -> Tensor:
+    def _encode(self, frames: FrameTensors) -> Tensor:
         """Returns the policy's features beside the recognizer's embedding, float32 (N, G)."""
         return torch.cat([self._network.policy.encoder(frames), self._network.recognizer(frames)], dim=1)

@@ -21,7 +21,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -90,7 +90,7 @@ class LanguageNetwork(nn.Module):
         self.register_buffer("known_texts", torch.zeros(spec.known_texts, spec.text_components))
 
     @torch.no_grad()
-    def fit_normalisation(self, frames: Frames, texts: Tensor, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: FrameTensors, texts: Tensor, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoder, and mean and principal components of the goal texts.
 
         Args:
@@ -103,7 +103,7 @@ class LanguageNetwork(nn.Module):
         self.text_basis.copy_(principal_components(texts))
         self.known_texts.copy_(self._components(texts))
 
-    def forward(self, frames: Frames, texts: Tensor) -> Tensor:
+    def forward(self, frames: FrameTensors, texts: Tensor) -> Tensor:
         """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
 
         Args:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import parse
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GoalForm
@@ -236,10 +236,10 @@ class TorchPolicy(Generic[N]):
         """Returns a copy on the network's device; arrays from the wire are read-only."""
         return torch.tensor(array, device=self._device)
 
-    def _tensors(self, frames: CameraFrames) -> Frames:
+    def _tensors(self, frames: CameraFrames) -> FrameTensors:
         return {camera: self._tensor(each) for camera, each in frames.items()}
 
-    def _encode_images(self, encode: Callable[[Frames], Tensor], images: CameraFrames) -> npt.NDArray[np.float32]:
+    def _encode_images(self, encode: Callable[[FrameTensors], Tensor], images: CameraFrames) -> npt.NDArray[np.float32]:
         """Returns the codes of images by camera, uint8 (N, H, W, C), some at a time: float32 (N, code size)."""
         count = len(next(iter(images.values())))
         batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]

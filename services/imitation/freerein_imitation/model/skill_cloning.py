@@ -20,7 +20,7 @@ from torch.nn import functional
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -117,7 +117,7 @@ class SkillCloningNetwork(nn.Module):
             self.robot_state_in_distribution = InDistribution(spec.robot_state_size)
 
     @torch.no_grad()
-    def fit_normalisation(self, frames: Frames, actions: Tensor, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: FrameTensors, actions: Tensor, *, generator: torch.Generator) -> None:
         """Sets what is not trained: of the encoder, and mean and deviation of continuous actions.
 
         Args:
@@ -139,7 +139,7 @@ class SkillCloningNetwork(nn.Module):
         self.robot_state_mean.copy_(mean)
         self.robot_state_scale.copy_(torch.where(varies, 1 / std, 0.0))
 
-    def encode(self, frames: Frames, robot_state: Tensor | None) -> Tensor:
+    def encode(self, frames: FrameTensors, robot_state: Tensor | None) -> Tensor:
         """Returns the features of timesteps, float32 (N, D).
 
         Args:

@@ -18,7 +18,7 @@ from torch.nn import functional
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.config import bounded
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -119,7 +119,7 @@ class SkillsNetwork(nn.Module):
         self.register_buffer("speed", torch.ones(()))
 
     @torch.no_grad()
-    def fit_normalisation(self, frames: Frames, actions: Tensor) -> None:
+    def fit_normalisation(self, frames: FrameTensors, actions: Tensor) -> None:
         """Sets mean image and deviation of pixels, and the speed of the hand.
 
         Args:
@@ -134,7 +134,7 @@ class SkillsNetwork(nn.Module):
         if moves.numel():
             self.speed.copy_(torch.quantile(moves.amax(dim=1)[:: 1 + len(moves) // 100_000], _SPEED_QUANTILE))
 
-    def pixels(self, frames: Frames) -> Tensor:
+    def pixels(self, frames: FrameTensors) -> Tensor:
         """Returns normalised pixels, float32 (N, C, H, W), of frames uint8 (N, H, W, C) of the one camera."""
         (only,) = frames.values()
         return (only.permute(0, 3, 1, 2).float() - self.mean_image) / self.pixel_std

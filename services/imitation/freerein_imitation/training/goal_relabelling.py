@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation.training.joined_trajectories import frames_at, joined
 from freerein_imitation.training.previous_actions import previous_actions
@@ -32,7 +32,7 @@ class RelabelledSlices:
         lengths: Actions in each slice, int64 (S,).
     """
 
-    frames: Frames
+    frames: FrameTensors
     actions: Tensor
     previous: Tensor
     starts: Tensor
@@ -68,7 +68,7 @@ class RecognizerBatch:
         trajectories: Trajectory of each frame, int64 (N,).
     """
 
-    frames: Frames
+    frames: FrameTensors
     timesteps: Tensor
     trajectories: Tensor
 

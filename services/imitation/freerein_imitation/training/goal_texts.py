@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning.augmentation import shift
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.split import train_validation_split
 from freerein.learning.trajectories import Trajectories
 
@@ -27,7 +27,7 @@ class TimestepBatch:
         actions: float32 (B, A) or int64 (B, 1).
     """
 
-    frames: Frames
+    frames: FrameTensors
     texts: Tensor
     actions: Tensor
 

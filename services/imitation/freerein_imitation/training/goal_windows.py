@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation.training.joined_trajectories import frames_at, joined
 from freerein_imitation.training.previous_actions import previous_actions
@@ -46,7 +46,7 @@ class GoalWindows:
         windows: First frame, and number of own timesteps, of each window: int64 (B, 2).
     """
 
-    frames: Frames
+    frames: FrameTensors
     timesteps: Places
     trajectories: Places
     actions: Tensor

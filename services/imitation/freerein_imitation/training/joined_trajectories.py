@@ -8,13 +8,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
 
 
 def frames_at(
     trajectories: Trajectories, places: Sequence[tuple[int, slice | npt.NDArray[np.int64]]], device: torch.device
-) -> Frames:
+) -> FrameTensors:
     """Returns frames by camera, uint8 (N, H, W, C).
 
     Args:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, Frames
+from freerein.learning.encoders import ENCODERS, FrameTensors
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
@@ -180,7 +180,7 @@ class LanguageLearner:
             image_statistics(shifted).to(self.device), held_out, held_out.new_ones(len(held_out))
         )
 
-    def _shifted(self, frames: Frames, generator: torch.Generator) -> Frames:
+    def _shifted(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:
         """Returns frames shifted at random, as the configuration says."""
         if not self.config.max_shift:
             return frames

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories, TrajectoryArrays
 from freerein_imitation.training.skill_segments import Flags, Ints, SkillSegment
 
@@ -71,7 +71,7 @@ class SpanBatch:
         ended: The skill that has ended shortly before, int64 (B, L); -1 for none.
     """
 
-    frames: Frames
+    frames: FrameTensors
     robot_states: npt.NDArray[np.float32] | None
     is_known: Flags
     executed: npt.NDArray[np.generic]

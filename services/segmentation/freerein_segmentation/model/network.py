@@ -11,7 +11,7 @@ from torch.nn.utils.rnn import pad_sequence
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.config import bounded, bounded_or_all, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -81,7 +81,7 @@ class SegmentationNetwork(nn.Module):
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
 
     def forward(
-        self, frames: Frames, actions: Tensor, lengths: Tensor, *, context: Context | None = None
+        self, frames: FrameTensors, actions: Tensor, lengths: Tensor, *, context: Context | None = None
     ) -> tuple[Tensor, Tensor]:
         """Returns padded scores, float32 (B, T, K), and their mask, bool (B, T), of several trajectories.
 
@@ -115,7 +115,7 @@ class SegmentationNetwork(nn.Module):
         scores: Tensor = self.head(memory)  # (B, T, K)
         return scores, time < lengths[:, None]
 
-    def features(self, frames: Frames, actions: Tensor) -> Tensor:
+    def features(self, frames: FrameTensors, actions: Tensor) -> Tensor:
         """Returns the LSTM's inputs, float32 (N, D), of frames uint8 (N, H, W, C) by camera, and actions (N, A)."""
         seen: Tensor = self.image(frames)  # (N, cameras * features)
         if self.action is None:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning import weights
-from freerein.learning.encoders import ENCODERS, CameraEncoders, Frames
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.optimiser import cosine_lr
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import ModelSpec
@@ -38,7 +38,7 @@ class _Policy(nn.Module):
         # What was rejected is a skill of its own, so that nothing is gained by rejecting what is hard to predict.
         self.actions = ActionModel(features=self.image.size, skills=len(spec.skills) + 1, action=spec.action)
 
-    def forward(self, frames: Frames, actions: Tensor, skills: Tensor) -> Tensor:
+    def forward(self, frames: FrameTensors, actions: Tensor, skills: Tensor) -> Tensor:
         """Returns the negative log-likelihood of actions (N, A) given skills int64 (N,), float (N,)."""
         log_likelihood: Tensor = self.actions(self.image(frames), self.spec.scaled(actions))  # (N, K + 1)
         return -log_likelihood.gather(1, skills[:, None])[:, 0]

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning.augmentation import augment_camera
-from freerein.learning.encoders import Frames
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import ModelSpec
 
@@ -24,7 +24,7 @@ class TrajectoryBatch:
         tags: bool (B, K), skills of each trajectory.
     """
 
-    frames: Frames
+    frames: FrameTensors
     actions: Tensor
     lengths: Tensor
     tags: Tensor

@@ -6,7 +6,7 @@ A new encoder is a module here and a line in `ENCODERS`.
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from freerein.learning.encoders.cameras import CameraEncoders, Frames
+from freerein.learning.encoders.cameras import CameraEncoders, FrameTensors
 from freerein.learning.encoders.convolutional import ConvolutionalEncoder
 from freerein.learning.encoders.encoder import EncoderClass
 from freerein.learning.encoders.moments import MomentsEncoder
@@ -18,7 +18,7 @@ __all__ = [
     "ENCODERS",
     "CameraEncoders",
     "ConvolutionalEncoder",
-    "Frames",
+    "FrameTensors",
     "MomentsEncoder",
     "PatchEncoder",
     "PrincipalEncoder",

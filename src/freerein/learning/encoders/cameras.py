@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from freerein.learning.encoders.encoder import Encoder, EncoderClass
 from freerein.types.common import Camera
 
-Frames = Mapping[str, Tensor]
+FrameTensors = Mapping[str, Tensor]
 """By camera: uint8 (N, H, W, C)."""
 
 
@@ -35,12 +35,12 @@ class CameraEncoders(nn.Module):
         )
 
     @torch.no_grad()
-    def fit_normalisation(self, frames: Frames, *, generator: torch.Generator) -> None:
+    def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
         for name, encoder in self._by_camera():
             encoder.fit_normalisation(frames[name], generator=generator)
 
-    def forward(self, frames: Frames) -> Tensor:
+    def forward(self, frames: FrameTensors) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
         return torch.cat([encoder(frames[name]) for name, encoder in self._by_camera()], dim=1)
 
