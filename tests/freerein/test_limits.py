@@ -7,7 +7,7 @@ import pytest
 from freerein import images
 from freerein.errors import Overloaded
 from freerein.serving.limits import MAX_INLINE_BYTES, MAX_VALUES, Limits, Slots
-from freerein.serving.rest import http_server, middleware
+from freerein.serving.rest import middleware
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
 LIMITS = Limits()
@@ -17,7 +17,6 @@ SHOWN = {
     "REST body, gRPC message": f"{LIMITS.message_bytes / MIB:g} MiB",
     "memory for all REST bodies together, three times their length": f"{LIMITS.buffered_bytes / MIB:g} MiB",
     "HTTP headers and URL": f"{middleware._MAX_HEADERS} headers, {middleware.MAX_HEADER_BYTES // 1024} KiB together",
-    "HTTP requests that wait on one connection for the reply to an earlier one": f"{http_server.MOST_PIPELINED}",
     "values in a JSON body, fields and packed numbers in a gRPC message": f"{MAX_VALUES:,}".replace(",", " "),
     "pixels of an image / of all images of a request": (
         f"{images.MAX_PIXELS / 1e6:g} M / {images.MAX_REQUEST_PIXELS / 1e6:g} M"

@@ -63,7 +63,7 @@ class Core:
 
 
 class Call:
-    """One GET request to an ASGI app, whose client may leave, or take no byte of the reply.
+    """One request to an ASGI app, whose client may leave, or take no byte of the reply.
 
     Attributes:
         body: What has arrived.
@@ -75,7 +75,9 @@ class Call:
         reading: Whether the client takes the reply.
     """
 
-    def __init__(self, app: Starlette, path: str, *, run_id: str = "0" * 32, reads: bool = True) -> None:
+    def __init__(
+        self, app: Starlette, path: str, *, run_id: str = "0" * 32, reads: bool = True, method: str = "GET"
+    ) -> None:
         self.status, self.body = 0, b""
         self.asked, self.begun, self.received = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.commented = asyncio.Event()
@@ -83,7 +85,7 @@ class Call:
         if reads:
             self.reading.set()
         query = f"id={run_id}".encode()
-        scope = {"type": "http", "method": "GET", "path": path, "query_string": query, "headers": []}
+        scope = {"type": "http", "method": method, "path": path, "query_string": query, "headers": []}
         self._task = asyncio.create_task(app({**scope, "asgi": {"spec_version": "2.3"}}, self._receive, self._send))
 
     async def _receive(self) -> dict[str, Any]:
@@ -101,10 +103,14 @@ class Call:
         if self.body.endswith(2 * COMMENT):
             self.commented.set()
 
+    async def end(self) -> None:
+        """Returns when the app is done with the request."""
+        await asyncio.wait_for(self._task, 60)
+
     async def leave(self) -> None:
         """Closes the connection; returns when the app is done with it."""
         self._gone.set()
-        await asyncio.wait_for(self._task, 60)
+        await self.end()
 
 
 @pytest.fixture
@@ -148,6 +154,16 @@ async def test_a_stream_above_the_limit_is_refused_at_once(app: Starlette, path:
     for stream in streams:
         await stream.leave()
     await soon(Call(app, path).received.wait())
+
+
+@pytest.mark.parametrize(("run_id", "status"), [("0" * 32, 200), (UNKNOWN, 404)])
+@pytest.mark.parametrize("path", [EVENTS, FILE])
+async def test_a_request_for_the_head_of_a_stream_ends(
+    app: Starlette, core: Core, path: str, run_id: str, status: int
+) -> None:
+    call = Call(app, path, run_id=run_id, method="HEAD")
+    await call.end()
+    assert (call.status, core.open) == (status, 0)
 
 
 @pytest.mark.parametrize("path", [EVENTS, FILE])

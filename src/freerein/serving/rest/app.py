@@ -144,6 +144,8 @@ def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
             heard = await resources.enter_async_context(aclosing(_with_silences(items, silence_s)))
             # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
             first = await _unless_disconnected(request, anext(heard, None), None)
+            if request.method == "HEAD":
+                return Response(media_type=MEDIA_TYPES[method.rest_form])
             return _StreamResponse(_encoded(first, heard, encode), MEDIA_TYPES[method.rest_form], resources.pop_all())
 
     return answer

@@ -1,5 +1,6 @@
 """Swagger UI at `/docs`, from files of the package fastapi-offline: it opens without internet. `/` leads there."""
 
+import asyncio
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
@@ -24,8 +25,8 @@ def docs_routes(document: Callable[[], dict[str, Any]], *, title: str) -> list[B
     async def openapi(_request: Request) -> Response:
         return Response(orjson.dumps(document()), media_type="application/json")
 
-    async def page(_request: Request) -> Response:
-        from fastapi.openapi.docs import get_swagger_ui_html  # half a second at the start of a service
+    def written() -> Response:
+        from fastapi.openapi.docs import get_swagger_ui_html  # half a second, at the start of a service
 
         return get_swagger_ui_html(
             openapi_url="openapi.json",
@@ -34,6 +35,9 @@ def docs_routes(document: Callable[[], dict[str, Any]], *, title: str) -> list[B
             swagger_css_url=style,
             swagger_favicon_url=icon,
         )
+
+    async def page(_request: Request) -> Response:
+        return await asyncio.to_thread(written)
 
     async def root(_request: Request) -> Response:
         return RedirectResponse("docs")

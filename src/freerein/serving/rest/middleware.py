@@ -84,6 +84,8 @@ class RequestMiddleware:
             )
         if int(length[:20]) > self._limits.message_bytes:
             raise self._too_large()
+        if scope["method"] in ("GET", "HEAD") and (int(length[:20]) or "transfer-encoding" in headers):
+            raise MalformedRequest("A request by GET must have no body; it has one.", hint="Send values in the query.")
 
     async def _run_app(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Runs the app; receiving the body raises an error as soon as a size limit is exceeded."""
