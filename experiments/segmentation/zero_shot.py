@@ -23,7 +23,8 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.locks import locked
 from experiments.workbench.pipelines import Step, Trials, fit_step, run_pipeline, step
 from experiments.workbench.results import Outcome, Sample
-from freerein.data import Dataset, dataset_path, labels
+from freerein.data import Dataset, dataset_path
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.learning.checkpoints import JSON
 from freerein.types.common import ModelRef
 from freerein.types.sim import DemonstrateRequest
@@ -187,13 +188,13 @@ def _label_truly(request: DemonstrateRequest, root: Path) -> None:
     """Labels demonstrations truly, by making them again, where predicted labels lie."""
     task = tasks()[request.task]
     lengths = Dataset(root).lengths
-    with closing(task.make()) as world:
+    with closing(task.make()) as world, LabelsWriter(root, name="truth") as writer:
         for index, length in enumerate(lengths):
             made = make_demonstration(task, world, replace(request, first=index))
             if len(made.labels) != length:
                 raise AssertionError(f"Demonstration {index} must have {length} timesteps when it is made again.")
-            labels.save(root, index, made.labels)
-    labels.finish(root, labels.LabelsInfo(task.spec.skills, ModelRef("truth", "")))
+            writer.save(index, made.labels)
+        writer.finish(LabelsInfo(task.spec.skills, ModelRef("truth", "")))
 
 
 def _outcome(found: Trials | None) -> Outcome | None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import scene
 
-from freerein.data import DatasetSpec, create, labels
+from freerein.data import DatasetSpec, create
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 
 root = Path(sys.argv[1])
@@ -35,9 +36,10 @@ with create(root / "continuous", spec) as writer:
             ),
             robot_state=scene.states(index),
         )
-for index, length in enumerate(scene.LENGTHS):
-    labels.save(root / "continuous", index, np.zeros(length, np.int64))
-labels.finish(root / "continuous", labels.LabelsInfo(spec.skills, ModelRef("default", "0" * 12)))
+with LabelsWriter(root / "continuous", name="scene") as labeller:
+    for index, length in enumerate(scene.LENGTHS):
+        labeller.save(index, np.zeros(length, np.int64))
+    labeller.finish(LabelsInfo(spec.skills, ModelRef("default", "0" * 12)))
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
 with create(

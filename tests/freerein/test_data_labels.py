@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from freerein.data import DatasetSpec, create, labels, truth
-from freerein.data.labels import LabelsInfo
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 
@@ -23,9 +23,10 @@ def root(tmp_path: Path) -> Path:
     with create(tmp_path / "demos", spec) as writer:
         writer.append(each)
         writer.append(each)
-    for index, values in enumerate(([0, 0, 1, 1], [1, 1, 1, -1])):
-        labels.save(tmp_path / "demos", index, np.array(values))
-    labels.finish(tmp_path / "demos", INFO)
+    with LabelsWriter(tmp_path / "demos", name="first") as labeller:
+        for index, values in enumerate(([0, 0, 1, 1], [1, 1, 1, -1])):
+            labeller.save(index, np.array(values))
+        labeller.finish(INFO)
     return tmp_path / "demos"
 
 
@@ -36,18 +37,27 @@ def test_labels_come_back_with_the_model_that_made_them(root: Path) -> None:
 
 
 def test_labels_that_are_not_whole_do_not_count(root: Path) -> None:
-    labels.begin(root, writer="run")
+    with LabelsWriter(root, name="run") as writer:
+        writer.save(0, np.array([0, 0, 1, 1]))
     with pytest.raises(FailedPrecondition, match="skill for every timestep") as refused:
         labels.all_labels(root, LENGTHS)
     assert "freerein segment NAME --save" in refused.value.hint
 
 
 def test_a_writer_goes_on_only_where_no_other_has_begun_since(root: Path) -> None:
-    assert not labels.begin(root, writer="run")
-    assert labels.begin(root, writer="run")
-    assert not labels.begin(root, writer="another")
-    labels.finish(root, INFO)
-    assert not labels.begin(root, writer="run")
+    goes_on = []
+    for name in ("run", "run", "another", "run"):
+        with LabelsWriter(root, name=name) as writer:
+            goes_on.append(writer.goes_on)
+    assert goes_on == [False, True, False, False]
+
+
+def test_one_writer_labels_at_a_time(root: Path) -> None:
+    with LabelsWriter(root, name="run") as writer:
+        with pytest.raises(FailedPrecondition, match="one writer at a time"):
+            LabelsWriter(root, name="another")
+        writer.finish(INFO)
+    assert labels.info(root) == INFO
 
 
 def test_a_dataset_that_has_grown_since_must_be_labelled_again(root: Path) -> None:
@@ -57,7 +67,9 @@ def test_a_dataset_that_has_grown_since_must_be_labelled_again(root: Path) -> No
 
 
 def test_labels_that_are_no_skills_are_refused(root: Path) -> None:
-    labels.save(root, 1, np.array([0, 1, 2, 0]))
+    with LabelsWriter(root, name="run") as writer:
+        writer.save(1, np.array([0, 1, 2, 0]))
+        writer.finish(INFO)
     with pytest.raises(InvalidInput, match=r"\[0, 2\)"):
         labels.all_labels(root, LENGTHS)
 

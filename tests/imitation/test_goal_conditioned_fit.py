@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.data import DatasetSpec, create, dataset_path, labels
-from freerein.data.labels import LabelsInfo
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import MomentsEncoder
 from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
@@ -60,8 +60,9 @@ def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_
     root = dataset_path(data_dir, "wide")
     with create(root, spec) as writer:
         writer.append(Trajectory({"front": np.zeros((2, 8, 1280, 3), np.uint8)}, np.zeros((2, 2), np.float32)), None)
-    labels.save(root, 0, np.zeros(2, np.int64))
-    labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
+    with LabelsWriter(root, name="test") as labeller:
+        labeller.save(0, np.zeros(2, np.int64))
+        labeller.finish(LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
     for method in ("goal_conditioned", "skills"):
         with pytest.raises(InvalidInput, match=r"4 to 1024 pixels high and wide.*; got 8 x 1280 x 3"):
             METHODS.resolve(data_dir, "wide", {"method": method}, threads=1)

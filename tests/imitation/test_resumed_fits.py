@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.data import DatasetSpec, create, dataset_path, labels
-from freerein.data.labels import LabelsInfo
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.learning import weights
 from freerein.learning.config import parse
 from freerein.learning.fit import fit
@@ -39,9 +39,10 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> FitDataset:
         for _ in range(6):
             frames = {"front": rng.integers(0, 256, (20, 8, 8, 1), np.uint8)}
             writer.append(Trajectory(frames, rng.uniform(-1, 1, (20, 1)).astype(np.float32), ("pick", "push")))
-    for index in range(6):
-        labels.save(root, index, np.repeat([1, 0], [8, 12]))
-    labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
+    with LabelsWriter(root, name="test") as writer:
+        for index in range(6):
+            writer.save(index, np.repeat([1, 0], [8, 12]))
+        writer.finish(LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
     return FitDataset.open(data_dir, "noise")
 
 

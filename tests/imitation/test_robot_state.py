@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from freerein.data import LeRobotSource, dataset_path, import_trajectories, labels
-from freerein.data.labels import LabelsInfo
+from freerein.data import LeRobotSource, dataset_path, import_trajectories
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
 from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
@@ -114,9 +114,10 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     record(folder / "recorded")
     root = dataset_path(folder, "arm")
     import_trajectories(LeRobotSource(folder / "recorded"), root)
-    for index in range(EPISODES):
-        labels.save(root, index, np.full(STEPS, index % 2))
-    labels.finish(root, LabelsInfo(SKILLS, ModelRef("segments", "0123456789ab")))
+    with LabelsWriter(root, name="test") as writer:
+        for index in range(EPISODES):
+            writer.save(index, np.full(STEPS, index % 2))
+        writer.finish(LabelsInfo(SKILLS, ModelRef("segments", "0123456789ab")))
     return folder
 
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.data import DatasetSpec, create, dataset_path, labels
-from freerein.data.labels import LabelsInfo
+from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
@@ -32,9 +32,10 @@ def data_dir(tmp_path: Path) -> Path:
 
 def label(data_dir: Path) -> None:
     root = dataset_path(data_dir, "demos")
-    for index in range(4):
-        labels.save(root, index, np.repeat([1, 0], [8, 12]))
-    labels.finish(root, LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
+    with LabelsWriter(root, name="test") as writer:
+        for index in range(4):
+            writer.save(index, np.repeat([1, 0], [8, 12]))
+        writer.finish(LabelsInfo(("pick", "push"), ModelRef("segments", "0123456789ab")))
 
 
 def test_demonstrations_must_be_labelled_before_skills_are_learned(data_dir: Path) -> None:

@@ -14,6 +14,7 @@ import torch
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.tasks import find_task
 from freerein.data import Dataset, dataset_path, labels
+from freerein.data.labels import LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
@@ -262,8 +263,8 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
     assert not pipeline.do(stop=marked.exists)
     root = dataset_path(tmp_path, "demos")
     assert not (root / "labels" / "info.json").exists()
-    labels.begin(root, writer="another")
-    labels.save(root, 0, np.zeros(999, np.int64))
+    with LabelsWriter(root, name="another") as writer:
+        writer.save(0, np.zeros(999, np.int64))
     assert pipeline.do()
     assert pipeline.artifact("label.labels.json")["model"] == vars(labels.info(root).model)
     assert len(labels.all_labels(root, Dataset(root).lengths)) == 6

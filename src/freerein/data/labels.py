@@ -3,6 +3,7 @@
     <root>/labels/chunk-000/file-000.parquet    the labels of data/chunk-000/file-000.parquet
     <root>/labels/info.json                     skills and model; written last, so that it marks the labels complete
     <root>/labels/writer.json                   who wrote the labels, complete or not
+    <root>/labels/writer.lock                   held while someone does
 
 Ground truth lies elsewhere; this module does not know where.
 """
@@ -12,12 +13,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.atomic_files import write_atomic
 from freerein.data import layout
+from freerein.data.meta import WriterLock
 from freerein.data.trajectory_file import read_labels, write_labels
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
@@ -40,27 +43,42 @@ class LabelsInfo:
     model: ModelRef
 
 
-def begin(root: Path, *, writer: str) -> bool:
-    """Marks the labels incomplete, durably, before a writer such as a run saves its own.
+class LabelsWriter:
+    """The only writer of a dataset's labels; a context manager. They are incomplete from now on, durably.
 
-    Returns:
-        Whether this writer was the last to begin: only then are those that it has saved still there.
+    Args:
+        root: The dataset's folder.
+        name: Who writes, such as a run.
+
+    Attributes:
+        goes_on: Whether the last writer had the same name: only then are the labels that it has saved still there.
+
+    Raises:
+        FailedPrecondition: Another writer is labelling the dataset.
     """
-    path, document = root / _WRITER, json.dumps({"writer": writer}).encode()
-    is_own = path.is_file() and path.read_bytes() == document
-    (root / _INFO).unlink(missing_ok=True)
-    write_atomic(path, document)  # syncs the folder, so that the description stays away after a power cut
-    return is_own
 
+    def __init__(self, root: Path, *, name: str) -> None:
+        self._root = root
+        (root / _FOLDER).mkdir(exist_ok=True)
+        self._lock = WriterLock(root / _FOLDER, noun="The labels of a dataset")
+        path, document = root / _WRITER, json.dumps({"writer": name}).encode()
+        self.goes_on = path.is_file() and path.read_bytes() == document
+        (root / _INFO).unlink(missing_ok=True)
+        write_atomic(path, document)  # syncs the folder, so that the description stays away after a power cut
 
-def save(root: Path, index: int, values: npt.NDArray[np.int64]) -> None:
-    """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""
-    write_labels(layout.trajectory_path(root / _FOLDER, index), values)
+    def __enter__(self) -> Self:
+        return self
 
+    def __exit__(self, *_: object) -> None:
+        self._lock.close()
 
-def finish(root: Path, info: LabelsInfo) -> None:
-    """Marks the labels complete, once those of every trajectory are saved."""
-    write_atomic(root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
+    def save(self, index: int, values: npt.NDArray[np.int64]) -> None:
+        """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""
+        write_labels(layout.trajectory_path(self._root / _FOLDER, index), values)
+
+    def finish(self, info: LabelsInfo) -> None:
+        """Marks the labels complete, once those of every trajectory are saved."""
+        write_atomic(self._root / _INFO, json.dumps(asdict(info), indent=2).encode() + b"\n")
 
 
 def info(root: Path) -> LabelsInfo:

@@ -37,16 +37,24 @@ _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_inde
 
 
 class WriterLock:
-    """Held by the one process that may write to a dataset; the kernel frees it when that process dies."""
+    """Held by the one process that may write to a folder; the kernel frees it when that process dies.
 
-    def __init__(self, root: Path) -> None:
+    Args:
+        root: The folder.
+        noun: What it holds, at the beginning of a sentence.
+
+    Raises:
+        FailedPrecondition: Another process holds it.
+    """
+
+    def __init__(self, root: Path, *, noun: str = "A dataset") -> None:
         self._descriptor = os.open(root / "writer.lock", os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(self._descriptor)
             raise FailedPrecondition(
-                "A dataset has one writer at a time; this one is being written by another.",
+                f"{noun} must have one writer at a time; another is writing.",
                 hint="Close the other writer, or write to another dataset.",
             ) from None
 

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from freerein.atomic_files import write_atomic
-from freerein.data import Dataset, dataset_path, labels
+from freerein.data import Dataset, dataset_path
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, Trajectory, check_name
@@ -69,6 +70,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
         Stopped: The run is to stop.
         NotFound: There is no such dataset or model.
         InvalidInput: The dataset has no such camera, or its frames are not the model's.
+        FailedPrecondition: Another run or command is labelling the dataset.
         ServiceError: The segmentation service refuses.
     """
     retry, segmentation = context.retry(), context.client("segmentation")
@@ -79,15 +81,16 @@ def run(context: RunContext, config: LabelConfig) -> None:
     saved = json.loads(path.read_bytes()) if path.is_file() else None
     asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
     model: ListSkillsResponse = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
-    first = saved["labelled"] if labels.begin(root, writer=context.key) and saved else 0
-    metrics = context.metrics_logger(first)
-    for index in range(first, len(dataset)):
-        request = _request(config, model, dataset[index], camera)
-        answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
-        labels.save(root, index, answer.labels)
-        write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
-        metrics.append(index + 1, _metrics(answer))
-    labels.finish(root, labels.LabelsInfo(model.skills, model.model))
+    with LabelsWriter(root, name=context.key) as writer:
+        first = saved["labelled"] if writer.goes_on and saved else 0
+        metrics = context.metrics_logger(first)
+        for index in range(first, len(dataset)):
+            request = _request(config, model, dataset[index], camera)
+            answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
+            writer.save(index, answer.labels)
+            write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
+            metrics.append(index + 1, _metrics(answer))
+        writer.finish(LabelsInfo(model.skills, model.model))
     card = {
         "dataset": config.dataset,
         "trajectories": len(dataset),

@@ -19,8 +19,8 @@ from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
 from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
-from freerein.data import Dataset, labels, read_actions, read_choices
-from freerein.data.labels import LabelsInfo
+from freerein.data import Dataset, read_actions, read_choices
+from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
@@ -213,13 +213,13 @@ async def label_all(
     with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
-    labels.begin(root, writer=_WRITER)
-    for index, trajectory in enumerate(Dataset(root)):
-        frames, actions = trajectory.frames[camera], trajectory.actions
-        filled = replace(request, model=skills.model, frames=frames, actions=actions)
-        answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
-        labels.save(root, index, answer.labels)
-        on_count(index + 1)
-    info = labels.LabelsInfo(skills.skills, skills.model)
-    labels.finish(root, info)
+    info = LabelsInfo(skills.skills, skills.model)
+    with LabelsWriter(root, name=_WRITER) as writer:
+        for index, trajectory in enumerate(Dataset(root)):
+            frames, actions = trajectory.frames[camera], trajectory.actions
+            filled = replace(request, model=skills.model, frames=frames, actions=actions)
+            answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
+            writer.save(index, answer.labels)
+            on_count(index + 1)
+        writer.finish(info)
     return info
