@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +204,13 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
     result = finish_after_a_stop(run)
     check_figures(result, "accuracy", "balanced_accuracy")
     assert result["counts"] == {"scenes": 8, "answers": 8 * answers}
+    rounds = (run.folder / "checkpoints" / "trials.jsonl").read_text().splitlines()
+    scenes = [scene for each in rounds for trial in json.loads(each)["trials"] for scene in trial["scenes"]]
+    truths: dict[str, list[int]] = {}
+    for answer in chain.from_iterable(scenes):
+        truths.setdefault(answer["group"], []).append(answer["truth"])
+    most = [max(map(truth.count, truth)) for truth in truths.values()]
+    assert result["figures"]["accuracy"]["baseline"] == pytest.approx(sum(most) / (8 * answers))
     assert result["model"]["version"]
     pictures, frames = run.artifact("frames.json"), frames_of(run)
     assert {picture["frame"] for picture in pictures} == set(frames)

@@ -4,7 +4,8 @@ The captions are the texts of the task's predicates, by group; a group counts in
 predicates holds. Scenes are the first and the last frames of short random rollouts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from typing import Any, Literal, cast
@@ -15,7 +16,6 @@ import numpy.typing as npt
 from freerein.clients.tasks import find_camera
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning.config import bounded
-from freerein.metrics import majority_accuracy
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein.types.sim import Predicate, Task
@@ -145,7 +145,7 @@ class RelationsEvaluation:
             correct.sum(axis=1, keepdims=True),
             asked.sum(axis=1, keepdims=True),
             seed=seed,
-            baseline=majority_accuracy(truths),
+            baseline=_majority_accuracy(chain.from_iterable(answers)),
         )
         balanced = ratio_figure(correct, asked, seed=seed, baseline=1 / len(np.unique(truths)))
         pictures, frames = self._pictures(trials)
@@ -169,6 +169,14 @@ class RelationsEvaluation:
                     similarities = self._similarities(texts, trial.frames[name])
                     pictures[truth] = {"frame": name, "texts": texts, "similarities": similarities, "truth": truth}
         return [pictures[truth] for truth in sorted(pictures)], frames
+
+
+def _majority_accuracy(answers: Iterable[Mapping[str, Any]]) -> float:
+    """Returns the accuracy of always choosing the caption of each group that is true most often."""
+    counts: dict[str, Counter[int]] = defaultdict(Counter)
+    for each in answers:
+        counts[each["group"]][each["truth"]] += 1
+    return sum(max(count.values()) for count in counts.values()) / sum(count.total() for count in counts.values())
 
 
 def caption_groups(task: Task) -> dict[str, list[Predicate]]:
