@@ -299,6 +299,44 @@ async def test_cancelled_at_the_moment_its_child_is_started_a_fit_ends_too(bench
         assert (await fits.get_fit(GetFitRequest(fit.id))).fit.state == "cancelled"
 
 
+async def test_cancelled_while_its_model_is_loaded_a_fit_leaves_no_active_model(bench: Bench) -> None:
+    loading, is_cancelled = threading.Event(), threading.Event()
+
+    def load_slowly(folder: Path) -> str:
+        loading.set()
+        is_cancelled.wait()
+        return load(folder)
+
+    bench.models = ModelCache(bench.store, load_slowly, fit_command="freerein fit toy")
+    async with bench.running() as fits:
+        fit = await begin(fits)
+        await asyncio.to_thread(loading.wait)
+        cancelling = asyncio.create_task(fits.cancel_fit(CancelFitRequest(fit.id)))
+        await when(fits, fit, lambda now: now.state == "cancelled")
+        is_cancelled.set()
+        assert (await cancelling).fit.state == "cancelled"
+        assert (await fits.get_fit(GetFitRequest(fit.id))).fit.model is None
+    assert not bench.store.active_version("default")
+
+
+async def test_a_fit_whose_model_is_being_activated_is_no_longer_cancelled(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    activate, loop, cancels = bench.store.activate, asyncio.get_running_loop(), []
+    async with bench.running() as fits:
+
+        def cancel_and_activate(ref: ModelRef) -> None:
+            cancels.append(asyncio.run_coroutine_threadsafe(fits.cancel_fit(CancelFitRequest(fit.id)), loop))
+            activate(ref)
+
+        monkeypatch.setattr(bench.store, "activate", cancel_and_activate)
+        fit = await begin(fits)
+        assert (await end(fits, fit)).state == "succeeded"
+        assert (await asyncio.wrap_future(cancels[0])).fit.state == "succeeded"
+        assert (await fits.get_fit(GetFitRequest(fit.id))).fit.model is not None
+    assert bench.store.active_version("default")
+
+
 async def test_after_a_drain_the_next_start_goes_on_with_what_had_not_ended(bench: Bench) -> None:
     async with bench.running() as fits:
         ended = await end(fits, await begin(fits))

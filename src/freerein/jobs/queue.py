@@ -24,17 +24,19 @@ _CANCEL_S = 10.0
 class LocalQueue:
     """A queue of jobs. Its methods block, and belong on threads without an event loop.
 
-    `publish` is called with the id of a job whose child has succeeded, unless it was cancelled; a `ServiceError` that
-    it raises is the error of the job.
+    `publish` is called with the id of a job whose child has succeeded, unless it was cancelled. It returns what makes
+    the result count, which is called unless the job was cancelled meanwhile; from then on it can no longer be. A
+    `ServiceError` that one of them raises is the error of the job.
     """
 
-    def __init__(self, store: JobStore, runner: AttemptRunner, *, publish: Callable[[str], None]) -> None:
+    def __init__(self, store: JobStore, runner: AttemptRunner, *, publish: Callable[[str], Callable[[], None]]) -> None:
         self._store = store
         self._runner = runner
         self._publish = publish
         self._waiting: deque[str] = deque()
         self._running = ""
         self._request: StopRequest = ""
+        self._is_decided = False  # the running job has succeeded, and is only recorded
         self._closing = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run_all, name="jobs", daemon=True)
@@ -71,6 +73,8 @@ class LocalQueue:
     def cancel(self, job_id: str) -> None:
         """Cancels a job that has not ended; returns when its child is gone."""
         with self._changed:
+            if job_id == self._running and self._is_decided:
+                self._changed.wait_for(lambda: self._running != job_id, _CANCEL_S)
             self._store.record(job_id, "cancelled")
             if job_id in self._waiting:
                 self._waiting.remove(job_id)
@@ -119,7 +123,12 @@ class LocalQueue:
         if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
             return
         if result.outcome == "succeeded":
-            self._publish(job_id)
+            activate = self._publish(job_id)
+            with self._changed:
+                if self._store.last(job_id).ended:
+                    return
+                self._is_decided = True
+            activate()
         self._record(job_id, "succeeded" if result.outcome == "succeeded" else "failed", error=result.error)
 
     def _next(self) -> str:
@@ -130,7 +139,7 @@ class LocalQueue:
             self._changed.wait_for(lambda: self._closing or self._waiting)
             if self._closing:
                 return ""
-            self._running, self._request = self._waiting.popleft(), ""
+            self._running, self._request, self._is_decided = self._waiting.popleft(), "", False
             return self._running
 
     def _record(self, job_id: str, state: JobState, **changes: Any) -> None:

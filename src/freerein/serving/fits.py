@@ -164,13 +164,16 @@ class FitService:
     def _fit(self, fit_id: str) -> learning.Fit:
         return learning.Fit(**self._jobs.fields(fit_id))
 
-    def _publish(self, fit_id: str) -> None:
-        """Publishes the model of a fit and activates it. Raises ServiceError when it cannot be loaded."""
+    def _publish(self, fit_id: str) -> Callable[[], None]:
+        """Publishes the model of a fit; returns what activates it. Raises ServiceError when it cannot be loaded."""
         ref = self._store.publish(self._jobs.config(fit_id)["model_name"], self._jobs.folder(fit_id) / "model")
         asyncio.run_coroutine_threadsafe(self._models.resolve(ref), self._loop).result()
-        if not self._jobs.last(fit_id).ended:  # cancelled meanwhile
+
+        def activate() -> None:
             self._jobs.set_model(fit_id, ref)
             self._store.activate(ref)
+
+        return activate
 
     async def _stop_on_drain(self) -> None:
         await self._health.wait_for_drain()
