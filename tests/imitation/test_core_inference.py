@@ -59,6 +59,13 @@ class Summing:
         return PolicyOutput(actions, reached, after, familiar[: self.scored])
 
 
+class Remembering(Summing):
+    """Its state's second number is of the goal."""
+
+    def forget_goal(self, recurrent: Floats) -> Floats:
+        return recurrent * np.array([1, 0], np.float32)
+
+
 def item(
     policy: Summing, bright: int, *names: str, state: PolicyState | None = None, elapsed: int = 1
 ) -> InferenceRequest:
@@ -97,11 +104,11 @@ def test_at_a_goal_the_recurrent_state_is_reset_and_the_same_observation_is_acte
     assert policy.batches == [1, 1]
 
 
-def test_a_state_that_outlasts_goals_is_handed_on_and_takes_in_each_observation_once() -> None:
+def test_what_outlasts_goals_is_handed_on_and_takes_in_each_observation_once() -> None:
     state = PolicyState(np.array([9, 8], np.float32), goal_steps=2)
-    (result,) = run([item(Summing(keeps_state=True), 1, state=state)])
+    (result,) = run([item(Remembering(), 1, state=state)])
     assert (result.state.goal_index, result.state.goal_steps) == (1, 0)
-    assert result.state.recurrent.tolist() == [10, 8]
+    assert result.state.recurrent.tolist() == [10, 0]
 
 
 def test_at_the_last_goal_there_is_nothing_to_do_and_it_stays_so() -> None:

@@ -243,7 +243,7 @@ SIZES = MemorySizes(frames=2, features=3, actions=1, action_size=1, chunk=2, out
 COUNTING = MemorySizes(frames=2, features=1, actions=2, action_size=1, chunk=5, outputs=1)
 
 
-def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_skill() -> None:
+def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_skill_or_of_the_same_before() -> None:
     memory = Memory.parse(torch.zeros(1, SIZES.total), SIZES)
     memory, first = memory.advanced(
         torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]), torch.tensor([0.8])
@@ -256,11 +256,15 @@ def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_s
     other_skill, other = memory.advanced(
         torch.ones(1, 3), torch.tensor([0]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
     )
+    same_again, again = memory.without_skill().advanced(
+        torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
+    )
     assert first.flatten().tolist() == [1, 2]
     assert same.flatten().tolist() == pytest.approx([(0.7 * 2 + 4) / 1.7, 5])
-    assert other.flatten().tolist() == [4, 5]
-    ends = [each.ended.item() for each in (memory, same_skill, other_skill)]
-    assert ends == pytest.approx([0.4, 0.5, 0.3])
+    assert other.flatten().tolist() == again.flatten().tolist() == [4, 5]
+    ends = [each.ended.item() for each in (memory, same_skill, other_skill, same_again)]
+    assert ends == pytest.approx([0.4, 0.5, 0.3, 0.3])
+    assert same_again.rates.tolist() == [[1, 1]]
 
 
 def predicting(memory: Memory, first: int) -> tuple[Memory, list[float]]:

@@ -1,7 +1,8 @@
 """Batched policy inference.
 
 Each observation is tested against its current goal once. Where the goal is reached, or its time is up, the recurrent
-state is reset, unless the policy keeps it, and a second forward pass computes the actions for the next goal.
+state is reset, but for what a policy remembers of the robot, and a second forward pass computes the actions for the
+next goal.
 """
 
 import math
@@ -16,7 +17,14 @@ import numpy.typing as npt
 from freerein.errors import OutputNotFinite, ServiceError
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, TimedPolicy, takes_robot_state
+from freerein_imitation.model.policy import (
+    CameraFrames,
+    Policy,
+    PolicyOutput,
+    RememberingPolicy,
+    TimedPolicy,
+    takes_robot_state,
+)
 
 _CACHE_BYTES = 32 * 2**20
 _ENTRY_BYTES = 500  # upper bound of Python's overhead per entry of the cache
@@ -196,7 +204,7 @@ def _not_finite() -> OutputNotFinite:
 def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicyState:
     """Returns the policy state after an observation was tested.
 
-    A new goal starts with a reset recurrent state, or with that before the observation, where the policy keeps it.
+    A new goal starts with the recurrent state before the observation, without what was of the last one.
     """
     state = request.state
     if isinstance(row, OutputNotFinite):
@@ -207,9 +215,13 @@ def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicySt
     reached = row.reached >= request.policy.spec.reached_threshold
     if reached or steps >= request.max_steps:
         abandoned = state.abandoned or not reached
-        kept = state.recurrent if request.policy.spec.keeps_state else np.zeros_like(state.recurrent)
-        return PolicyState(kept, state.goal_index + 1, 0, abandoned)
+        return PolicyState(_without_goal(request.policy, state.recurrent), state.goal_index + 1, 0, abandoned)
     return PolicyState(row.recurrent, state.goal_index, steps, state.abandoned)
+
+
+def _without_goal(policy: Policy, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Returns what a recurrent state, (R,), leaves to the next goal."""
+    return policy.forget_goal(recurrent[None])[0] if isinstance(policy, RememberingPolicy) else np.zeros_like(recurrent)
 
 
 def _starts_next_goal(request: InferenceRequest, state: PolicyState) -> bool:

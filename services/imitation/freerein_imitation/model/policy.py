@@ -94,8 +94,6 @@ class PolicySpec(ControlSpec):
         robot_state_size: S, numbers of the robot's own state; 0 for a policy that takes none.
         recurrent_size: R, numbers of recurrent state.
         predicts_reached: Whether it predicts that a goal is reached.
-        keeps_state: Whether the recurrent state is kept from one goal to the next, as it tells of the robot and not of
-            the goal; else every goal starts with zeros.
     """
 
     cameras: tuple[Camera, ...]
@@ -107,7 +105,6 @@ class PolicySpec(ControlSpec):
     robot_state_size: int = 0
     recurrent_size: int = 0
     predicts_reached: bool = True
-    keeps_state: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -182,6 +179,14 @@ class TimedPolicy(Protocol):
             recurrent: Recurrent states, float32 (B, R).
             steps: Control steps without an observation, int64 (B,); with 0 a state stays as it is.
         """
+
+
+@runtime_checkable
+class RememberingPolicy(Protocol):
+    """A policy whose recurrent state tells of the robot, too, and outlasts a goal; that of others begins with zeros."""
+
+    def forget_goal(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states, float32 (B, R), without what was of the goal: what the next one begins with."""
 
 
 class RobotStatePolicy(Policy, Protocol):

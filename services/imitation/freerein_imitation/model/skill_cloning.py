@@ -222,7 +222,6 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
             robot_state_size=spec.robot_state_size,
             recurrent_size=self._sizes.total,
             predicts_reached=spec.ends == "head",
-            keeps_state=True,
         )
 
     @classmethod
@@ -242,6 +241,14 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         memory = Memory.parse(self._tensor(recurrent), self._sizes)
         later: npt.NDArray[np.float32] = memory.skipped(self._tensor(steps), no_action=no_action).flat().cpu().numpy()
         return later
+
+    @torch.inference_mode()
+    def forget_goal(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states with frames and actions alone; see `RememberingPolicy` and `Memory`."""
+        kept: npt.NDArray[np.float32] = (
+            Memory.parse(self._tensor(recurrent), self._sizes).without_skill().flat().cpu().numpy()
+        )
+        return kept
 
     @torch.inference_mode()
     def step(

@@ -118,6 +118,10 @@ class Memory:
         actions = torch.where((steps > 0)[:, None, None], no_action, self.actions)
         return replace(self, rates=rates, actions=actions, weights=weights, sums=sums)
 
+    def without_skill(self) -> "Memory":
+        """Returns the memories of no skill: the next one, even of the same name, begins anew."""
+        return replace(self, skill=torch.zeros_like(self.skill))
+
     def with_action(self, action: Tensor) -> "Memory":
         """Returns the memories after an action (B, E) was executed."""
         actions = torch.cat([action[:, None], self.actions], dim=1)[:, : self.actions.shape[1]]
