@@ -2,6 +2,7 @@
 # ruff: noqa: N802 -- gRPC names the methods
 
 import gc
+import signal
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -27,7 +28,7 @@ FIT = Fit("0" * 32, "running", {}, dataset="demos", model_name="default")
 
 
 class Fits(learning_pb2_grpc.FitServiceServicer):
-    """Every fit is known but `unknown`, and `slow` is never told of; its events have no end."""
+    """Every fit is known but `unknown`, and `slow` is never told of and has no event; events of others have no end."""
 
     def __init__(self) -> None:
         self.called = threading.Event()
@@ -48,6 +49,9 @@ class Fits(learning_pb2_grpc.FitServiceServicer):
 
     def WatchFit(self, request, context):
         context.add_callback(self.watch_ended.set)
+        self.called.set()
+        if request.id == "slow":
+            self.watch_ended.wait()
         sequence = 0
         while not self.watch_ended.wait(1e-3):
             yield wire.pack(WatchFitResponse(sequence, FIT))
@@ -104,6 +108,45 @@ def test_closing_the_client_cancels_the_calls_of_other_threads(channel: Channel,
         client.close()
         with pytest.raises(Cancelled):
             call.result()
+
+
+def test_an_interrupt_ends_a_stream_that_has_no_reply_yet(channel: Channel, service: Fits) -> None:
+    with SyncClient(FitClient(channel)) as client:
+        events = client.watch_fit(WatchFitRequest("slow"))
+        main = threading.main_thread().ident
+        interrupt = threading.Thread(
+            target=lambda: service.called.wait(60) and signal.pthread_kill(main, signal.SIGINT)
+        )
+        interrupt.start()
+        with pytest.raises(KeyboardInterrupt):
+            next(events)
+        interrupt.join()
+        assert service.watch_ended.wait(60)
+        assert client.list_fits(ListFitsRequest()).fits == (FIT, FIT)
+
+
+class Collecting(FitClient):
+    """Collects garbage on the event loop's thread, as Python may at any time."""
+
+    async def collect(self) -> int:
+        return gc.collect()
+
+
+def test_a_stream_that_is_garbage_on_the_thread_of_the_loop_does_not_hold_it_up(
+    channel: Channel, service: Fits
+) -> None:
+    def forget(events: Iterator[WatchFitResponse]) -> None:
+        cycle: list[object] = [events]
+        cycle.append(cycle)
+
+    with SyncClient(Collecting(channel)) as client:
+        events = client.watch_fit(WatchFitRequest(FIT.id))
+        next(events)
+        forget(events)
+        del events
+        client.collect()
+        assert service.watch_ended.wait(60)
+        assert client.list_fits(ListFitsRequest()).fits == (FIT, FIT)
 
 
 def test_an_exhausted_iterator_stays_so(channel: Channel) -> None:

@@ -13,7 +13,7 @@ import weakref
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import CancelledError, Future
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from typing_extensions import Self
 
@@ -38,6 +38,7 @@ class SyncClient:
             target=asyncio.run, args=(_serve(client, started),), name=type(client).__name__, daemon=True
         )
         thread.start()
+        self._thread = thread
         self._client = client
         self._process_id = os.getpid()
         self._loop, stop = started.result()
@@ -50,7 +51,7 @@ class SyncClient:
 
         def call(*args: object, **kwargs: object) -> object:
             reply = self._wait(_called(method, args, kwargs))
-            return self._iterate(reply) if isinstance(reply, AsyncGenerator) else reply
+            return self._iterate(_Replies(reply)) if isinstance(reply, AsyncGenerator) else reply
 
         return call
 
@@ -85,15 +86,36 @@ class SyncClient:
             future.cancel()
             raise
 
-    def _iterate(self, replies: AsyncGenerator[T, None]) -> Iterator[T]:
+    def _iterate(self, replies: "_Replies[T]") -> Iterator[T]:
         try:
             while True:
-                yield self._wait(_next(replies))
+                yield self._wait(replies.next())
         except StopAsyncIteration:
             return
         finally:
-            if self._stop.alive:
-                self._wait(replies.aclose())
+            if threading.current_thread() is self._thread:  # the garbage collector's: the loop cannot wait for itself
+                asyncio.run_coroutine_threadsafe(replies.close(), self._loop)
+            elif self._stop.alive:
+                self._wait(replies.close())
+
+
+class _Replies(Generic[T]):
+    """The replies of a stream, on the event loop."""
+
+    def __init__(self, replies: AsyncGenerator[T, None]) -> None:
+        self._replies = replies
+        self._waiting: asyncio.Task[T] | None = None
+
+    async def next(self) -> T:
+        self._waiting = asyncio.current_task()
+        return await anext(self._replies)
+
+    async def close(self) -> None:
+        """Ends the stream, while a reply is awaited, too."""
+        if self._waiting:
+            self._waiting.cancel()
+            await asyncio.wait([self._waiting])
+        await self._replies.aclose()
 
 
 async def _serve(client: Client, started: "Future[_Started]") -> None:
@@ -115,7 +137,3 @@ def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading
 async def _called(method: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> Any:
     reply = method(*args, **kwargs)  # on this thread: a channel opens on the running loop
     return reply if isinstance(reply, AsyncGenerator) else await reply
-
-
-async def _next(replies: AsyncGenerator[T, None]) -> T:
-    return await anext(replies)
