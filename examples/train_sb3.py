@@ -50,7 +50,7 @@ def main(text: str, task: str, *, steps: int, num_envs: int, seed: int, sim: str
         f"freerein/{task}-v0",
         num_envs,
         address=sim,
-        max_episode_steps=_TIMESTEPS * _MOVES,
+        episode_timesteps=_TIMESTEPS * _MOVES,
         action_repeat=_TIMESTEPS,
     )
     rewarded = VectorTextReward(Moves(envs), text, address=reward)

@@ -11,6 +11,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
+from google.rpc import error_details_pb2, status_pb2
+from grpc_status import rpc_status
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
@@ -41,6 +43,10 @@ TASKS = {
         ("hop", ActionSpec(1, 3, ("stay", "go", "stop"))),
     )
 }
+
+
+OUT_OF_ORDER = status_pb2.Status(code=grpc.StatusCode.FAILED_PRECONDITION.value[0], message="wrong step_id")
+OUT_OF_ORDER.details.add().Pack(error_details_pb2.ErrorInfo(reason="step_out_of_order", domain="freerein"))
 
 
 @dataclass
@@ -88,6 +94,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     """`failures`: statuses with which the next steps end after they were made."""
 
     sessions: dict[str, Session] = field(default_factory=dict)
+    asked: list[CreateSessionRequest] = field(default_factory=list)
     created: list[CreateSessionResponse] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
     failures: list[grpc.StatusCode] = field(default_factory=list)
@@ -97,6 +104,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
         if request.task not in TASKS:
             context.abort(grpc.StatusCode.NOT_FOUND, "no such task")
         assert request.idempotency_key
+        self.asked.append(request)
         known = (name for name, each in self.sessions.items() if each.request == request)
         count, name = request.num_envs or 1, next(known, f"{len(self.created):032x}")
         self.sessions.setdefault(name, Session(request, lines(7, count)))
@@ -118,7 +126,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
         request = wire.unpack(message, StepRequest)
         session = self.sessions[request.session]
         if request.step_id not in (session.steps, session.steps + 1):
-            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "wrong step_id")
+            context.abort_with_status(rpc_status.to_status(OUT_OF_ORDER))
         if np.abs(request.actions).max() > 2 or request.actions.shape[0] != len(session.lines):
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, "action out of range")
         if request.step_id > session.steps:
@@ -196,6 +204,12 @@ def test_gymnasium_makes_a_vector_of_one_session(address: str, service: Sim) -> 
     envs.close()
 
 
+def test_the_service_limits_the_timesteps_of_an_episode(address: str, service: Sim) -> None:
+    gymnasium.make("freerein/slide-v0", address=address, episode_timesteps=3).close()
+    gymnasium.make_vec("freerein/slide-v0", num_envs=2, address=address, episode_timesteps=3).close()
+    assert [request.max_episode_steps for request in service.asked] == [3, 3]
+
+
 def test_the_last_frame_is_the_old_episodes_and_reset_takes_up_the_one_already_begun(
     address: str, service: Sim
 ) -> None:
@@ -268,6 +282,31 @@ def test_a_refused_action_is_no_step_and_a_step_of_unknown_fate_is_one(address: 
             env.step(GO)
         third, *_ = env.step(GO)
     assert third.max() == first.max() + 2
+
+
+def test_an_action_that_is_none_is_no_step(address: str) -> None:
+    with SimEnv("slide", address) as env:
+        first, _ = env.reset()
+        with pytest.raises(ValueError, match="could not convert"):
+            env.step("go")
+        second, *_ = env.step(GO)
+    assert second.max() == first.max() + 1
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_after_a_step_of_unknown_fate_reset_begins_anew(address: str, service: Sim, made: bool) -> None:
+    with SimEnv("slide", address) as env:
+        env.reset()
+        env.step(GO)
+        service.failures = [grpc.StatusCode.INTERNAL]
+        with pytest.raises(ServiceError, match="the reply is lost"):
+            env.step(GO)
+        (session,) = service.sessions.values()
+        session.steps -= not made
+        for _ in range(2):
+            first, _ = env.reset(seed=1)
+            second, *_ = env.step(GO)
+            assert second.max() == first.max() + 1
 
 
 def test_close_ends_the_session_once_and_needs_no_service(address: str, service: Sim) -> None:

@@ -82,7 +82,7 @@ def test_a_remote_vector_is_bit_for_bit_the_one_in_process(
 
 def test_an_action_is_held_as_in_process(address: str) -> None:
     local = VectorEnv(TASKS["blocks"], num_envs=2, seed=0)
-    options = {"num_envs": 2, "action_repeat": 4, "max_episode_steps": 6, "address": address, "token": TOKEN}
+    options = {"num_envs": 2, "action_repeat": 4, "episode_timesteps": 6, "address": address, "token": TOKEN}
     remote = gymnasium.make_vec("freerein/blocks-v0", **options)
     remote.reset(seed=4)
     local.reset(seed=4)

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.envs.leased_session import LeasedSession
-from freerein.errors import FailedPrecondition, InvalidInput, Overloaded
+from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, StepOutOfOrder
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -41,7 +41,8 @@ class SessionOptions(TypedDict, total=False):
         privileged: For evaluation only: oracle reward, and `info["truth"]` with `state` (float64 (S,)), `reward` and
             `success` of each step, and of resets that begin an episode.
         conditions: Conditions of the task, named variations; empty for the nominal task.
-        max_episode_steps: Timesteps after which an episode is truncated; 0 for the task's own.
+        episode_timesteps: Timesteps after which an episode is truncated; 0 for the task's own. (The `max_episode_steps`
+            of `gymnasium.make` is not ours: it counts actions, and cannot lengthen an episode.)
         action_repeat: Timesteps that each action is held for, or until the episode ends; at most 64. Steps return what
             the last of them does.
         lease_s: Seconds after which the service ends the session when this process is gone or stopped; at most 3600.
@@ -56,7 +57,7 @@ class SessionOptions(TypedDict, total=False):
     width: int
     privileged: bool
     conditions: Sequence[str]
-    max_episode_steps: int
+    episode_timesteps: int
     action_repeat: int
     lease_s: float
     render_mode: str | None
@@ -86,7 +87,7 @@ class EnvSession:
         width: int = 0,
         privileged: bool = False,
         conditions: Sequence[str] = (),
-        max_episode_steps: int = 0,
+        episode_timesteps: int = 0,
         action_repeat: int = 1,
         lease_s: float = _LEASE_S,
         render_mode: str | None = None,
@@ -103,7 +104,7 @@ class EnvSession:
             width=width,
             privileged=privileged,
             conditions=tuple(conditions),
-            max_episode_steps=max_episode_steps,
+            max_episode_steps=episode_timesteps,
         )
         with ExitStack() as on_error:
             on_error.callback(self._sim.close)
@@ -112,6 +113,8 @@ class EnvSession:
             self._session = self._lease.created.session
             self.task: Task = self._lease.created.task
             self._step_id, self._action_repeat = 0, action_repeat
+            self._is_unknown = False  # whether the last step was made
+            self._may_be_ahead = False  # the step count, by one
             self.cameras = tuple(cameras) or (self.task.cameras[0].name,)
             self.observation_space = _observation_space(self.task, self.cameras, height, width)
             self.action_space = _action_space(self.task.action)
@@ -122,6 +125,8 @@ class EnvSession:
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
         """Begins new episodes in `envs`, or in all environments if empty."""
         reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self.cameras))
+        if not envs:
+            self._may_be_ahead, self._is_unknown = self._may_be_ahead or self._is_unknown, False
         return reply
 
     def step(self, actions: npt.ArrayLike) -> StepResponse:
@@ -131,18 +136,18 @@ class EnvSession:
             actions: (N, A) in [-1, 1], or (N,) discrete choices.
 
         Raises:
-            ServiceError: After Unavailable, DeadlineExceeded and Internal it is unknown whether the step was made. It
-                is counted as made; if it was not, later steps are refused.
+            ServiceError: After Unavailable, DeadlineExceeded and Internal, and after an interrupt, it is unknown
+                whether the step was made. It is counted as made; if it was not, steps are refused until `reset`.
         """
-        self._step_id += 1
-        request = StepRequest(
-            self._session, self._step_id, self._encoded(actions), self.cameras, action_repeat=self._action_repeat
-        )
+        encoded = self._encoded(actions)
         try:
-            reply: StepResponse = self._sim.step(request)
-        except (InvalidInput, FailedPrecondition, Overloaded):
+            reply = self._next_step(encoded)
+        except StepOutOfOrder:
+            if not self._may_be_ahead:
+                raise
             self._step_id -= 1
-            raise
+            reply = self._next_step(encoded)
+        self._may_be_ahead = False
         return reply
 
     def observation(self, frames: Mapping[str, Pixels]) -> Observation:
@@ -164,6 +169,20 @@ class EnvSession:
     def close(self) -> None:
         """Closes the session and the connection; may be called twice."""
         self._lease.close()
+
+    def _next_step(self, actions: npt.NDArray[Any]) -> StepResponse:
+        request = StepRequest(
+            self._session, self._step_id + 1, actions, self.cameras, action_repeat=self._action_repeat
+        )
+        try:
+            reply: StepResponse = self._sim.step(request)
+        except (InvalidInput, FailedPrecondition, Overloaded):
+            raise
+        except BaseException:
+            self._step_id, self._is_unknown = self._step_id + 1, True
+            raise
+        self._step_id += 1
+        return reply
 
     def _encoded(self, actions: npt.ArrayLike) -> npt.NDArray[Any]:
         if isinstance(self.action_space, spaces.Discrete):
