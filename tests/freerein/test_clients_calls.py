@@ -193,6 +193,20 @@ async def test_without_a_token_none_is_sent(peer: Peer) -> None:
     assert "authorization" not in peer.metadata[0]
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+async def test_a_service_on_this_machine_is_called_without_the_environments_proxy(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch, host: str
+) -> None:
+    for name in ("no_proxy", "no_grpc_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    async with (
+        serving(peer) as address,
+        SegmentationClient(Channel(address.replace("127.0.0.1", host))) as client,
+    ):
+        await client.list_skills(SKILLS)
+
+
 async def test_a_call_that_gets_no_answer_ends_at_its_deadline(channel: Channel) -> None:
     with pytest.raises(errors.DeadlineExceeded, match=r"Render at 127\.0\.0\.1:\d+ failed"):
         await SimClient(channel).render(sim.RenderRequest(SESSION), timeout_s=0.2)

@@ -4,6 +4,7 @@ import os
 import re
 import threading
 from functools import cache
+from ipaddress import ip_address
 from typing import Any
 from weakref import WeakSet
 
@@ -41,7 +42,7 @@ class Channel:
     """A gRPC connection to one service, opened by the first call and bound to its event loop.
 
     Args:
-        address: `host:port`.
+        address: `host:port`. On loopback no proxy of the environment is used.
         token: Bearer token, printable ASCII without spaces; empty for none.
         root_certificates: PEM root certificates for TLS; None for no TLS.
         keepalive_s: Seconds of silence before a ping, at least 1. A service that hangs is noticed 1 s later. On a slow
@@ -86,6 +87,7 @@ class Channel:
             options = (
                 *_OPTIONS,
                 ("grpc.keepalive_time_ms", self._keepalive_ms),
+                ("grpc.enable_http_proxy", int(not _is_loopback(self.address))),
                 ("grpc.service_config", retry_policy.service_config()),
             )
             if self._root_certificates is None:
@@ -107,6 +109,14 @@ class Channel:
     def metadata(self, request_id: str) -> tuple[tuple[str, str], ...]:
         """Returns the metadata of a call."""
         return (("x-request-id", request_id), *self._authorization)
+
+
+def _is_loopback(address: str) -> bool:
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 # gRPC crashes or hangs in a process that was forked while it was in use.
