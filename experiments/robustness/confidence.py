@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.workbench.results import Sample
-from freerein.learning.in_distribution import FLAGGED
+from freerein.types.segmentation import FLAGGED
 
 AUROC, FLAGGED_SHARE, CALIBRATION_ERROR = (f"in_distribution.{name}" for name in ("auroc", "flagged", "ece"))
 _BINS = 15

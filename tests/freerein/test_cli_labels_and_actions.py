@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,16 @@ def record(root: Path, *brightness: list[int], fault: int = 0) -> None:
             writer.append(Trajectory({"top": frames}, np.zeros((len(values), 2), np.float32)))
 
 
+def record_cameras(root: Path, **brightness: int) -> None:
+    """Writes a dataset with a trajectory of three timesteps, whose cameras differ in brightness."""
+    spec = replace(_SPEC, cameras=dict.fromkeys(brightness, (4, 4, 3)))
+    with create(root, spec) as writer:
+        frames = {camera: np.zeros((3, 4, 4, 3), np.uint8) for camera in brightness}
+        for camera, value in brightness.items():
+            frames[camera][..., 2] = value
+        writer.append(Trajectory(frames, np.zeros((3, 2), np.float32)))
+
+
 def _run(*words: str) -> Result:
     return CliRunner().invoke(app, [*words, "--json"])
 
@@ -62,6 +73,33 @@ def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
     assert (document["labelled"], document["skills"]) == (2, ["even", "odd"])
     assert [found.tolist() for found in labels.all_labels(root, np.array([3, 2]))] == [[0, 1, 1], [1, 0]]
     assert labels.info(root).model.version == document["model"]["version"]
+
+
+def test_the_frames_are_of_the_camera_that_the_model_was_fitted_on(
+    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+    root = data_dir / "datasets" / "two"
+    record_cameras(root, above=0, front=1)
+
+    answer = json.loads(_run("segment", "two").stdout)
+    _run("segment", "two", "--save")
+
+    assert (answer["labels"], answer["flagged"]) == ([1, 1, 1], 0)
+    assert [found.tolist() for found in labels.all_labels(root, np.array([3]))] == [[1, 1, 1]]
+
+
+@pytest.mark.parametrize("words", [["--save"], ["--index", "0"], ["--camera", "front"]])
+def test_a_dataset_of_several_other_cameras_is_refused(
+    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+    record_cameras(data_dir / "datasets" / "others", above=0, side=1)
+
+    error = json.loads(_run("segment", "others", *words).stderr)["error"]
+
+    assert (error["code"], error["field"]) == ("invalid_input", "camera")
+    assert "above, side" in error["detail"]
 
 
 def test_short_segments_are_rejected_in_a_dataset(

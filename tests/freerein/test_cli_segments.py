@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.cli.segments import picture
+from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import at_rate, of_video
 from freerein.cli.segments.webvtt import webvtt
 from freerein.types.common import ModelRef, Timing
@@ -41,6 +42,17 @@ def test_subtitles_last_as_long_as_their_segments_and_hold_no_markup() -> None:
 def test_the_times_of_a_video_are_its_own_and_its_last_frame_lasts() -> None:
     labelled = of_video(answer(Segment(0, 3, "push", 0.9), timesteps=3, time_s=[0.0, 0.5, 1.5]))
     assert labelled.time_s.tolist() == pytest.approx([0.0, 0.5, 1.5, 2.25])
+
+
+def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_any(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    familiar = answer(Segment(0, 4, "push", 0.9), timesteps=4)
+    timeline.show(at_rate(familiar, fps=10))
+    assert "unlike" not in capsys.readouterr().out
+
+    timeline.show(at_rate(replace(familiar, in_distribution=np.float32([0.02, 0.5, 0.03, 1.0])), fps=10))
+    assert "25.0% of the timesteps are probably unlike" in capsys.readouterr().out
 
 
 def test_a_picture_is_drawn_with_and_without_frames(tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from freerein.learning.in_distribution import FLAGGED, InDistribution
+from freerein.learning.in_distribution import InDistribution
+from freerein.types.segmentation import FLAGGED
 
 HELD_OUT = 4000
 

@@ -21,7 +21,6 @@ from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
 from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
-from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.model_files import read_card
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -30,6 +29,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ControlRequest, GetSpecRequest, Hello, Observed
+from freerein.types.segmentation import FLAGGED
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import ControlSpec

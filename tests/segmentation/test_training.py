@@ -11,9 +11,9 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import FitResult, fit
-from freerein.learning.in_distribution import FLAGGED
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
+from freerein.types.segmentation import FLAGGED
 from freerein_segmentation import training
 from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.objectives import OBJECTIVES

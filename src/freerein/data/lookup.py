@@ -37,3 +37,22 @@ def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:
             hint=f"For example: --set 'cameras=[\"{cameras[0]}\"]'.",
         )
     return chosen
+
+
+def choose_camera(dataset: Dataset, asked: str, *, of_model: str, field: str = "camera") -> str:
+    """Returns the camera whose frames a model is to label: the one asked for, else the model's, else the only one.
+
+    Raises:
+        InvalidInput: The dataset has no camera of that name, or it has several cameras, none of them the model's, and
+            none was asked for.
+    """
+    cameras = tuple(dataset.spec.cameras)
+    chosen = asked or (cameras[0] if len(cameras) == 1 else of_model)
+    if chosen not in cameras:
+        raise InvalidInput(
+            f"The camera must be one of the dataset's, {', '.join(cameras)}; "
+            f"{'another was asked for' if asked else 'the model was fitted on another'}.",
+            field=field,
+            hint=f"Name {'one of these' if asked else 'the one that shows what the model was fitted on'}.",
+        )
+    return chosen

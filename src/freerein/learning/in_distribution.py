@@ -11,9 +11,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-FLAGGED = 0.03
-"""Answers with a lower score are to be taken as outside of what a model was fitted on: 3 % of held-out ones."""
-
 _QUANTILES = 1001
 KNOWN_FRAMES = 2000
 """Frames of the fit from which a score is fitted, about."""

@@ -11,6 +11,9 @@ from freerein.types.common import Draining, Error, Image, ModelRef, Timing
 NO_SKILL = -1
 """Label of a timestep that was rejected."""
 
+FLAGGED = 0.03
+"""Answers with a lower `in_distribution` are to be taken as outside of what a model was fitted on."""
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentRequest:
@@ -99,6 +102,7 @@ class ListSkillsResponse:
         action_choices: Number of discrete actions; 0 for continuous ones.
         lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories, which
             has no streams.
+        camera: Name of the camera whose frames the model was trained on, as in its dataset.
     """
 
     skills: tuple[str, ...]
@@ -109,6 +113,7 @@ class ListSkillsResponse:
     action_size: int
     action_choices: int
     lag: int | None = None
+    camera: str = ""
 
 
 @dataclass(frozen=True)

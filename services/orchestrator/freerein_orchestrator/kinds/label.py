@@ -11,7 +11,7 @@ from functools import partial
 from freerein.atomic_files import write_atomic
 from freerein.data import Dataset, dataset_path
 from freerein.data.labels import LabelsInfo, LabelsWriter
-from freerein.errors import InvalidInput
+from freerein.data.lookup import choose_camera
 from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, Trajectory, check_name
 from freerein.types.segmentation import (
@@ -35,7 +35,7 @@ class LabelConfig:
         dataset: The dataset's name.
         model: Name of the segmentation model; empty for the service's default.
         version: Its version; empty for the one that is active when the run starts.
-        camera: The camera of the frames; empty for the dataset's first.
+        camera: The camera of the frames; empty for the one that the model was fitted on.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
         min_confidence: Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it
@@ -69,18 +69,18 @@ def run(context: RunContext, config: LabelConfig) -> None:
     Raises:
         Stopped: The run is to stop.
         NotFound: There is no such dataset or model.
-        InvalidInput: The dataset has no such camera, or its frames are not the model's.
+        InvalidInput: The dataset has no such camera, several but not the model's, or its frames are not the model's.
         FailedPrecondition: Another run or command is labelling the dataset.
         ServiceError: The segmentation service refuses.
     """
     retry, segmentation = context.retry(), context.client("segmentation")
     root = dataset_path(context.data_dir, config.dataset)
     dataset = Dataset(root)
-    camera = _camera(dataset, config.camera)
     path = context.folder / "checkpoints" / "labelled.json"
     saved = json.loads(path.read_bytes()) if path.is_file() else None
     asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
     model: ListSkillsResponse = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
+    camera = choose_camera(dataset, config.camera, of_model=model.camera, field="config.camera")
     with LabelsWriter(root, name=context.key) as writer:
         first = saved["labelled"] if writer.goes_on and saved else 0
         metrics = context.metrics_logger(first)
@@ -114,17 +114,6 @@ def _request(config: LabelConfig, model: ListSkillsResponse, trajectory: Traject
 
 def _metrics(answer: SegmentResponse) -> dict[str, float]:
     return {"confidence": float(answer.confidence.mean()), "kept": float((answer.labels != NO_SKILL).mean())}
-
-
-def _camera(dataset: Dataset, name: str) -> str:
-    cameras = list(dataset.spec.cameras)
-    if name and name not in cameras:
-        raise InvalidInput(
-            f"`camera` must be one of the dataset's, {', '.join(cameras)}; got another.",
-            field="config.camera",
-            hint="Leave it out for the first.",
-        )
-    return name or cameras[0]
 
 
 KIND = Kind(partial(parse, LabelConfig), steps=lambda _: 0, run=run)

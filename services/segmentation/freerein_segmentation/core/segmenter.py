@@ -130,4 +130,5 @@ def describe(ref: ModelRef, model: SkillModel) -> ListSkillsResponse:
         action_size=model.action.size if model.action else 0,
         action_choices=model.action.choices if model.action else 0,
         lag=model.lag,
+        camera=model.camera.name,
     )

@@ -202,18 +202,6 @@ def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
     return dataset[index]
 
 
-def camera_or_first(dataset: Dataset, camera: str) -> str:
-    """Returns the named camera, or the first one where the name is empty; raises InvalidInput where there is none."""
-    cameras = tuple(dataset.spec.cameras)
-    if camera and camera not in cameras:
-        raise InvalidInput(
-            f"The camera must be one of {', '.join(cameras)}; got another name.",
-            field="camera",
-            hint="Leave it out for the first.",
-        )
-    return camera or cameras[0]
-
-
 def _goal_texts(summary: DatasetSummary) -> str:
     """Returns the trajectories' own goal texts, most frequent first."""
     counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])

@@ -1,7 +1,7 @@
 """`freerein segment`: labels the timesteps of a video, of one trajectory, or of a whole dataset with skills."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ import typer
 
 from freerein import wire
 from freerein.atomic_files import write_atomic
-from freerein.cli.commands.dataset import camera_or_first, dataset_root, read_trajectory
+from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.connection import SEGMENT_TIMEOUT_S, call
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.cli.segments import picture, timeline
@@ -21,6 +21,7 @@ from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
 from freerein.data import Dataset, read_actions, read_choices
 from freerein.data.labels import LabelsInfo, LabelsWriter
+from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
@@ -52,7 +53,7 @@ def segment(
     index: Annotated[int | None, typer.Option(min=0, help="Index of the dataset's trajectory; 0 by default.")] = None,
     model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
-    camera: Annotated[str, typer.Option(help="Camera of the dataset's frames; its first by default.")] = "",
+    camera: Annotated[str, typer.Option(help="Camera of the dataset's frames; the model's by default.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
     min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
     min_kept: Annotated[int, typer.Option(min=0, help="Reject segments shorter than this many timesteps.")] = 0,
@@ -88,16 +89,18 @@ def segment(
         _check_no_file(source)
         _check_all_go_with(_DATASET if save else _TRAJECTORY, given)
         opened = Dataset(dataset_root(source))
-        chosen = camera_or_first(opened, camera)
         if save:
-            _segment_all(source, opened, request, chosen, as_json=as_json)
+            _segment_all(source, opened, request, camera, as_json=as_json)
             return
-        labelled, film = _segment_one(opened, index or 0, request, chosen)
+        labelled, film = _segment_one(opened, index or 0, request, camera)
     if png is not None:
         picture.draw(png, labelled, film)
     if vtt is not None:
         write_atomic(vtt, webvtt(labelled).encode())
-    print_json(wire.to_json(labelled.answer)) if as_json else timeline.show(labelled)
+    if as_json:
+        print_json({**wire.to_json(labelled.answer), "flagged": timeline.flagged([labelled.answer])})
+    else:
+        timeline.show(labelled)
 
 
 def _check_no_file(source: str) -> None:
@@ -171,32 +174,54 @@ def _film_indices(count: int) -> list[int]:
 
 
 def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: str) -> tuple[Timeline, Film]:
+    """Returns a labelled trajectory, and some of its frames; `camera` may be empty."""
     trajectory = read_trajectory(dataset, index)
-    frames = trajectory.frames[camera]
-    filled = replace(request, frames=frames, actions=trajectory.actions)
-    answer = call(
-        SegmentationClient, "segmentation", lambda client: client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
-    )
+
+    async def ask(client: SegmentationClient) -> tuple[SegmentResponse, str]:
+        skills = await client.list_skills(ListSkillsRequest(request.model))
+        chosen = choose_camera(dataset, camera, of_model=skills.camera)
+        filled = replace(request, model=skills.model, frames=trajectory.frames[chosen], actions=trajectory.actions)
+        return await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S), chosen
+
+    answer, chosen = call(SegmentationClient, "segmentation", ask)
+    frames = trajectory.frames[chosen]
     film = [frames[t] for t in _film_indices(len(frames))]
     return timeline.at_rate(answer, fps=dataset.spec.fps), film
 
 
 def _segment_all(name: str, dataset: Dataset, request: SegmentRequest, camera: str, *, as_json: bool) -> None:
     with progress_bar(f"labelling {name}", total=len(dataset), is_shown=not as_json) as on_count:
-        info = call(
+        labelled = call(
             SegmentationClient,
             "segmentation",
             lambda client: label_all(client, dataset_root(name), request, camera=camera, on_count=on_count),
         )
-    _show_saved(name, len(dataset), info, as_json=as_json)
+    _show_saved(name, len(dataset), labelled, as_json=as_json)
 
 
-def _show_saved(dataset: str, count: int, info: LabelsInfo, *, as_json: bool) -> None:
+@dataclass(frozen=True)
+class LabelledDataset:
+    """What was stored of a dataset.
+
+    Attributes:
+        info: The model and its skills.
+        flagged: Share of the timesteps that are probably unlike what the model was fitted on.
+    """
+
+    info: LabelsInfo
+    flagged: float
+
+
+def _show_saved(dataset: str, count: int, labelled: LabelledDataset, *, as_json: bool) -> None:
+    info, flagged = labelled.info, labelled.flagged
     if as_json:
         model = {"name": info.model.name, "version": info.model.version}
-        print_json({"dataset": dataset, "labelled": count, "skills": list(info.skills), "model": model})
-    else:
-        typer.echo(f"Labelled {count} trajectories of {dataset} by model {info.model.name} {info.model.version}.")
+        document = {"dataset": dataset, "labelled": count, "skills": list(info.skills), "model": model}
+        print_json({**document, "flagged": flagged})
+        return
+    typer.echo(f"Labelled {count} trajectories of {dataset} by model {info.model.name} {info.model.version}.")
+    if flagged:
+        typer.echo(timeline.warning(flagged))
 
 
 async def label_all(
@@ -206,20 +231,21 @@ async def label_all(
     *,
     camera: str,
     on_count: Callable[[int], None],
-) -> LabelsInfo:
+) -> LabelledDataset:
     """Labels every trajectory of a dataset by one version of a model, and stores the labels beside it.
 
-    The labels count only once all trajectories have theirs. `request` holds model and options; `on_count` is called
-    with the number of trajectories labelled.
+    The labels count only once all trajectories have theirs. `request` holds model and options; an empty `camera` is the
+    model's; `on_count` is called with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
-    info = LabelsInfo(skills.skills, skills.model)
+    info, dataset, answers = LabelsInfo(skills.skills, skills.model), Dataset(root), list[SegmentResponse]()
+    chosen = choose_camera(dataset, camera, of_model=skills.camera)
     with LabelsWriter(root, name=_WRITER) as writer:
-        for index, trajectory in enumerate(Dataset(root)):
-            frames, actions = trajectory.frames[camera], trajectory.actions
+        for index, trajectory in enumerate(dataset):
+            frames, actions = trajectory.frames[chosen], trajectory.actions
             filled = replace(request, model=skills.model, frames=frames, actions=actions)
-            answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
-            writer.save(index, answer.labels)
+            answers.append(await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S))
+            writer.save(index, answers[-1].labels)
             on_count(index + 1)
         writer.finish(info)
-    return info
+    return LabelledDataset(info, timeline.flagged(answers))

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from freerein.types.segmentation import NO_SKILL, SegmentResponse
+from freerein.types.segmentation import FLAGGED, NO_SKILL, SegmentResponse
 
 _COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", "bright_magenta")
 _WIDEST_BAR = 100
@@ -59,6 +59,22 @@ def show(timeline: Timeline) -> None:
         f"{len(answer.labels)} timesteps, {f'{rejected} of them rejected, ' if rejected else ''}"
         f"model {answer.model.name} {answer.model.version}",
         style="dim",
+    )
+    if share := flagged([answer]):
+        console.print(warning(share))
+
+
+def flagged(answers: Sequence[SegmentResponse]) -> float:
+    """Returns the share of timesteps that are probably unlike what the model was fitted on; 0 without a timestep."""
+    scores = np.concatenate([np.empty(0, np.float32), *(answer.in_distribution for answer in answers)])
+    return float((scores < FLAGGED).mean()) if len(scores) else 0.0
+
+
+def warning(share: float) -> str:
+    """Returns a sentence on the share of timesteps that are flagged."""
+    return (
+        f"{share:.1%} of the timesteps are probably unlike what the model was fitted on: `in_distribution` is below "
+        f"{FLAGGED:g}, as for {FLAGGED:.0%} of held-out ones."
     )
 
 

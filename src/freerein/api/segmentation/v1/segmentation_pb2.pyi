@@ -467,6 +467,7 @@ class ListSkillsResponse(_message.Message):
     ACTION_SIZE_FIELD_NUMBER: _builtins.int
     ACTION_CHOICES_FIELD_NUMBER: _builtins.int
     LAG_FIELD_NUMBER: _builtins.int
+    CAMERA_FIELD_NUMBER: _builtins.int
     height: _builtins.int
     """Frame height in pixels; requests must match."""
     width: _builtins.int
@@ -481,6 +482,8 @@ class ListSkillsResponse(_message.Message):
     """Timesteps after a timestep that its prediction depends on; unset for a model of whole trajectories, which has no
     streams.
     """
+    camera: _builtins.str
+    """Name of the camera whose frames the model was trained on, as in its dataset."""
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """The skills; labels are indices into this list."""
@@ -500,10 +503,11 @@ class ListSkillsResponse(_message.Message):
         action_size: _builtins.int = ...,
         action_choices: _builtins.int = ...,
         lag: _builtins.int | None = ...,
+        camera: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "lag", b"lag", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "action_choices", b"action_choices", "action_size", b"action_size", "channels", b"channels", "height", b"height", "lag", b"lag", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "action_choices", b"action_choices", "action_size", b"action_size", "camera", b"camera", "channels", b"channels", "height", b"height", "lag", b"lag", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__lag: _TypeAlias = _typing.Literal["lag"]  # noqa: Y015
     _WhichOneofArgType__lag: _TypeAlias = _typing.Literal["_lag", b"_lag"]  # noqa: Y015
