@@ -151,6 +151,25 @@ def test_a_job_whose_request_was_not_recorded_whole_is_not_there(store):
     assert store.unfinished() == [run_id]
 
 
+@pytest.mark.parametrize("name", ["request.json", "config.json", "events.jsonl"])
+def test_a_job_whose_folder_is_deleted_in_part_is_not_there_and_keeps_no_other_from_being_found(store, name):
+    gone, left = store.create(REQUEST, {}), store.create(START, {})
+    (store.folder(gone) / name).unlink()
+    for call in (store.config, store.fields, store.artifacts, lambda job_id: store.record(job_id, "running")):
+        with pytest.raises(NotFound):
+            call(gone)
+    assert store.find(REQUEST) is None
+    assert left in store.unfinished()
+
+
+def test_a_job_without_events_is_not_unfinished(store):
+    run_id = store.create(REQUEST, {})
+    (store.folder(run_id) / "events.jsonl").unlink()
+    assert store.unfinished() == []
+    with pytest.raises(NotFound):
+        store.last(run_id)
+
+
 def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(store):
     ids = [store.create(START, {}) for _ in range(5)]
     first, token = store.page(2, "")

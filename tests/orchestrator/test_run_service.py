@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from freerein.errors import AlreadyExists, InvalidInput, Overloaded, Unavailable
+from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded, Unavailable
 from freerein.jobs.attempt import AttemptStopped, StopRequest
 from freerein.jobs.retry import AttemptResult, Pause
 from freerein.jobs.store import JobStore
@@ -172,6 +172,14 @@ async def test_a_run_that_is_attempted_has_not_ended_whatever_was_recorded_last(
     while (await orchestrator.get(run_id)).state != "succeeded":
         pass
     assert (await orchestrator.watch(run_id))[-4:] == ["cancelled", "queued", "running", "succeeded"]
+
+
+async def test_a_run_whose_folder_is_deleted_in_part_is_left_out_of_the_list(orchestrator):
+    gone, left = await orchestrator.start(), await orchestrator.start()
+    (orchestrator.store.folder(gone) / "events.jsonl").unlink()
+    assert [run.id for run in (await orchestrator.runs.list_runs(ListRunsRequest())).runs] == [left]
+    with pytest.raises(NotFound):
+        await orchestrator.get(gone)
 
 
 async def test_runs_are_listed_in_pages_newest_first(orchestrator):

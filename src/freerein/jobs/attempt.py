@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from freerein.atomic_files import out_of_storage
+from freerein.errors import NotFound
 from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
@@ -80,12 +81,17 @@ class AttemptRunner:
 
         Raises AttemptStopped when `should_stop` asked for it; the child has then ended or was killed.
         """
-        if not self._store.exists(job_id):
+        try:
+            self._store.check(job_id)
+            return self._attempt(job_id, should_stop, pause)
+        except NotFound:
             return AttemptResult(
                 "failed",
                 error="The data directory of this worker must hold the job; it does not. Workers that share a database "
-                "must share FREEREIN_DATA_DIR.",
+                "must share FREEREIN_DATA_DIR, and the folder of a job must not be deleted before it ends.",
             )
+
+    def _attempt(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause) -> AttemptResult:
         with ExitStack() as held:
             try:
                 self._wait(job_id, should_stop, pause)
@@ -154,9 +160,10 @@ class AttemptRunner:
     def _watch(
         self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]
     ) -> StopRequest:
-        """Returns why a child must stop; empty when it has ended by itself."""
+        """Returns why a child must stop; empty when it has ended by itself. Raises NotFound when its job is deleted."""
         waits = ""
         while child.poll() is None:
+            self._store.check(job_id)
             if request := should_stop():
                 if request == "cancel":
                     with suppress(OSError):

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from freerein.atomic_files import storage_errors
-from freerein.errors import FailedPrecondition, Overloaded, ServiceError
+from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceError
 from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest
 from freerein.jobs.retry import retry
 from freerein.jobs.store import JobStore
@@ -147,7 +147,7 @@ class LocalQueue:
         while True:
             try:
                 return self._store.record(job_id, state, **changes)
-            except FileNotFoundError:  # its folder was deleted
+            except NotFound:  # its folder was deleted
                 return None
             except OSError:
                 _log.exception("the end of a job cannot be recorded yet", extra={"job": job_id})

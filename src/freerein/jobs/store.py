@@ -2,7 +2,7 @@
 
 <root>/.lock               held while a job is made
 <root>/<id>/request.json   the request, as received
-            config.json    resolved configuration and planned steps; written last: without it there is no job
+            config.json    resolved configuration and planned steps; written last
             events.jsonl   the job after each change; the line number is the sequence number
             metrics.jsonl  written by the child process, one row per logged step
             model.json     the resulting model
@@ -10,16 +10,19 @@
             log.txt        output of the child processes
             lock           held by an attempt and its child process
             state.lock     held while it is decided whether the job has ended
+
+A job is there while the first three of these files are. Its folder may be deleted at any time, which takes a while.
 """
 
 import asyncio
 import fcntl
 import json
+import logging
 import shutil
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
@@ -34,6 +37,8 @@ from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
 from freerein.types.orchestrator import Artifact
 
+_log = logging.getLogger(__name__)
+_FILES = ("request.json", "config.json", "events.jsonl")
 _KEYS = uuid.UUID("6f5e3b1c-52a4-4c43-9a58-0a6f1a1f6c54")
 _PAGE, _MAX_PAGE = 100, 1000
 _PAGE_BYTES = 1 << 20  # of JSON; a `Struct` with the same values takes up to six times as many
@@ -106,15 +111,19 @@ class JobStore:
 
     def exists(self, job_id: str) -> bool:
         """Returns whether there is a job of an id."""
-        return (self.folder(job_id) / "config.json").is_file()
+        folder = self.folder(job_id)
+        return all((folder / name).exists() for name in _FILES)
+
+    def check(self, job_id: str) -> None:
+        """Raises NotFound when there is no job of an id."""
+        if not self.exists(job_id):
+            raise self._not_found()
 
     def config(self, job_id: str) -> dict[str, Any]:
         """Returns the contents of a job's `config.json`. Raises NotFound when there is no such job."""
-        if not self.exists(job_id):
-            raise NotFound(
-                f"There is no {self.noun} of this id.", field="id", hint=f"GET /v1/list-{self.noun}s lists them."
-            )
-        return dict(json.loads((self.folder(job_id) / "config.json").read_bytes()))
+        self.check(job_id)
+        with self._deleted_is_not_found():
+            return dict(json.loads((self.folder(job_id) / "config.json").read_bytes()))
 
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.
@@ -139,26 +148,28 @@ class JobStore:
         return ids[start:end], ids[end - 1] if end < len(ids) else ""
 
     def unfinished(self) -> list[str]:
-        """Returns the ids of the jobs that have not ended, oldest first."""
-        return [job_id for job_id in reversed(self._newest_first()) if not self.last(job_id).ended]
+        """Returns the ids of the jobs that have not ended, oldest first, without those of incomplete folders."""
+        return [job_id for job_id in reversed(self._newest_first()) if self._is_unfinished(job_id)]
 
     def record(self, job_id: str, state: JobState, **changes: Any) -> None:
         """Appends an event durably, unless nothing changes. An ended job changes only to `queued`.
 
-        `changes` are `step`, `metrics` and `error`. Raises OSError when the disk is full or broken.
+        `changes` are `step`, `metrics` and `error`. Raises NotFound when there is no such job, OSError when the disk is
+        full or broken.
         """
         self._append(job_id, [{**changes, "state": state}])
 
     def record_progress(self, job_id: str, rows: Sequence[MetricRow]) -> None:
-        """Appends an event for each row whose step is new. Raises OSError when the disk is full or broken."""
+        """Appends an event for each row whose step is new; raises as `record` does."""
         done = self.last(job_id).step
         self._append(
             job_id, [{"state": "running", "step": row.step, "metrics": row.metrics} for row in rows if row.step > done]
         )
 
     def last(self, job_id: str) -> JobEvent:
-        """Returns the last event of a job."""
-        return _event(last_document(self.folder(job_id) / "events.jsonl") or {})
+        """Returns the last event of a job. Raises NotFound when there is no such job."""
+        with self._deleted_is_not_found():
+            return _event(last_document(self.folder(job_id) / "events.jsonl") or {})
 
     def events(self, job_id: str) -> Callable[[], list[JobEvent]]:
         """Returns a function whose every call returns the events that are new since the last one; at first, all."""
@@ -211,7 +222,7 @@ class JobStore:
         Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
         """
         most = _bounded(max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
-        self.config(job_id)
+        self.check(job_id)
         return read_metrics(self.folder(job_id) / "metrics.jsonl", from_step=from_step, max_rows=most)
 
     def set_model(self, job_id: str, model: ModelRef) -> None:
@@ -220,13 +231,14 @@ class JobStore:
 
     def artifacts(self, job_id: str) -> tuple[Artifact, ...]:
         """Returns the artifacts of a job, by name. Raises NotFound when there is no such job."""
-        self.config(job_id)
+        self.check(job_id)
         files = sorted((self.folder(job_id) / "artifacts").glob("[!.]*"))
-        return tuple(Artifact(path.name, path.stat().st_size) for path in files if path.is_file())
+        with self._deleted_is_not_found():
+            return tuple(Artifact(path.name, path.stat().st_size) for path in files if path.is_file())
 
     def artifact(self, job_id: str, name: str) -> Path:
         """Returns the path of an artifact. Raises NotFound when there is no such job or artifact."""
-        self.config(job_id)
+        self.check(job_id)
         path = self.folder(job_id) / "artifacts" / check_name(name, field="name")
         if not path.is_file():
             raise NotFound(f"The {self.noun} has no artifact of this name.", field="name", hint="List its artifacts.")
@@ -237,11 +249,17 @@ class JobStore:
 
     def _model(self, job_id: str) -> ModelRef | None:
         path = self.folder(job_id) / "model.json"
-        return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
+        with self._deleted_is_not_found():
+            return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
 
-    def lock(self, job_id: str) -> AbstractContextManager[None]:
-        """Excludes other processes while it is decided whether a job has ended or is queued again."""
-        return _locked(self.folder(job_id) / "state.lock")
+    @contextmanager
+    def lock(self, job_id: str) -> Iterator[None]:
+        """Excludes other processes while it is decided whether a job has ended or is queued again.
+
+        Raises NotFound when there is no such job.
+        """
+        with self._deleted_is_not_found(), _locked(self.folder(job_id) / "state.lock"):
+            yield
 
     def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
         def documents(last: Mapping[str, Any] | None) -> Iterator[Mapping[str, Any]]:
@@ -252,7 +270,28 @@ class JobStore:
                     yield after
                     before = after
 
-        append(self.folder(job_id) / "events.jsonl", documents)
+        self.check(job_id)
+        with self._deleted_is_not_found():
+            append(self.folder(job_id) / "events.jsonl", documents)
+
+    def _is_unfinished(self, job_id: str) -> bool:
+        try:
+            return not self.last(job_id).ended
+        except NotFound:
+            _log.warning("a job is left out, for files of its folder are missing", extra={"job": job_id})
+            return False
+
+    def _not_found(self) -> NotFound:
+        return NotFound(
+            f"There is no {self.noun} of this id.", field="id", hint=f"GET /v1/list-{self.noun}s lists them."
+        )
+
+    @contextmanager
+    def _deleted_is_not_found(self) -> Iterator[None]:
+        try:
+            yield
+        except FileNotFoundError:
+            raise self._not_found() from None
 
     def _newest_first(self) -> dict[str, int]:
         """Returns the sizes in bytes of the configurations of all jobs, by id."""

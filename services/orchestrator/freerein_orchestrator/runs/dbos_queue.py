@@ -239,7 +239,7 @@ class DbosQueue:
     def _record(self, run_id: str, state: JobState, error: str) -> None:
         try:
             self._store.record(run_id, state, error=error)
-        except OSError:  # a full disk, or no such run here; recorded when the run is next read
+        except (OSError, NotFound):  # a full disk, or no such run here; recorded when the run is next read
             _log.warning("the state of a run cannot be recorded", extra={"run": run_id})
 
     def _make_attempt(self, run_id: str, pause: Pause) -> dict[str, Any]:

@@ -129,15 +129,17 @@ class RunService:
         return orchestrator.GetRunResponse(await self._in_thread(lambda: self._run(request.id)))
 
     async def list_runs(self, request: orchestrator.ListRunsRequest) -> orchestrator.ListRunsResponse:
-        """Returns one page of the runs, newest first, without those whose folders were deleted."""
+        """Returns one page of the runs, newest first, without those whose folders were deleted, or in part."""
         self._check_open()
 
         def page() -> orchestrator.ListRunsResponse:
             ids, token = self._store.page(request.page_size, request.page_token)
             states, runs = self._queue.states(ids), []
             for run_id in filter(states.__contains__, ids):
-                with suppress(NotFound):  # deleted meanwhile
+                try:
                     runs.append(self._run_in(states[run_id], run_id))
+                except NotFound:
+                    _log.warning("a run is left out, for files of its folder are missing", extra={"run": run_id})
             return orchestrator.ListRunsResponse(tuple(runs), token)
 
         return await self._in_thread(page)
