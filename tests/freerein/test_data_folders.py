@@ -49,6 +49,23 @@ def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp
         assert writer.append(dataset[0]) == 2
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("2", "10"),
+        ("1700000000.05", "1700000000.1", "1700000000.15", "1700000001"),
+        ("frame-0.9", "frame-0.95", "frame-1.0"),
+        ("cam0_0002", "cam0_0010"),
+    ],
+)
+def test_images_are_in_the_order_of_their_numbers_or_times(tmp_path: Path, names: tuple[str, ...]) -> None:
+    draw(tmp_path / "a", *range(len(names)))
+    for index in reversed(range(len(names))):
+        (tmp_path / "a" / f"{index}.png").rename(tmp_path / "a" / f"{names[index]}.png")
+    (only,) = FolderSource(tmp_path)
+    assert only.frames["camera"].mean(axis=(1, 2, 3)).tolist() == list(range(len(names)))
+
+
 def test_actions_are_those_of_a_table_and_may_be_in_any_unit(tmp_path: Path) -> None:
     for name, rows in (("a", "x,y\n0.5,-1\n1,0\n"), ("b", "x,y\n0,0\n0,250\n")):
         draw(tmp_path / "theirs" / name / "front", 1, 2, mode="L")

@@ -1,6 +1,6 @@
 """Trajectories as people keep them: a folder of images, or a video, for each.
 
-    <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers
+    <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers or times
              <trajectory>/<camera>/0.png, ...          or of several
              <trajectory>/<camera>.mp4                 or videos
              <trajectory>.mp4                          or one video alone
@@ -13,6 +13,7 @@ Trajectories are in the order of their names, numbers in them by value. Without 
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,9 @@ _IMAGES, _VIDEO = frozenset((".png", ".jpg", ".jpeg", ".webp")), ".mp4"
 _RUNS = 50
 _SHORTER, _LONGEST = 128, 1024
 """Shorter side that images are scaled to, and most of the longer one."""
+
+_WHOLE, _DECIMAL = re.compile(r"\d+|\D+"), re.compile(r"\d+(?:\.\d+)?|\D+")
+"""Numbers in names, and what is between them."""
 
 _LATE = 1e-3
 """Share of the time between two timesteps by which a frame may be early: times are rounded."""
@@ -291,7 +295,11 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in _IMAGES
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Returns a key that orders names by the value of the numbers in them: `2.png` before `10.png`."""
-    parts = re.findall(r"\d+|\D+", path.as_posix())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+def _natural(path: Path) -> tuple[list[tuple[Decimal, str]], str]:
+    """Returns a key that orders names by the value of the numbers in them: `2.png` before `10.png`.
+
+    Those of files may be time stamps, such as `1.05.png` before `1.5.png`; in folders' names a dot separates numbers.
+    """
+    own = _DECIMAL.findall(path.stem) if path.is_file() else _WHOLE.findall(path.name)
+    parts = [*_WHOLE.findall(f"{path.parent.as_posix()}/"), *own]
+    return [(Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts], path.name
