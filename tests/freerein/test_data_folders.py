@@ -8,7 +8,9 @@ import PIL.Image
 import pytest
 
 from freerein.data import Dataset, FolderSource, ImageSource, check, import_trajectories, open_writer, verify
+from freerein.data.videos import frames_at_rate
 from freerein.errors import InvalidInput, NotFound, ServiceError
+from freerein.video import VideoFrame
 
 SIZE = (12, 16)
 
@@ -91,6 +93,29 @@ def test_a_video_is_a_trajectory_at_the_rate_asked_for(tmp_path: Path, encode_vi
     seen = first.frames["camera"]
     assert seen.shape == (10, 16, 24, 3)
     assert seen.mean(axis=(1, 2, 3)) == pytest.approx(frames[::2].mean(axis=(1, 2, 3)), abs=4)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "fps", "shown"),
+    [
+        ([0, 0.2, 0.4, 0.6], 10, [0, 0, 1, 1, 2, 2, 3]),
+        ([t / 30 for t in range(12)], 10, [0, 3, 6, 9]),
+        ([round(t / 30, 3) for t in range(31)], 30, list(range(31))),
+        ([1.5, 1.6, 2.0, 2.1, 2.2], 10, [0, 1, 1, 1, 1, 2, 3, 4]),
+        ([7.0], 5, [0]),
+    ],
+    ids=["slower", "faster", "rounded to milliseconds", "with a pause", "one frame"],
+)
+def test_a_video_is_shown_at_its_own_times(times_s: list[float], fps: int, shown: list[int]) -> None:
+    video = [VideoFrame(time_s, np.array(index, np.uint8)) for index, time_s in enumerate(times_s)]
+    assert [int(pixels) for pixels in frames_at_rate(video, fps=fps, file="demo.mp4")] == shown
+
+
+def test_a_video_with_broken_times_is_refused() -> None:
+    video = [VideoFrame(time_s, np.zeros(1, np.uint8)) for time_s in (0.0, 0.1, 95_443.7)]
+    with pytest.raises(InvalidInput, match=r"`demo\.mp4` must have a frame at least every 60 s") as refused:
+        list(frames_at_rate(video, fps=10, file="demo.mp4"))
+    assert refused.value.hint
 
 
 @pytest.mark.parametrize(

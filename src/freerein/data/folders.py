@@ -24,7 +24,7 @@ from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.videos import BOUNDS
+from freerein.data.videos import BOUNDS, frames_at_rate
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Image, Trajectory
 from freerein.video import open_video
@@ -40,9 +40,6 @@ _SHORTER, _LONGEST = 128, 1024
 
 _WHOLE, _DECIMAL = re.compile(r"\d+|\D+"), re.compile(r"\d+(?:\.\d+)?|\D+")
 """Numbers in names, and what is between them."""
-
-_LATE = 1e-3
-"""Share of the time between two timesteps by which a frame may be early: times are rounded."""
 
 Pixels = npt.NDArray[np.uint8]
 Files = Path | tuple[Path, ...]
@@ -64,7 +61,7 @@ class FolderSource(Source):
     Args:
         folder: Holds them, as above.
         size: Height and width to scale frames to; None to keep their own, which must then be one.
-        fps: Timesteps per second: of images, and how many of a video are taken.
+        fps: Timesteps per second: of images, and of what a video shows, whatever its own rate.
         tags: CSV with the skills of trajectories by name, instead of `tags.csv`.
 
     Raises:
@@ -128,7 +125,7 @@ class FolderSource(Source):
     def _frames(self, recording: _Recording, files: Files, shape: tuple[int, int, int]) -> Pixels:
         """Returns the frames of a camera, uint8 (T, H, W, C)."""
         if isinstance(files, Path):
-            return np.stack(list(_video_frames(files, shape, fps=self._spec.fps)))
+            return _video_frames(files, shape, fps=self._spec.fps)
         return np.stack([_pixels(file, self._size, shape) for file in files])
 
 
@@ -267,15 +264,10 @@ def _decoded(file: Path) -> Pixels:
     return images.decode(Image(images.sniff(data, field=name), 0, 0, data), field=name)
 
 
-def _video_frames(file: Path, shape: tuple[int, int, int], *, fps: int) -> Iterator[Pixels]:
-    """Yields the frames of a video at a rate, uint8 (H, W, C): the first one at or after each time."""
+def _video_frames(file: Path, shape: tuple[int, int, int], *, fps: int) -> Pixels:
+    """Returns the frames of a video at a rate, uint8 (T, H, W, C)."""
     with open_video(file, channels=shape[2], size=shape[:2], bounds=BOUNDS, field=file.name) as video:
-        first_s, taken = None, 0
-        for frame in video:
-            first_s = frame.time_s if first_s is None else first_s
-            if (frame.time_s - first_s) * fps >= taken - _LATE:
-                yield frame.pixels
-                taken += 1
+        return np.stack(list(frames_at_rate(video, fps=fps, file=file.name)))
 
 
 def _common_length(recording: _Recording, frames: Mapping[str, Pixels]) -> int:

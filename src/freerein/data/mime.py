@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.videos import BOUNDS
+from freerein.data.videos import BOUNDS, frames_at_rate
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
 from freerein.video import open_video
@@ -87,15 +87,9 @@ class MimeSource(Source):
     def _frames(self, demonstration: Path) -> npt.NDArray[np.uint8]:
         """Returns the frames at the dataset's rate, uint8 (T, H, W, 1)."""
         _check_there(demonstration, _VIDEO)
-        frames, first_s = list[npt.NDArray[np.uint8]](), None
-        with open_video(
-            demonstration / _VIDEO, channels=1, size=self._size, bounds=BOUNDS, field=_name(demonstration, _VIDEO)
-        ) as video:
-            for frame in video:
-                first_s = frame.time_s if first_s is None else first_s
-                if (frame.time_s - first_s) * _FPS >= len(frames) - 1e-3:
-                    frames.append(frame.pixels)
-        return np.stack(frames)
+        name = _name(demonstration, _VIDEO)
+        with open_video(demonstration / _VIDEO, channels=1, size=self._size, bounds=BOUNDS, field=name) as video:
+            return np.stack(list(frames_at_rate(video, fps=_FPS, file=name)))
 
     def _positions(self, demonstration: Path, length: int) -> npt.NDArray[np.float32]:
         """Returns where joints and grippers are at each timestep, float32 (T, A)."""
