@@ -72,7 +72,7 @@ def kill_writer_at(root: Path, event: str, path: str) -> None:
 def assert_whole(root: Path, *, trajectories: int) -> None:
     assert verify(root) == []
     assert json.loads((root / "meta/info.json").read_text())["total_episodes"] == trajectories
-    assert truth.labelled(root) == list(range(trajectories))
+    assert truth.stored(root) == list(range(trajectories))
     assert not list(root.rglob("*.tmp"))
     dataset = Dataset(root)
     assert dataset.skills == (("push",),) * trajectories

@@ -251,7 +251,7 @@ def test_a_trajectory_that_is_not_as_the_spec_says_is_refused(
 def test_labels_that_are_not_as_the_spec_says_are_refused(root: Path, writer: Writer, labels: np.ndarray) -> None:
     with pytest.raises(InvalidInput):
         writer.append(trajectory(0), labels)
-    assert truth.labelled(root) == []
+    assert truth.stored(root) == []
     assert len(writer) == 0
 
 
@@ -264,7 +264,7 @@ def test_labels_of_an_append_that_failed_do_not_go_to_the_next_trajectory(root: 
 
     assert writer.append(trajectory(1)) == 0
 
-    assert truth.labelled(root) == []
+    assert truth.stored(root) == []
 
 
 def test_the_cache_maps_every_frame_and_action(root: Path, writer: Writer) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import freerein.data
-from freerein.data import Dataset, DatasetSpec, create, truth
+from freerein.cli.jobs.fit_report import labelled_trajectories
+from freerein.data import Dataset, DatasetSpec, create, inspect, truth, verify
 from freerein.errors import NotFound
 from freerein.types.common import ActionSpec, Trajectory
 
@@ -66,6 +67,13 @@ def test_labels_come_back(root: Path) -> None:
     assert truth.labels(root, 0).dtype == np.int64
     assert truth.labels(root, 0).tolist() == [1, 1, 0, 0]
     assert truth.labelled(root) == [0]
+
+
+def test_labels_of_a_trajectory_that_a_killed_recording_never_wrote_are_not_read(root: Path) -> None:
+    truth.save(root, 2, np.array([0, 0, 1]))
+    assert (truth.labelled(root), truth.stored(root)) == ([0], [0, 2])
+    assert inspect(root).labelled == len(labelled_trajectories(root)) == 1
+    assert [problem.where for problem in verify(root)] == ["truth/chunk-000/file-002.parquet"]
 
 
 @pytest.mark.parametrize("index", [1, 2])

@@ -181,7 +181,7 @@ def _count_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
 
 def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
     lengths = meta.read_episodes(root, spec)["length"].to_pylist()
-    for index in truth.labelled(root):
+    for index in truth.stored(root):
         if index >= len(lengths):
             sentence = "Labels must belong to a trajectory; there is none of this number."
             yield Problem(

@@ -38,6 +38,14 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
 
 def labelled(root: Path) -> list[int]:
     """Returns the indices of the trajectories that have labels, in order."""
+    return [index for index in stored(root) if layout.trajectory_path(root / "data", index).is_file()]
+
+
+def stored(root: Path) -> list[int]:
+    """Returns the indices of all labels, in order, also of those whose trajectory is still to be written, or never was.
+
+    A recording stores the labels of a trajectory before the trajectory, and may be killed in between.
+    """
     return [file.index for file in layout.numbered_files(root / _FOLDER)]
 
 

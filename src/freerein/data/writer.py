@@ -156,7 +156,7 @@ def _repaired(root: Path, spec: DatasetSpec) -> pa.Table:
         for unfinished in (root / folder).rglob(f"*{TEMP_SUFFIX}"):
             unfinished.unlink()
     table, is_current = meta.load(root, spec)
-    for orphan in truth.labelled(root):
+    for orphan in truth.stored(root):
         if orphan >= len(table):
             truth.discard(root, orphan)
     if not is_current:

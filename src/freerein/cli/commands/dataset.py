@@ -62,7 +62,7 @@ def import_dataset(
     layout: Annotated[
         Literal["auto", "folder", "lerobot", "mime"], typer.Option(help="What the folder holds; auto: by its `meta`.")
     ] = "auto",
-    fps: Annotated[int, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder; a video may have others.")] = 10,
+    fps: Annotated[int, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder.")] = 10,
     tags: Annotated[
         Path | None, typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, of layout folder.")
     ] = None,
