@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shutil
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -138,6 +139,21 @@ def test_an_attempt_whose_files_cannot_be_read_ends_its_child_and_is_tried_again
         "The child process was ended, for its files could not be read: Too many open files.",
     )
     assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))
+
+
+def test_a_child_whose_job_is_deleted_is_ended(store, runner):
+    run_id = store.create(START, {"config": {"steps": 1, "wait_at": 1}})
+    pids: list[int] = []
+
+    def delete_once_it_runs() -> StopRequest:
+        if not pids and (store.folder(run_id) / "metrics.jsonl").exists():
+            pids.append(int((store.folder(run_id) / "pids.txt").read_text()))
+            shutil.rmtree(store.folder(run_id))
+        return ""
+
+    attempt = runner.run(run_id, delete_once_it_runs)
+    assert (attempt.outcome, "must not be deleted" in attempt.error) == ("failed", True)
+    assert not psutil.pid_exists(pids[0])
 
 
 @pytest.mark.fault("O10")

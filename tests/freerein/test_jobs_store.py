@@ -3,6 +3,7 @@
 import json
 import math
 import resource
+import shutil
 import subprocess
 import sys
 
@@ -66,6 +67,19 @@ async def test_a_watcher_that_comes_back_parses_no_event_that_it_has_seen(store,
 
     events = store.watch(run_id, from_sequence=from_sequence, pause=pause)
     assert [sequence async for sequence, _ in events] == seen
+
+
+async def test_a_stream_of_events_ends_when_the_job_is_deleted(store):
+    run_id = store.create(REQUEST, {})
+
+    async def delete(_is_new: bool) -> bool:
+        shutil.rmtree(store.folder(run_id))
+        return True
+
+    events = store.watch(run_id, from_sequence=0, pause=delete)
+    assert (await anext(events))[0] == 0
+    with pytest.raises(NotFound):
+        await anext(events)
 
 
 def test_an_end_is_noted_once_and_only_queueing_follows_it(store):

@@ -189,6 +189,8 @@ class JobStore:
         A watcher is only a position in a file: however slow it is, the job does not wait for it. `pause` is awaited
         while there is no new event, with whether there was one since the last pause; it returns False to end the
         stream. Files are read on `threads`, by default the default executor of the event loop.
+
+        Raises NotFound when there is no such job, or no longer.
         """
         run = partial(asyncio.get_running_loop().run_in_executor, threads)
         config, reader = await run(self.config, job_id), self._reader(job_id)
@@ -205,6 +207,7 @@ class JobStore:
                     sequence += 1
             if ended or not await pause(is_new):
                 return
+            await run(self.check, job_id)
             is_new = False
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
