@@ -75,7 +75,7 @@ class Controller:
     def _next_action(self) -> Action:
         if self._planned and self.last and time.monotonic_ns() <= self.last.valid_until_ns:
             return self._planned.popleft()
-        return np.zeros(self._robot.action.size, np.float32)  # hold
+        return self._robot.hold()
 
     async def _receive(self) -> None:
         while True:
@@ -131,6 +131,10 @@ class Robot:
     def observation(self) -> Observation:
         """Returns the current observation."""
         return Observation((images.encode(self._frame, encoding="raw_rgb8", camera=self.cameras[0].name),))
+
+    def hold(self) -> Action:
+        """Returns an action, float32 (A,), that keeps the robot where it is; for one that takes targets, its place."""
+        return np.zeros(self.action.size, np.float32)
 
     async def execute(self, action: Action) -> None:
         """Executes an action, float32 (A,)."""

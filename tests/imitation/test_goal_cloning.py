@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from freerein import metrics
+from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
 from freerein.learning.fit import fit
 from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
-from freerein.types.common import ActionSpec, Camera
+from freerein.types.common import ActionSpec, Camera, Trajectory
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningPolicy, GoalCloningSpec
 from freerein_imitation.model.odometry_recognizer import OdometryRecognizer
@@ -288,3 +289,14 @@ def test_a_configuration_is_read_strictly() -> None:
     for wrong in ({"labels": True}, {"encoder": "eye"}, {"close_steps": 20}):
         with pytest.raises(InvalidInput):
             GoalCloningConfig.from_mapping(wrong)
+
+
+def test_actions_that_are_targets_are_refused(tmp_path: Path) -> None:
+    action = ActionSpec(2, 0, ("elbow", "wrist"), absolute=True)
+    spec = DatasetSpec(fps=10, cameras={"front": (8, 8, 3)}, action=action, robot_type="arm")
+    with create(dataset_path(tmp_path, "arm"), spec) as writer:
+        writer.append(Trajectory({"front": np.zeros((3, 8, 8, 3), np.uint8)}, np.zeros((3, 2), np.float32)))
+    assert METHODS.resolve(tmp_path, "arm", {"method": "goal_conditioned"}, threads=1)
+    with pytest.raises(InvalidInput, match="are targets") as refused:
+        METHODS.resolve(tmp_path, "arm", {"method": "goal_cloning"}, threads=1)
+    assert refused.value.field == "dataset"

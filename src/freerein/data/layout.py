@@ -149,6 +149,7 @@ def loads(text: str | bytes) -> DatasetSpec:
                 names=tuple(action["names"]),
                 unit=str(action["unit"]),
                 scale=tuple(action["scale"]),
+                absolute=bool(action.get("absolute", False)),  # missing before there were any
             ),
             robot_type=str(document["robot_type"]),
             skills=tuple(document["skills"]),

@@ -104,6 +104,8 @@ class ActionSpec:
         names: Meaning of each number, or of each choice.
         unit: Physical unit of `scale`; empty for discrete actions.
         scale: Effect of an action of 1.0, in `unit` per control step, for each number.
+        absolute: Whether a continuous action is a target, such as a joint position, and not a change. A robot then
+            holds where its last action put it, and not by zeros.
     """
 
     size: int
@@ -111,6 +113,7 @@ class ActionSpec:
     names: tuple[str, ...]
     unit: str = ""
     scale: tuple[float, ...] = ()
+    absolute: bool = False
 
     @property
     def dtype(self) -> np.dtype[np.float32] | np.dtype[np.int64]:

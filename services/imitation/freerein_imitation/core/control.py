@@ -139,6 +139,7 @@ def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
         ("action.names", expected.names, got.names),
         ("action.unit", expected.unit, got.unit),
         ("action.scale", expected.scale, got.scale),
+        ("action.absolute", expected.absolute, got.absolute),
         ("control_dt_s", spec.control_dt_s, hello.control_dt_s),
     )
     differences = [

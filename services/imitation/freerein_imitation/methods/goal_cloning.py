@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 
+from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
@@ -52,6 +53,12 @@ def _load(folder: Path, device: str) -> GoalCloningPolicy:
 
 def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
     cameras, action = source.cameras(config.cameras), source.dataset.spec.action
+    if action.absolute:
+        raise InvalidInput(
+            "goal_cloning needs actions that are changes of position; those of this dataset are targets.",
+            field="dataset",
+            hint="Choose another method, such as goal_conditioned.",
+        )
     return spec_of(config, GoalCloningSpec, cameras=cameras, action=action)
 
 

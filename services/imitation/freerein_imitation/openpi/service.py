@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import wire
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Goal, ModelRef
 from freerein_imitation.core.act import Policies
 from freerein_imitation.core.act_context import ActContext, spec_response
@@ -97,6 +97,7 @@ class OpenpiConnection:
         self._context: ActContext | None = None
         self._session: PolicySession | None = None
         self._proposed: npt.NDArray[Any] | None = None
+        self._last_action: npt.NDArray[Any] | None = None
 
     async def answer(self, data: bytes) -> bytes:
         """Returns the reply to a message.
@@ -104,6 +105,7 @@ class OpenpiConnection:
         Raises:
             MalformedRequest: The message is not msgpack.
             InvalidInput: Observation, goal or executed actions do not match the model.
+            FailedPrecondition: The robot is to hold, and nobody knows where.
             ServiceError: The model failed, is overloaded, or did not answer in time.
         """
         arrived_ns = time.perf_counter_ns()
@@ -118,6 +120,8 @@ class OpenpiConnection:
             decode_ns=time.perf_counter_ns() - arrived_ns,
         )
         self._proposed = result.actions[: self._query.action_horizon or None]
+        if executed is not None and len(executed):
+            self._last_action = executed[-1]
         return pack(
             {
                 "actions": result.actions if len(result.actions) else self._hold(),
@@ -159,6 +163,8 @@ class OpenpiConnection:
                 field="goal",
                 hint="Send `prompt`, `recipe` or `goal/<camera>`, or put `goal.text` or `goal.recipe` into the URL.",
             )
+        if message.reset:
+            self._last_action = None
         if self._session is None or message.reset:
             self._session = PolicySession(self._context, self._batcher, timeout_s=self._timeout_s)
             self._proposed = None
@@ -167,7 +173,14 @@ class OpenpiConnection:
     def _hold(self) -> npt.NDArray[Any]:
         """Returns actions for a robot whose goals are over, (K, A): openpi's clients cannot execute none."""
         spec = self._policy.spec
-        return np.repeat(spec.action.no_action()[None], spec.horizon, axis=0)
+        held = self._last_action if spec.action.absolute else spec.action.no_action()
+        if held is None:
+            raise FailedPrecondition(
+                "A robot whose actions are targets must have executed one, to hold there; it has executed none.",
+                field="executed_actions",
+                hint="Send the last target as `executed_actions`, or another goal: this one is over.",
+            )
+        return np.repeat(np.asarray(held, spec.action.dtype)[None], spec.horizon, axis=0)
 
 
 def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:

@@ -240,12 +240,17 @@ class ActionSpec(_message.Message):
     NAMES_FIELD_NUMBER: _builtins.int
     UNIT_FIELD_NUMBER: _builtins.int
     SCALE_FIELD_NUMBER: _builtins.int
+    ABSOLUTE_FIELD_NUMBER: _builtins.int
     size: _builtins.int
     """Numbers per action: actions are (..., size)."""
     choices: _builtins.int
     """Number of choices of a discrete action (INT64, size 1); 0 for a continuous one (FP32 in [-1, 1])."""
     unit: _builtins.str
     """Physical unit of `scale`, such as `m`; empty for discrete actions."""
+    absolute: _builtins.bool
+    """Whether a continuous action is a target, such as a joint position, and not a change. A robot then holds where its last
+    action put it, and not by zeros.
+    """
     @_builtins.property
     def names(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Meaning of each number, or of each choice."""
@@ -262,10 +267,11 @@ class ActionSpec(_message.Message):
         names: _abc.Iterable[_builtins.str] | None = ...,
         unit: _builtins.str = ...,
         scale: _abc.Iterable[_builtins.float] | None = ...,
+        absolute: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["choices", b"choices", "names", b"names", "scale", b"scale", "size", b"size", "unit", b"unit"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["absolute", b"absolute", "choices", b"choices", "names", b"names", "scale", b"scale", "size", b"size", "unit", b"unit"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
