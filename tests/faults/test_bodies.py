@@ -37,7 +37,7 @@ def faulty(start_faulty: Callable[..., Any], audit: Path) -> Any:
 
 
 def raw_request(method: str, path: str, body: bytes = b"", *headers: str) -> bytes:
-    return "\r\n".join([f"{method} {path} HTTP/1.1", "host: x", *headers, "", ""]).encode("latin-1") + body
+    return "\r\n".join([f"{method} {path} HTTP/1.1", "host: localhost", *headers, "", ""]).encode("latin-1") + body
 
 
 def status(reply: bytes) -> int:

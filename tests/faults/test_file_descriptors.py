@@ -14,7 +14,7 @@ from freerein.types.learning import ListModelsRequest
 from freerein.types.orchestrator import ListRunsRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("C22")]
-ASK = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n"
+ASK = b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n"
 PICTURE = b"\x89PNG\r\n\x1a\n" + bytes(2 * 2**20)  # so large that it is received into a file
 
 

@@ -262,7 +262,7 @@ def test_a_web_page_of_any_other_origin_may_not(strict: Any) -> None:
     elsewhere = robot_of(strict, origin="https://elsewhere.example", additional_headers=BEARER)
     with pytest.raises(InvalidStatus) as error, elsewhere:
         pass
-    assert error.value.response.status_code == 401
+    assert error.value.response.status_code == 403
 
 
 @pytest.mark.fault("I20")

@@ -110,9 +110,8 @@ async def status_of(error: grpc.aio.AioRpcError) -> Any:
 
 def send_and_leave(faulty: Any, body: bytes, *, sent: int) -> socket.socket:
     """Sends the first bytes of a request to segment, and returns the connection, to be closed by the caller."""
-    head = (
-        f"POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: {len(body)}\r\n\r\n"
-    ).encode()
+    lines = ("POST /v1/segment HTTP/1.1", "host: localhost", "content-type: application/json")
+    head = "\r\n".join([*lines, f"content-length: {len(body)}", "", ""]).encode()
     connection: socket.socket = faulty.connect()
     connection.sendall((head + body)[:sent])
     return connection

@@ -23,9 +23,9 @@ from freerein.serving.rest.http_server import HttpServer, make_server
 
 pytestmark = pytest.mark.e2e
 RECEIPT_S, WRITE_S = 2.0, 3.0
-HEAD = b"GET /healthz HTTP/1.1\r\nhost: x\r\n"
+HEAD = b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n"
 WHOLE = HEAD + b"\r\n"
-POST = b"POST /v1/segment HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: 1000\r\n\r\n"
+POST = b"POST /v1/segment HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\ncontent-length: 1000\r\n\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_fills_no_memory(faulty: Any,
 
 def flood(connection: socket.socket) -> float:
     """Asks for large replies, reading none, until no more can be sent; returns when that was."""
-    question = b"GET /openapi.json HTTP/1.1\r\nhost: x\r\n\r\n" * 1000
+    question = b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n" * 1000
     selector = selectors.DefaultSelector()
     selector.register(connection, selectors.EVENT_WRITE)
     with selector:
@@ -210,7 +210,7 @@ def open_to(faulty: Any, port: int) -> bool:
 def test_a_client_that_reads_slowly_but_reads_gets_all(faulty: Any) -> None:
     with faulty.connect() as connection:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        connection.sendall(b"GET /openapi.json HTTP/1.1\r\nhost: x\r\n\r\n" * 3)
+        connection.sendall(b"GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n" * 3)
         received = b""
         while received.count(b"HTTP/1.1 200") < 3:
             received += connection.recv(512)

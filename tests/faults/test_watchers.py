@@ -51,7 +51,7 @@ def events(orchestrator: httpx.Client, run_id: str, *, after: int = -1, most: in
 
 def test_watchers_that_never_read_delay_nobody(orchestrator: httpx.Client) -> None:
     run_id = start(orchestrator, "crowded")
-    request = f"GET /v1/watch-run?id={run_id} HTTP/1.1\r\nhost: x\r\n\r\n".encode()
+    request = f"GET /v1/watch-run?id={run_id} HTTP/1.1\r\nhost: localhost\r\n\r\n".encode()
     slow = []
     for _ in range(SLOW):
         connection = socket.socket()

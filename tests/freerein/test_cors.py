@@ -1,8 +1,8 @@
-"""Web pages of the origins that an operator names may call the REST API, and no others."""
+"""Web pages of the service itself and of the origins that an operator names may call the REST API, and no others."""
 
 import httpx
 import pytest
-from pydantic import ValidationError
+from pydantic import SecretStr, ValidationError
 
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -35,6 +35,58 @@ async def test_no_other_page_may(allowed: tuple[str, ...], origin: str) -> None:
     reply = await preflight(allowed, origin)
     assert reply.status_code >= 400
     assert "access-control-allow-origin" not in reply.headers
+
+
+async def answer(headers: dict[str, str], *, origins: tuple[str, ...] = (), is_local: bool = True) -> httpx.Response:
+    """Returns the reply to a form, which a page may send without asking first: 404 where it is not refused."""
+    app = make_app("toy", [], health=Health(), metrics=Metrics(), limits=Limits(), origins=origins, is_local=is_local)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost:8100") as client:
+        return await client.post("/v1/anything", headers=headers, files={"text": (None, "a")})
+
+
+@pytest.mark.fault("C26")
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"origin": OTHER},
+        {"origin": "null"},
+        {"origin": "http://localhost:8101"},
+        {"origin": "http://localhost:8100.elsewhere.example"},
+        {"host": "elsewhere.example:8100", "origin": "http://elsewhere.example:8100"},
+        {"host": "elsewhere.example:8100"},
+        {"host": "127.0.0.1.elsewhere.example"},
+        {"host": "[::1"},
+    ],
+)
+async def test_a_page_of_another_origin_or_by_another_name_of_the_service_is_refused(headers: dict[str, str]) -> None:
+    reply = await answer(headers)
+    assert (reply.status_code, reply.json()["code"]) == (403, "permission_denied")
+    assert reply.json()["hint"]
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"origin": OURS},
+        {"origin": "http://localhost:8100"},
+        {"host": "LOCALHOST:8100", "origin": "http://localhost:8100"},
+        {"host": "127.0.0.1", "origin": "http://127.0.0.1"},
+        {"host": "[::1]:8100", "origin": "https://[::1]:8100"},
+    ],
+)
+async def test_a_client_and_a_page_of_the_service_itself_may_call(headers: dict[str, str]) -> None:
+    assert (await answer(headers, origins=(OURS,))).status_code == 404
+
+
+async def test_a_service_that_is_not_for_this_machine_only_has_any_name() -> None:
+    assert (await answer({"host": "sim:8104", "origin": "http://sim:8104"}, is_local=False)).status_code == 404
+
+
+def test_a_service_on_loopback_without_a_token_is_for_this_machine_only() -> None:
+    assert ServiceSettings().is_local
+    assert not ServiceSettings(token=SecretStr("x")).is_local
+    assert not ServiceSettings(host="0.0.0.0", insecure=True).is_local
 
 
 def test_origins_are_separated_by_commas() -> None:

@@ -14,6 +14,7 @@ from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.middleware import RequestMiddleware
+from freerein.serving.rest.origin_policy import OriginPolicy
 
 BUDGET = 300  # of which each byte of a body takes three
 
@@ -47,7 +48,9 @@ def client(reader: Reader, metrics: Metrics) -> httpx.AsyncClient:
     limits = Limits(buffered_bytes=BUDGET)
     recorders = {"/": CallRecorder(metrics, "rest", "Read")}
     other = CallRecorder(metrics, "rest", OTHER)
-    app = RequestMiddleware(reader, limits=limits, token="", recorders=recorders, other=other)
+    app = RequestMiddleware(
+        reader, limits=limits, token="", origin_policy=OriginPolicy(), recorders=recorders, other=other
+    )
     return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x")
 
 

@@ -18,6 +18,7 @@ _MAX_TEXT_BYTES = 800  # per field: documents stay below 4 KiB, gRPC metadata be
 TITLES = {
     400: "Malformed request",
     401: "Unauthenticated",
+    403: "Permission denied",
     404: "Not found",
     405: "Method not allowed",
     409: "Conflict",

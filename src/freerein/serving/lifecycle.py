@@ -119,6 +119,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         limits=limits,
         token=token,
         origins=settings.origins,
+        is_local=settings.is_local,
         open_websocket=service.open_websocket,
     )
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)

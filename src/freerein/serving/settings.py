@@ -106,6 +106,11 @@ class ServiceSettings(BaseSettings):
         return tuple(origin.strip() for origin in self.cors_origins.split(",") if origin.strip())
 
     @property
+    def is_local(self) -> bool:
+        """Whether only this machine is to call it: it is on loopback, without token and TLS."""
+        return self.host in _LOOPBACK and not (self.token or self.tls_cert)
+
+    @property
     def token_text(self) -> str:
         """The token, empty for none."""
         return self.token.get_secret_value() if self.token else ""

@@ -28,6 +28,7 @@ from freerein.serving.rest import body, pictures, tensor_lists
 from freerein.serving.rest.docs_page import docs_routes
 from freerein.serving.rest.middleware import RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
+from freerein.serving.rest.origin_policy import OriginPolicy
 from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
@@ -43,13 +44,15 @@ def make_app(
     limits: Limits,
     token: str = "",
     origins: Sequence[str] = (),
+    is_local: bool = False,
     open_websocket: OpenSession | None = None,
 ) -> Starlette:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
-    An empty `token` allows every call. Web pages of the `origins` may call it, too. With `open_websocket` it has a
-    WebSocket.
+    An empty `token` allows every call. Web pages of the `origins` may call it, too. With `is_local`, it must be called
+    by a name of loopback. With `open_websocket` it has a WebSocket.
     """
+    origin_policy = OriginPolicy(origins, is_local)
     served = [method for method in methods if method.rest_form != "none"]
     routes = [
         *_method_routes(served, limits),
@@ -58,7 +61,7 @@ def make_app(
     ]
     if open_websocket is not None:
         endpoint = WebSocketEndpoint(
-            open_websocket, health=health, metrics=metrics, limits=limits, token=token, origins=origins
+            open_websocket, health=health, metrics=metrics, limits=limits, token=token, origin_policy=origin_policy
         )
         routes.append(WebSocketRoute(PATH, endpoint.serve))
     app = Starlette(routes=routes, exception_handlers={HTTPException: _answer_http_exception})
@@ -67,7 +70,9 @@ def make_app(
         method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
     }
     other = CallRecorder(metrics, "rest", OTHER)
-    app.add_middleware(RequestMiddleware, limits=limits, token=token, recorders=recorders, other=other)
+    app.add_middleware(
+        RequestMiddleware, limits=limits, token=token, origin_policy=origin_policy, recorders=recorders, other=other
+    )
     if origins:  # outermost: a browser asks for leave without the token
         app.add_middleware(
             CORSMiddleware,

@@ -1,4 +1,4 @@
-"""ASGI middleware of the REST API: request id, token, size limits, and a record of each call."""
+"""ASGI middleware of the REST API: request id, token, origin, size limits, and a record of each call."""
 
 import re
 import uuid
@@ -20,6 +20,7 @@ from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.limits import COPIES, Limits
+from freerein.serving.rest.origin_policy import OriginPolicy
 
 MAX_HEADER_BYTES = 16 * 1024
 
@@ -32,11 +33,19 @@ class RequestMiddleware:
     """Pure ASGI middleware around the whole app. `recorders` are by path; requests of no such path are `other`."""
 
     def __init__(
-        self, app: ASGIApp, *, limits: Limits, token: str, recorders: Mapping[str, CallRecorder], other: CallRecorder
+        self,
+        app: ASGIApp,
+        *,
+        limits: Limits,
+        token: str,
+        origin_policy: OriginPolicy,
+        recorders: Mapping[str, CallRecorder],
+        other: CallRecorder,
     ) -> None:
         self._app = app
         self._limits = limits
         self._token = token
+        self._origin_policy = origin_policy
         self._recorders = recorders
         self._other = other
         self._buffered_bytes = 0
@@ -68,6 +77,7 @@ class RequestMiddleware:
             )
         if scope["path"] not in _PATHS_WITHOUT_TOKEN:
             auth.check(headers.get("authorization", ""), self._token)
+            self._origin_policy.check(headers)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(
                 "The body must have no Content-Encoding; the header names one.", hint="Send the body uncompressed."

@@ -12,13 +12,14 @@ from typing import Protocol
 from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, ServiceError, Unauthenticated
+from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, ServiceError
 from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import error_line, problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.metrics import Metrics
+from freerein.serving.rest.origin_policy import OriginPolicy
 
 PATH = "/"
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}
@@ -43,7 +44,7 @@ OpenSession = Callable[[Sequence[tuple[str, str]]], Awaitable[MessageSession]]
 
 
 class WebSocketEndpoint:
-    """Serves connections. An empty `token` allows every one; web pages must be of one of the `origins`."""
+    """Serves connections. An empty `token` allows every one."""
 
     def __init__(
         self,
@@ -53,14 +54,14 @@ class WebSocketEndpoint:
         metrics: Metrics,
         limits: Limits,
         token: str,
-        origins: Sequence[str],
+        origin_policy: OriginPolicy,
     ) -> None:
         self._open_session = open_session
         self._health = health
         self._recorder = CallRecorder(metrics, "websocket", PATH, is_stream=True)
         self._limits = limits
         self._token = token
-        self._origins = origins
+        self._origin_policy = origin_policy
         self._slots = Slots(limits.streams, "WebSockets may be open")
 
     async def serve(self, socket: WebSocket) -> None:
@@ -88,11 +89,7 @@ class WebSocketEndpoint:
         if self._health.draining:
             raise self._health.error()
         auth.check(socket.headers.get("authorization", ""), self._token)
-        if "origin" in socket.headers and socket.headers["origin"] not in self._origins:
-            raise Unauthenticated(
-                "The page that connects must be of an origin that the service allows; it is not.",
-                hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
-            )
+        self._origin_policy.check(socket.headers)
 
     async def _receive(self, socket: WebSocket) -> bytes | str | None:
         """Returns the next message; None when the client has closed the connection."""

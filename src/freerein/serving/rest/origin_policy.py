@@ -1,0 +1,57 @@
+"""Which web pages may call a service: its own, and those of the origins that an operator names.
+
+A browser lets any page send simple requests, such as POST of `multipart/form-data`, without asking first, and reaches
+services on loopback, too. It then names the page's origin in `Origin`. A page whose own host name resolves to loopback
+(DNS rebinding) counts as the service's own to a browser, but `Host` has its name.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+
+from freerein.errors import ServiceError
+
+
+class PermissionDenied(ServiceError):
+    """A web page of another origin calls, or a loopback service by another name."""
+
+    code, http_status, grpc_status = "permission_denied", 403, "PERMISSION_DENIED"
+
+
+@dataclass(frozen=True)
+class OriginPolicy:
+    """The rule for every request but health checks. What is no browser sends no `Origin`.
+
+    Attributes:
+        origins: Origins whose pages may call.
+        is_local: Whether the service is on loopback, without token and TLS; `Host` must then name loopback.
+    """
+
+    origins: Sequence[str] = ()
+    is_local: bool = False
+
+    def check(self, headers: Headers) -> None:
+        """Raises PermissionDenied for a request that a foreign page may have made."""
+        host, origin = headers.get("host", "").lower(), headers.get("origin")
+        if self.is_local and host and not _is_loopback(host):
+            raise PermissionDenied(
+                "`Host` must name loopback where a service has no token; it names another host.",
+                hint="Call the service at localhost or 127.0.0.1, or set FREEREIN_TOKEN.",
+            )
+        is_own = origin is None or origin.lower() in (f"http://{host}", f"https://{host}")
+        if not is_own and origin not in self.origins:
+            raise PermissionDenied(
+                "A web page that calls must be of the service itself, or of an origin that it allows; it is not.",
+                hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
+            )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+        return name == "localhost" or ip_address(name).is_loopback
+    except ValueError:
+        return False
