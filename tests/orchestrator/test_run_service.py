@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import threading
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from freerein.errors import AlreadyExists, InvalidInput, NotFound, Overloaded, Unavailable
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded, Unavailable
 from freerein.jobs.attempt import AttemptStopped, StopRequest
 from freerein.jobs.retry import AttemptResult, Pause
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
 from freerein.types.jobs import JobState
 from freerein.types.orchestrator import (
+    CancelRunRequest,
     GetRunRequest,
     ListRunsRequest,
     ResumeRunRequest,
@@ -38,12 +40,14 @@ class Orchestrator:
         full: Whether the disk refuses the ends of runs.
         away: Whether the database refuses to queue a run again.
         attempts: How the next attempts end; then they wait to be interrupted.
+        is_attempted: Set when an attempt begins.
     """
 
     def __init__(self, data_dir: Path) -> None:
         self.between: Callable[[], object] = bool
         self.full = self.away = False
         self.attempts: list[AttemptResult] = []
+        self.is_attempted = threading.Event()
         self.known = True
         self.store = JobStore(data_dir, noun="run")
         self.queue = InterferedQueue(self, data_dir)
@@ -59,6 +63,7 @@ class Orchestrator:
         return [event.run.state async for event in self.runs.watch_run(WatchRunRequest(run_id))]
 
     def attempt(self, run_id: str, stop: Callable[[], StopRequest], _pause: Pause) -> AttemptResult:
+        self.is_attempted.set()
         while not self.attempts:
             if stop():
                 raise AttemptStopped
@@ -180,6 +185,19 @@ async def test_a_run_whose_folder_is_deleted_in_part_is_left_out_of_the_list(orc
     assert [run.id for run in (await orchestrator.runs.list_runs(ListRunsRequest())).runs] == [left]
     with pytest.raises(NotFound):
         await orchestrator.get(gone)
+
+
+async def test_a_run_that_has_just_succeeded_can_no_longer_be_cancelled(orchestrator):
+    run_id = await orchestrator.start()
+    assert await asyncio.to_thread(orchestrator.is_attempted.wait, 60)
+    orchestrator.store.record(run_id, "succeeded")  # as its worker does, just before the database hears of it
+    assert (await orchestrator.runs.cancel_run(CancelRunRequest(run_id))).run.state == "succeeded"
+    with pytest.raises(FailedPrecondition):
+        await orchestrator.runs.resume_run(ResumeRunRequest(run_id))
+    orchestrator.attempts.append(AttemptResult("succeeded"))
+    while (state := orchestrator.queue.status(run_id).state) == "running":
+        pass
+    assert state == "succeeded"
 
 
 async def test_runs_are_listed_in_pages_newest_first(orchestrator):

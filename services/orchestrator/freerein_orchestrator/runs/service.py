@@ -2,6 +2,7 @@
 
 A request is on disk before its run is queued in the database, and acknowledged after. The state in the database takes
 precedence over the events on disk: a difference, left by a crash or a full disk, is repaired when the run is next read.
+A success is the exception: on disk it is final, though the database hears of it a moment later.
 """
 
 import asyncio
@@ -176,8 +177,10 @@ class RunService:
         self._check_open()
 
         def cancel() -> orchestrator.Run:
-            self._store.config(request.id)
-            self._queue.cancel(request.id)
+            self._store.check(request.id)
+            with self._store.lock(request.id):
+                if self._settled_state(request.id) not in ENDED:
+                    self._queue.cancel(request.id)
             return self._run(request.id)
 
         return orchestrator.CancelRunResponse(await self._in_thread(cancel))
@@ -259,8 +262,11 @@ class RunService:
         """Returns the state in the database, which hears of an end a moment after the events on disk."""
         deadline = time.monotonic() + _SETTLE_S
         while True:
+            last = self._store.last(run_id)
+            if last.state == "succeeded":
+                return "succeeded"
             state = self._queue.status(run_id).state
-            if state in ENDED or not self._store.last(run_id).ended or time.monotonic() > deadline:
+            if state in ENDED or not last.ended or time.monotonic() > deadline:
                 return state
             time.sleep(_POLL_S / 4)
 
