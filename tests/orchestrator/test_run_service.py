@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import shutil
 import threading
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
@@ -165,6 +166,16 @@ async def test_a_known_key_is_its_run_whatever_may_no_longer_be_started(orchestr
         await orchestrator.runs.start_run(StartRunRequest("ppo", {"seed": 1}, "key"))
     with pytest.raises(InvalidInput):
         await orchestrator.start("other")
+
+
+async def test_the_key_of_a_run_that_was_deleted_starts_nothing(orchestrator):
+    orchestrator.attempts.append(AttemptResult("succeeded"))
+    run_id = await orchestrator.start("key")
+    assert (await orchestrator.watch(run_id))[-1] == "succeeded"
+    shutil.rmtree(orchestrator.store.folder(run_id))
+    with pytest.raises(AlreadyExists):
+        await orchestrator.start("key")
+    assert not orchestrator.store.exists(run_id)
 
 
 async def test_a_run_that_is_attempted_has_not_ended_whatever_was_recorded_last(orchestrator):

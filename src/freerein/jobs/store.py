@@ -77,7 +77,7 @@ class JobStore:
         The same idempotency key is the same job. Raises AlreadyExists when it was used for another request, OSError
         when the disk is full or broken; nothing is then left of the job.
         """
-        job_id = _id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
+        job_id = id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
         make_folder(self._root)
         with _locked(self._root / ".lock"):
@@ -98,7 +98,7 @@ class JobStore:
 
         Raises AlreadyExists when the key was used for another request.
         """
-        job_id = _id_of(request["idempotency_key"])
+        job_id = id_of(request["idempotency_key"])
         if not request["idempotency_key"] or not self.exists(job_id):
             return None
         if json.loads((self.folder(job_id) / "request.json").read_bytes()) != json.loads(json.dumps(request)):
@@ -305,6 +305,11 @@ class JobStore:
         return {job_id: size for _, job_id, size in sorted(found, reverse=True)}
 
 
+def id_of(idempotency_key: str) -> str:
+    """Returns the id of the job that is started with an idempotency key."""
+    return uuid.uuid5(_KEYS, idempotency_key).hex
+
+
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     with path.open("ab") as file:
@@ -314,10 +319,6 @@ def _locked(path: Path) -> Iterator[None]:
 
 def _event(document: Mapping[str, Any]) -> JobEvent:
     return JobEvent(**{name: value for name, value in document.items() if name in JobEvent.__annotations__})
-
-
-def _id_of(idempotency_key: str) -> str:
-    return uuid.uuid5(_KEYS, idempotency_key).hex
 
 
 def _bounded(value: int, *, default: int, most: int, field: str) -> int:

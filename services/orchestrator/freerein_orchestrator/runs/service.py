@@ -15,8 +15,16 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from freerein.atomic_files import storage_errors
-from freerein.errors import FailedPrecondition, NotFound, OutOfStorage, Overloaded, ServiceError, Unavailable
-from freerein.jobs.store import JobStore
+from freerein.errors import (
+    AlreadyExists,
+    FailedPrecondition,
+    NotFound,
+    OutOfStorage,
+    Overloaded,
+    ServiceError,
+    Unavailable,
+)
+from freerein.jobs.store import JobStore, id_of
 from freerein.serving.health import Health
 from freerein.types import orchestrator
 from freerein.types.common import check_name
@@ -109,7 +117,7 @@ class RunService:
 
         Raises:
             InvalidInput: The configuration is wrong.
-            AlreadyExists: The idempotency key was used for another request.
+            AlreadyExists: The idempotency key was used for another request, or for a run that was deleted.
             Overloaded: Too many runs are waiting.
             Unavailable: The database of the runs is out of reach.
             OutOfStorage: The disk is full, broken or read-only.
@@ -233,6 +241,12 @@ class RunService:
         return asyncio.get_running_loop().run_in_executor(self._threads, call)
 
     def _create(self, request: orchestrator.StartRunRequest) -> str:
+        if request.idempotency_key and self._queue.states([id_of(request.idempotency_key)]):
+            raise AlreadyExists(
+                "An idempotency key must be used for one run; the run of this one was deleted.",
+                field="idempotency_key",
+                hint="Choose a new key.",
+            )
         resolved = self._resolve(request.kind, request.config)
         if self._queue.count_queued(limit=_MAX_WAITING) >= _MAX_WAITING:
             raise Overloaded(f"At most {_MAX_WAITING} runs may wait.", hint="Cancel one, or wait for one to end.")
