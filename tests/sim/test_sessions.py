@@ -75,10 +75,10 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
     started: list[SimCore] = []
 
     async def start_sessions(
-        *, workers: int = 1, max_sessions: int = 64, pool: WorkerPool | None = None
+        *, workers: int = 1, max_sessions: int = 64, max_envs: int = 512, pool: WorkerPool | None = None
     ) -> tuple[SimCore, Workers]:
-        others = children()
-        started.append(SimCore(pool or WorkerPool(workers=workers), max_sessions=max_sessions, clock=clock))
+        others, pool = children(), pool or WorkerPool(workers=workers)
+        started.append(SimCore(pool, max_sessions=max_sessions, max_envs=max_envs, clock=clock))
         await started[-1].start()
         return started[-1], [child for child in children() if child not in others]
 
@@ -569,6 +569,32 @@ async def test_no_more_sessions_are_open_than_may_be(start: StartSessions) -> No
     assert len(sessions) == 2
     await sessions.close_session(CloseSessionRequest(attempts[0].session))
     assert await sessions.create_session(ONE)
+
+
+@pytest.mark.fault("M8")
+async def test_no_more_environments_are_open_than_may_be(start: StartSessions) -> None:
+    sessions, _ = await start(max_envs=8)
+    four = replace(ONE, num_envs=4)
+
+    attempts = await asyncio.gather(*(sessions.create_session(four) for _ in range(3)), return_exceptions=True)
+
+    (refused,) = (attempt for attempt in attempts if isinstance(attempt, Overloaded))
+    assert "at most 8 environments" in refused.detail
+    assert "FREEREIN_SIM_ENVS" in refused.hint
+    await sessions.close_session(CloseSessionRequest(attempts[0].session))
+    assert await sessions.create_session(four)
+
+
+@pytest.mark.fault("M8")
+async def test_a_closed_session_leaves_its_memory(start: StartSessions) -> None:
+    sessions, (worker,) = await start()
+    created = await sessions.create_session(CreateSessionRequest("tabletop", num_envs=8, seed=1))
+    await sessions.reset(ResetRequest(created.session, cameras=("front",)))
+    open_bytes = worker.memory_info().rss
+
+    await sessions.close_session(CloseSessionRequest(created.session))
+
+    assert worker.memory_info().rss < open_bytes - 8 * 4 * 2**20
 
 
 @pytest.mark.fault("M8")

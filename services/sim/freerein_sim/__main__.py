@@ -19,7 +19,7 @@ def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Heal
     """Returns the service; a MUJOCO_GL that cannot be used ends the process here, not each worker later."""
     check_mujoco_gl()
     pool = WorkerPool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
-    core = SimCore(pool, max_sessions=settings.sim_sessions)
+    core = SimCore(pool, max_sessions=settings.sim_sessions, max_envs=settings.sim_envs)
     step_stream = StepStream(core, health, limits.drain_s)
     return Service(
         name=NAME,

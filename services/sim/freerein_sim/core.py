@@ -43,18 +43,25 @@ class SimCore:
     Args:
         pool: The worker processes; started and closed with the sessions.
         max_sessions: Greatest number of open sessions.
+        max_envs: Greatest number of their environments, which bounds the memory of the workers.
         clock: Monotonic clock, in seconds.
     """
 
     def __init__(
-        self, pool: WorkerPool, *, max_sessions: int = 64, clock: Callable[[], float] = time.monotonic
+        self,
+        pool: WorkerPool,
+        *,
+        max_sessions: int = 64,
+        max_envs: int = 512,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pool = pool
         self._max_sessions = max_sessions
+        self._max_envs = max_envs
         self._clock = clock
         self._sessions: dict[str, Session] = {}
         self._created: dict[str, tuple[sim.CreateSessionRequest, asyncio.Task[sim.CreateSessionResponse]]] = {}
-        self._creating = 0
+        self._creating: list[int] = []  # numbers of environments
         self._in_flight: set[asyncio.Task[Any]] = set()
         self._reaper: asyncio.Task[None] | None = None
         self._draining = False
@@ -226,13 +233,9 @@ class SimCore:
     async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         worker = None
         self.reap()  # expired sessions are no reason to refuse one
-        self._creating += 1
+        self._creating.append(request.num_envs)
         try:
-            if len(self._sessions) + self._creating > self._max_sessions:
-                raise Overloaded(
-                    f"At most {self._max_sessions} sessions may be open at once; the limit is reached.",
-                    hint="Close one, or wait until a lease ends.",
-                )
+            self._check_room()
             worker = await self._pool.place(request.num_envs)
             response = await worker.call(request, sim.CreateSessionResponse)
         except BaseException:
@@ -241,10 +244,25 @@ class SimCore:
                 worker.load -= request.num_envs
             raise
         finally:
-            self._creating -= 1
+            self._creating.remove(request.num_envs)
         expires_at = self._clock() + request.lease_s
         self._sessions[response.session] = Session(response.session, request, response.task, worker, expires_at)
         return response
+
+    def _check_room(self) -> None:
+        """Raises Overloaded when the sessions that are open or being created are too many, or too large."""
+        num_envs = [session.request.num_envs for session in self._sessions.values()] + self._creating
+        if len(num_envs) > self._max_sessions:
+            raise Overloaded(
+                f"At most {self._max_sessions} sessions may be open at once; the limit is reached.",
+                hint="Close one, or wait until a lease ends.",
+            )
+        if sum(num_envs) > self._max_envs:
+            raise Overloaded(
+                f"All sessions may have at most {self._max_envs} environments together; they would have "
+                f"{sum(num_envs)}.",
+                hint="Close a session, wait until a lease ends, or ask for fewer; FREEREIN_SIM_ENVS sets the limit.",
+            )
 
     async def _exclusively(self, session_id: str, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
         """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled."""

@@ -13,7 +13,9 @@ class SimSettings(ServiceSettings):
     Attributes:
         sim_workers: Worker processes; default, one per core.
         sim_sessions: Greatest number of open sessions.
+        sim_envs: Greatest number of environments of all open sessions; each takes 1 to 10 MB of memory.
     """
 
     sim_workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     sim_sessions: int = Field(default=64, ge=1, le=65536)
+    sim_envs: int = Field(default=512, ge=1, le=65536)

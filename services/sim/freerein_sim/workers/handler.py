@@ -1,5 +1,6 @@
 """The child's side: holds sessions, answers one call after the other."""
 
+import ctypes
 import logging
 import secrets
 import socket
@@ -67,6 +68,7 @@ class RequestHandler:
                 response = self._draw_recipes(request)
             case sim.CloseSessionRequest():
                 self._discard(request.session)
+                _return_freed_memory()
                 response = sim.CloseSessionResponse()
             case _:
                 response = _answer_in_session(self._envs(getattr(request, "session", "")), request)
@@ -145,6 +147,12 @@ class RequestHandler:
     def _discard(self, session: str) -> None:
         if (envs := self._sessions.pop(session, None)) is not None:
             envs.close()
+
+
+def _return_freed_memory() -> None:
+    """Returns the memory of closed worlds to the kernel; glibc would keep most of it."""
+    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:  # other C libraries have none
+        trim(0)
 
 
 def _answer_in_session(envs: VectorEnv, request: object) -> object:
