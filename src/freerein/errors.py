@@ -67,6 +67,12 @@ class Unauthenticated(ServiceError):
     code, http_status, grpc_status = "unauthenticated", 401, "UNAUTHENTICATED"
 
 
+class PermissionDenied(ServiceError):
+    """A web page of another origin calls, or calls a service on loopback by another name."""
+
+    code, http_status, grpc_status = "permission_denied", 403, "PERMISSION_DENIED"
+
+
 class NotFound(ServiceError):
     """The session, fit, model, task, dataset or route does not exist."""
 

@@ -12,13 +12,7 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 
-from freerein.errors import ServiceError
-
-
-class PermissionDenied(ServiceError):
-    """A web page of another origin calls, or a loopback service by another name."""
-
-    code, http_status, grpc_status = "permission_denied", 403, "PERMISSION_DENIED"
+from freerein.errors import PermissionDenied
 
 
 @dataclass(frozen=True)
