@@ -670,6 +670,43 @@ async def test_a_worker_that_dies_takes_its_own_sessions_only(start: StartSessio
     assert (await sessions.step(StepRequest(kept, 2, UP))).step_id == 2
 
 
+@pytest.mark.fault("M6")
+async def test_a_session_whose_worker_died_makes_room_and_frees_its_key_and_still_says_why_once(
+    start: StartSessions,
+) -> None:
+    pool = WorkerPool(workers=1)
+    sessions, (victim,) = await start(max_sessions=1, pool=pool)
+    request = replace(ONE, idempotency_key="mine")
+    lost, worker = await begun(sessions, request), await pool.place(0)
+
+    victim.kill()
+    await worker.wait_ended()
+    again = await begun(sessions, request)
+
+    assert again != lost
+    with pytest.raises(WorkerLost):
+        await sessions.step(StepRequest(lost, 1, UP))
+    with pytest.raises(SessionNotFound):
+        await sessions.step(StepRequest(lost, 1, UP))
+    assert (await sessions.step(StepRequest(again, 1, UP))).step_id == 1
+
+
+@pytest.mark.fault("M6")
+async def test_a_lost_session_is_not_there_once_its_lease_has_ended(start: StartSessions, clock: Clock) -> None:
+    pool = WorkerPool(workers=1)
+    sessions, (victim,) = await start(pool=pool)
+    lost, worker = await begun(sessions), await pool.place(0)
+    victim.kill()
+    await worker.wait_ended()
+
+    sessions.reap()
+    clock.now_s += 3600
+    sessions.reap()
+
+    with pytest.raises(SessionNotFound):
+        await sessions.step(StepRequest(lost, 1, UP))
+
+
 async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothing(start: StartSessions) -> None:
     sessions, _ = await start()
     session = await begun(sessions)

@@ -60,6 +60,7 @@ class SimCore:
         self._max_envs = max_envs
         self._clock = clock
         self._sessions: dict[str, Session] = {}
+        self._lost: dict[str, float] = {}  # ends of the leases of sessions whose workers died, until their next calls
         self._created: dict[str, tuple[sim.CreateSessionRequest, asyncio.Task[sim.CreateSessionResponse]]] = {}
         self._creating: list[int] = []  # numbers of environments
         self._in_flight: set[asyncio.Task[Any]] = set()
@@ -96,8 +97,9 @@ class SimCore:
         return sim.ListTasksResponse(tuple(self._tasks().values()))
 
     async def create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
-        """Creates a session, or returns the one created with the same idempotency key."""
+        """Creates a session, or returns the open one that was created with the same idempotency key."""
         self._check_not_draining()
+        self.reap()  # neither is an ended session the key's, nor a reason to refuse one
         request = replace(request, conditions=tuple(sorted(request.conditions)))  # their order does not matter
         earlier, making = self._created.get(request.idempotency_key, (request, None))
         if earlier != request:
@@ -225,14 +227,18 @@ class SimCore:
         return sim.CloseSessionResponse()
 
     def reap(self) -> None:
-        """Closes expired sessions; called every second, and before a session is created."""
-        for session in [session for session in self._sessions.values() if self._has_expired(session)]:
-            self._forget(session)
-            self._run(_close_quietly(session))
+        """Closes expired sessions, and gives up lost ones; called every second, and before a session is created."""
+        for session in tuple(self._sessions.values()):
+            if session.worker.is_lost:
+                self._lost[session.id] = session.expires_at
+                self._forget(session)
+            elif self._has_expired(session):
+                self._forget(session)
+                self._run(_close_quietly(session))
+        self._lost = {lost: expires_at for lost, expires_at in self._lost.items() if self._clock() < expires_at}
 
     async def _create(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         worker = None
-        self.reap()  # expired sessions are no reason to refuse one
         self._creating.append(request.num_envs)
         try:
             self._check_room()
@@ -267,6 +273,8 @@ class SimCore:
     async def _exclusively(self, session_id: str, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
         """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled."""
         session = self._sessions.get(session_id)
+        if self._lost.pop(session_id, None) is not None:
+            raise worker_lost()
         if session is None or self._has_expired(session):
             raise session_not_found()
         self._renew(session_id)
