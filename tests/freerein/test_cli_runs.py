@@ -168,10 +168,16 @@ def test_artifacts_are_listed_and_fetched_whole_or_not_at_all(tmp_path: Path) ->
     fetched = _run("artifacts", run_id, artifact["name"], "--out", str(tmp_path / "card.json"))
     printed = _run("artifacts", run_id, artifact["name"], "--out", "-")
     missing = _run("artifacts", run_id, "nothing")
+    into_folder = _run("artifacts", run_id, artifact["name"], "--out", str(tmp_path))
 
     assert fetched.stdout.startswith(f"{artifact['size']} bytes in ")
     assert (tmp_path / "card.json").read_text() == printed.stdout
-    assert (missing.exit_code, [path.name for path in tmp_path.iterdir()]) == (1, ["card.json"])
+    assert (missing.exit_code, into_folder.exit_code) == (1, 0)
+    assert {path.name for path in tmp_path.iterdir()} == {"card.json", artifact["name"]}
+
+
+def test_a_step_that_no_run_can_have_is_a_mistake_of_the_command_line() -> None:
+    assert _run("metrics", "0" * 32, "--from-step", str(2**64)).exit_code == 2
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ _Metrics = Annotated[
 ]
 _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, or its first digits; see `freerein runs list`.")]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
-_Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file, `-` for stdout; default NAME.")]
+_Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file or folder, `-` for stdout; default NAME.")]
 
 _STDOUT = Path("-")
 
@@ -120,7 +120,7 @@ def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = Fa
     elif out == _STDOUT:
         _ask(lambda client: _fetch(client, run_id, name, sys.stdout.buffer))
     else:
-        path = out or Path(name)
+        path = out / name if out and out.is_dir() else out or Path(name)
         size = _ask(lambda client: _download(client, run_id, name, path))
         print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
 
