@@ -120,8 +120,9 @@ def settings_rows(kind: Any) -> Iterator[Row]:
     for name in inspect.get_annotations(kind):
         field = kind.model_fields[name]
         limits = [getattr(each, bound) for bound in _BOUNDS for each in field.metadata if hasattr(each, bound)]
+        above = "above " if any(hasattr(each, "gt") for each in field.metadata) else ""
         default = "" if field.default in (None, PydanticUndefined) else f"`{field.default}`"
-        yield Row(f"`FREEREIN_{name.upper()}`", default, may_be(field.annotation, *limits), meanings[name])
+        yield Row(f"`FREEREIN_{name.upper()}`", default, above + may_be(field.annotation, *limits), meanings[name])
 
 
 def may_be(kind: Any, *limits: float) -> str:
