@@ -7,23 +7,27 @@ import numpy as np
 import pytest
 
 from freerein.data import DatasetSpec, check, create, dataset_path, tag
+from freerein.data.batch_memory import DEFAULT_BATCH_SIZE
 from freerein.data.layout import SPEC_FILE
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Trajectory
 from freerein_segmentation.methods import METHODS
+from freerein_segmentation.training import SegmentationConfig
 
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
-def record(data_dir: Path, name: str, *, width: int = 12, action: ActionSpec = ACTION) -> Path:
+def record(
+    data_dir: Path, name: str, *, length: int = 3, size: tuple[int, int] = (8, 12), action: ActionSpec = ACTION
+) -> Path:
     """Records two demonstrations of two skills; returns the dataset's folder."""
     root = dataset_path(data_dir, name)
-    cameras = {"front": (8, width, 3)}
+    cameras = {"front": (*size, 3)}
     spec = DatasetSpec(fps=25, cameras=cameras, action=action, robot_type="test", skills=("pick", "push"))
     with create(root, spec) as writer:
         for _ in range(2):
-            frames = {"front": np.zeros((3, 8, width, 3), np.uint8)}
-            writer.append(Trajectory(frames, np.zeros((3, action.size), np.float32), ("pick", "push")))
+            frames = {"front": np.zeros((length, *size, 3), np.uint8)}
+            writer.append(Trajectory(frames, np.zeros((length, action.size), np.float32), ("pick", "push")))
     return root
 
 
@@ -34,10 +38,28 @@ def test_a_configuration_names_the_only_camera_and_every_default(tmp_path: Path)
 
 
 def test_frames_that_no_network_is_made_for_are_refused_before_a_fit_begins(tmp_path: Path) -> None:
-    record(tmp_path, "wide", width=1280)
+    record(tmp_path, "wide", size=(8, 1280))
     with pytest.raises(InvalidInput, match=r"4 to 1024 pixels high and wide.*got 8 x 1280") as error:
         METHODS.resolve(tmp_path, "wide", {}, threads=1)
     assert "another size" in error.value.hint
+
+
+def test_a_batch_that_takes_too_much_memory_is_refused_and_warned_of(tmp_path: Path) -> None:
+    """A batch of both trajectories has 150 million numbers, of which a fit holds several copies."""
+    root = record(tmp_path, "large", length=23, size=(1024, 1024))
+    (warning,) = (each for each in check(root) if each.where == "frames")
+    with pytest.raises(InvalidInput, match="have 145 million") as refused:
+        METHODS.resolve(tmp_path, "large", {}, threads=1)
+    assert (warning.severity, warning.sentence) == ("warning", refused.value.detail)
+    assert "--size HxW" in refused.value.hint
+    assert METHODS.resolve(tmp_path, "large", {"batch_size": 1}, threads=1)
+    assert METHODS.resolve(tmp_path, "large", {"stride": 2}, threads=1)
+    with pytest.raises(InvalidInput):
+        METHODS.resolve(tmp_path, "large", {"batch_size": 1, "encoder": "convolutional"}, threads=1)
+
+
+def test_the_batch_size_that_check_assumes_is_the_default() -> None:
+    assert SegmentationConfig().batch_size == DEFAULT_BATCH_SIZE
 
 
 def test_a_tag_that_is_no_skill_of_the_dataset_is_refused(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from freerein.data import Dataset, tag_problems
+from freerein.data.batch_memory import batch_problems
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.fit import FitResult
@@ -21,11 +22,15 @@ from freerein_segmentation import model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
 from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner, network_spec
 
+_ENCODER_COST = {"convolutional": 3.2}
+"""Memory of an encoder relative to that of `patch`, measured, where it takes more."""
+
 
 def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
     _check_tags(source.dataset)
     _check_evidence(source.dataset, config)
     _spec(source, config)  # rejects frames and actions that are out of bounds
+    _check_memory(source, config)
     return config
 
 
@@ -42,6 +47,15 @@ def _check_evidence(dataset: Dataset, config: SegmentationConfig) -> None:
             field="config.action_evidence",
             hint="Record the executed actions, or leave it out.",
         )
+
+
+def _check_memory(source: FitDataset, config: SegmentationConfig) -> None:
+    """Raises InvalidInput where a batch of the longest trajectories takes too much memory."""
+    (camera,) = source.cameras(config.cameras)
+    frame, cost = (camera.height, camera.width, camera.channels), _ENCODER_COST.get(config.encoder, 1.0)
+    lengths, batch_size = source.dataset.lengths, config.batch_size
+    for problem in batch_problems(lengths, frame, batch_size=batch_size, stride=config.stride, cost=cost):
+        raise InvalidInput(problem.sentence, field="config.batch_size", hint=problem.hint)
 
 
 def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.device) -> SegmentationLearner:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import layout, meta, truth
+from freerein.data.batch_memory import batch_problems
 from freerein.data.first_frames import MOST_TRAJECTORIES, first_frame_tests, low_resolution
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row
@@ -105,9 +106,10 @@ def verify(root: Path) -> list[Problem]:
 
 
 def check(root: Path) -> list[Problem]:
-    """Returns what prevents or impairs learning skills from a dataset: its tags, first frames, actions, lengths.
+    """Returns what prevents or impairs learning skills from a dataset: its tags, first frames, actions, lengths, size.
 
-    Fits of segmentation refuse a dataset with an error, and accept one with warnings.
+    Fits of segmentation refuse a dataset with an error, and accept one with warnings; where frames are too large, with
+    smaller batches than by default.
 
     Raises:
         NotFound: There is no dataset in `root`.
@@ -119,7 +121,8 @@ def check(root: Path) -> list[Problem]:
     trajectories = [problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index)]
     first_frames = [] if trajectories else _first_frame_problems(dataset)
     actions = [] if dataset.spec.has_actions else [_NO_ACTIONS]
-    return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *first_frames, *trajectories]
+    sizes = [each for size in dataset.spec.cameras.values() for each in batch_problems(dataset.lengths, size)]
+    return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *sizes[:1], *first_frames, *trajectories]
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:

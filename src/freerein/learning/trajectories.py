@@ -1,5 +1,6 @@
 """Trajectories as learners read them: frames, executed actions and tags; never labels of timesteps."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
@@ -7,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from freerein.data.batch_memory import MOST_NUMBERS
 from freerein.errors import InvalidInput
 from freerein.learning.split import train_validation_split
 
@@ -89,8 +91,12 @@ class Trajectories:
         return self.subset(training), self.subset(validation)
 
     def sample_frames(self, count: int) -> dict[str, npt.NDArray[np.uint8]]:
-        """Returns about `count` frames of each camera, uint8 (N, H, W, C), spaced evenly over all trajectories."""
-        every = max(1, int(self.lengths().sum()) // count)
+        """Returns about `count` frames of each camera, uint8 (N, H, W, C), spaced evenly over all trajectories.
+
+        They are fewer where they would be more than `MOST_NUMBERS` numbers.
+        """
+        total, largest = int(self.lengths().sum()), max(math.prod(each[0].shape[1:]) for each in self.frames.values())
+        every = max(1, total // count, -(-total * largest // MOST_NUMBERS))
         return {
             camera: np.concatenate([each[item][item % every :: every] for item in range(len(self))])
             for camera, each in self.frames.items()
