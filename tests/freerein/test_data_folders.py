@@ -1,5 +1,6 @@
 """Trajectories of people's own folders: images, videos, tables of actions and tags."""
 
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import PIL.Image
 import pytest
 
 from freerein.data import Dataset, FolderSource, ImageSource, check, import_trajectories, open_writer, verify
-from freerein.data.videos import frames_at_rate
+from freerein.data.videos import frames_at_rate, joined
 from freerein.errors import InvalidInput, NotFound, ServiceError
 from freerein.video import VideoFrame
 
@@ -109,6 +110,16 @@ def test_a_video_is_a_trajectory_at_the_rate_asked_for(tmp_path: Path, encode_vi
 def test_a_video_is_shown_at_its_own_times(times_s: list[float], fps: int, shown: list[int]) -> None:
     video = [VideoFrame(time_s, np.array(index, np.uint8)) for index, time_s in enumerate(times_s)]
     assert [int(pixels) for pixels in frames_at_rate(video, fps=fps, file="demo.mp4")] == shown
+
+
+def test_frames_are_joined_without_holding_them_twice() -> None:
+    side, count = 256, 100
+    tracemalloc.start()
+    frames = joined((np.full((side, side, 1), index, np.uint8) for index in range(count)), (side, side, 1))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert frames[:, 0, 0, 0].tolist() == list(range(count))
+    assert peak < 1.3 * frames.nbytes
 
 
 def test_a_video_with_broken_times_is_refused() -> None:

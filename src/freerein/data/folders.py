@@ -24,7 +24,7 @@ from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.videos import BOUNDS, frames_at_rate
+from freerein.data.videos import BOUNDS, frames_at_rate, joined
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Image, Trajectory
 from freerein.video import open_video
@@ -126,7 +126,7 @@ class FolderSource(Source):
         """Returns the frames of a camera, uint8 (T, H, W, C)."""
         if isinstance(files, Path):
             return _video_frames(files, shape, fps=self._spec.fps)
-        return np.stack([_pixels(file, self._size, shape) for file in files])
+        return joined((_pixels(file, self._size, shape) for file in files), shape)
 
 
 class ImageSource(Source):
@@ -173,7 +173,7 @@ class ImageSource(Source):
     def __iter__(self) -> Iterator[Trajectory]:
         shape = self._spec.cameras[CAMERA]
         for files in self._runs:
-            frames = np.stack([_pixels(file, shape[:2], shape) for file in files])
+            frames = joined((_pixels(file, shape[:2], shape) for file in files), shape)
             yield Trajectory({CAMERA: frames}, np.empty((len(files), 0), np.float32))
 
 
@@ -267,7 +267,7 @@ def _decoded(file: Path) -> Pixels:
 def _video_frames(file: Path, shape: tuple[int, int, int], *, fps: int) -> Pixels:
     """Returns the frames of a video at a rate, uint8 (T, H, W, C)."""
     with open_video(file, channels=shape[2], size=shape[:2], bounds=BOUNDS, field=file.name) as video:
-        return np.stack(list(frames_at_rate(video, fps=fps, file=file.name)))
+        return joined(frames_at_rate(video, fps=fps, file=file.name), shape)
 
 
 def _common_length(recording: _Recording, frames: Mapping[str, Pixels]) -> int:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.videos import BOUNDS, frames_at_rate
+from freerein.data.videos import BOUNDS, frames_at_rate, joined
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
 from freerein.video import open_video
@@ -89,7 +89,7 @@ class MimeSource(Source):
         _check_there(demonstration, _VIDEO)
         name = _name(demonstration, _VIDEO)
         with open_video(demonstration / _VIDEO, channels=1, size=self._size, bounds=BOUNDS, field=name) as video:
-            return np.stack(list(frames_at_rate(video, fps=_FPS, file=name)))
+            return joined(frames_at_rate(video, fps=_FPS, file=name), (*self._size, 1))
 
     def _positions(self, demonstration: Path, length: int) -> npt.NDArray[np.float32]:
         """Returns where joints and grippers are at each timestep, float32 (T, A)."""
