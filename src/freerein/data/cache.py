@@ -4,6 +4,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -11,6 +12,7 @@ from typing import Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from freerein.data.folder_locks import in_use, unused
 from freerein.errors import InvalidInput, OutOfStorage
 
 D = TypeVar("D", bound=np.generic)
@@ -49,7 +51,8 @@ def open_or_build(
     """Returns the cache of a file, building the file if it does not exist.
 
     Args:
-        path: `cache/<fingerprint>/<name>.raw`; folders of other fingerprints are deleted after a build.
+        path: `cache/<fingerprint>/<name>.raw`; folders of other fingerprints are deleted after a build, unless one is
+            being built in.
         dtype: Of the array.
         shape: Shape of one timestep.
         lengths: int64 (n,), timesteps of each trajectory.
@@ -59,16 +62,25 @@ def open_or_build(
     if offsets[-1] == 0:
         raise InvalidInput("A dataset must hold a trajectory before it can be cached; it is empty.")
     if not path.is_file():
-        _build(path, parts, size=int(offsets[-1]) * int(np.prod(shape)) * dtype.itemsize)
-        for other in path.parent.parent.iterdir():
-            if other != path.parent:
-                shutil.rmtree(other)
-    return StepCache(np.memmap(path, dtype, mode="r", shape=(int(offsets[-1]), *shape)), offsets)
+        _delete_abandoned(path.parent.parent)
+    with in_use(path.parent):
+        if not path.is_file():
+            _build(path, parts, size=int(offsets[-1]) * int(np.prod(shape)) * dtype.itemsize)
+            for other in unused(each for each in path.parent.parent.iterdir() if each != path.parent):
+                shutil.rmtree(other, ignore_errors=True)
+        return StepCache(np.memmap(path, dtype, mode="r", shape=(int(offsets[-1]), *shape)), offsets)
+
+
+def _delete_abandoned(cache: Path) -> None:
+    """Deletes the files that killed processes were building."""
+    for folder in unused(cache.glob("*")):
+        for unfinished in (each for each in folder.iterdir() if each.suffix != ".raw"):
+            with suppress(OSError):
+                unfinished.unlink()
 
 
 def _build(path: Path, parts: Iterable[npt.NDArray[D]], *, size: int) -> None:
     """Writes to a temporary file and renames it, so that concurrent builds are safe."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(path.parent).free
     if free < size:
         raise OutOfStorage(

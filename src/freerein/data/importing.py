@@ -1,12 +1,12 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 from freerein.atomic_files import fsync_folder
+from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.reader import Dataset
 from freerein.data.trajectory_file import State
@@ -95,8 +95,8 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
     if not len(source):
         raise InvalidInput("What is imported must hold a trajectory; it holds none.", hint="Name another folder.")
     root.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".import-", dir=root.parent) as folder:
-        unfinished = Path(folder) / root.name
+    with temporary_folder(root.parent, prefix=".import-") as folder:
+        unfinished = folder / root.name
         with create(unfinished, source.spec) as writer:
             for index, trajectory in enumerate(source):
                 writer.append(trajectory, robot_state=source.robot_state(index))

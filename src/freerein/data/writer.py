@@ -1,6 +1,5 @@
 """Records datasets. `append` returns once the trajectory is on disk, so a crash loses at most the open one."""
 
-import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -11,6 +10,7 @@ import pyarrow as pa
 
 from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
 from freerein.data import layout, meta, truth
+from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row, WriterLock
 from freerein.data.trajectory_file import Actions, State, encode
@@ -29,8 +29,8 @@ def create(root: Path, spec: DatasetSpec) -> "Writer":
         AlreadyExists: `root` is not empty.
     """
     root.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".new-dataset-", dir=root.parent) as folder:
-        staging = Path(folder) / root.name
+    with temporary_folder(root.parent, prefix=".create-") as folder:
+        staging = folder / root.name
         (staging / "data").mkdir(parents=True)
         meta.save(staging, spec, meta.episodes_schema(spec).empty_table())
         try:
