@@ -5,6 +5,7 @@ import os
 from pydantic import Field
 
 from freerein.serving.settings import ServiceSettings
+from freerein_sim.workers.protocol import MAX_ENVS
 
 
 class SimSettings(ServiceSettings):
@@ -18,4 +19,4 @@ class SimSettings(ServiceSettings):
 
     sim_workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)
     sim_sessions: int = Field(default=64, ge=1, le=65536)
-    sim_envs: int = Field(default=512, ge=1, le=65536)
+    sim_envs: int = Field(default=512, ge=MAX_ENVS, le=65536)
