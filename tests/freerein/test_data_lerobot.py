@@ -164,6 +164,32 @@ def test_goal_texts_are_read_where_episodes_name_one_task(root: Path) -> None:
     assert (Dataset(root).spec.task, Dataset(root).goal_texts) == ("", ("drop it", "", ""))
 
 
+@pytest.mark.parametrize(
+    "kind", [pa.string(), pa.large_string(), pa.string_view(), pa.dictionary(pa.int32(), pa.string())], ids=str
+)
+@pytest.mark.parametrize("name", ["task", "__index_level_0__"])
+def test_a_task_may_be_text_in_any_of_arrows_ways(root: Path, kind: pa.DataType, name: str) -> None:
+    tasks = pa.table({"task_index": [0], name: pa.array(["pour"]).cast(kind)})
+    pq.write_table(tasks, root / "meta/tasks.parquet")
+    assert Dataset(root).spec.task == "pour"
+
+
+@pytest.mark.parametrize("kind", [pa.list_(pa.large_string()), pa.large_list(pa.string())], ids=str)
+def test_tasks_and_skills_of_episodes_may_be_lists_of_any_kind(root: Path, kind: pa.DataType) -> None:
+    path = root / "meta/episodes/chunk-000/file-000.parquet"
+    lists = pa.array([["pour"], [], None], kind)
+    pq.write_table(pq.read_table(path).append_column("tasks", lists).append_column("skills", lists), path)
+    assert Dataset(root).goal_texts == ("pour", "lift it", "lift it")
+    assert Dataset(root).skills == (("pour",), (), ())
+
+
+@pytest.mark.parametrize("columns", [{}, {"task": [7]}, {"task": [["lift"]], "note": ["lift"]}])
+def test_tasks_without_a_text_are_refused(root: Path, columns: dict[str, list[object]]) -> None:
+    pq.write_table(pa.table({"task_index": [0], **columns}), root / "meta/tasks.parquet")
+    with pytest.raises(InvalidInput, match="in a column `task`; it has no such texts"):
+        Dataset(root)
+
+
 def add_bools(root: Path, columns: dict[str, list[bool | None]], *, listed: bool = False) -> None:
     """Adds columns to every data file, and declares them."""
     for path in sorted((root / "data").rglob("*.parquet")):
@@ -230,6 +256,7 @@ def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root:
         ({"features": INFO["features"] | {"action": {"dtype": "string", "shape": [1], "names": None}}}, "action"),
         ({"features": {"action": INFO["features"]["action"]}}, "camera"),
         ({"features": {}}, "camera"),
+        ({"features": None}, "camera"),
     ],
 )
 def test_what_cannot_be_read_here_is_refused_with_a_reason(root: Path, changes: dict[str, Any], word: str) -> None:

@@ -80,7 +80,7 @@ def read(root: Path) -> LeRobotMeta:
             robot_state_names=state_names,
         )
         spans = {camera: _spans(root, stored, key, fps=spec.fps) for camera, key in videos.items()}
-    except (KeyError, TypeError, ValueError):
+    except (AttributeError, KeyError, TypeError, ValueError):
         raise InvalidInput(
             "`info.json` must describe at least one camera, and any action, as LeRobot v3.0 does; it does not.",
             hint="Open the dataset in LeRobot to see what it lacks.",
@@ -179,8 +179,20 @@ def _task(root: Path) -> str:
     """Returns the task's text; empty when the trajectories are of several tasks."""
     with corrupt_as_invalid("`tasks.parquet`"):
         table = pq.read_table(root / layout.TASKS_FILE, use_threads=False)
-        texts = next(column for column in table.columns if pa.types.is_string(column.type)).to_pylist()
-    return str(texts[0]) if len(texts) == 1 else ""
+        named = table.select(["task"] if "task" in table.column_names else table.column_names)
+        texts = next((column.to_pylist() for column in named.columns if _is_text(column.type)), None)
+    if texts is None:
+        raise InvalidInput(
+            "`tasks.parquet` must have the texts of the tasks in a column `task`; it has no such texts.",
+            hint="Write it again with LeRobot.",
+        )
+    return str(texts[0] or "") if len(texts) == 1 else ""
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    """Returns whether a column holds texts, in whichever way: pandas, since version 3, has others than before."""
+    values = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return values in (pa.string(), pa.large_string(), pa.string_view())
 
 
 def _stored_episodes(root: Path) -> pa.Table:
@@ -199,9 +211,8 @@ def _with_lists(table: pa.Table) -> pa.Table:
     chosen, strings = table.select(_EPISODE_COLUMNS), pa.list_(pa.string())
     with corrupt_as_invalid("`meta/episodes`"):
         for name in ("tasks", "skills"):
-            is_there = name in table.column_names
-            column = table[name].cast(strings).fill_null([]) if is_there else pa.array([[]] * len(table), strings)
-            chosen = chosen.append_column(name, column)
+            lists = table[name].to_pylist() if name in table.column_names else [None] * len(table)
+            chosen = chosen.append_column(name, pa.array([each or [] for each in lists], strings))
     return chosen
 
 
