@@ -14,6 +14,8 @@ from freerein.errors import InvalidInput, NotFound, ServiceError
 from freerein.video import VideoFrame
 
 SIZE = (12, 16)
+FIRST_LINES = ("nan,nan\n1,2\n", "0.5,inf\n1,2\n", "1,left\n1,2\n", "1e39,2\n1,2\n")
+"""Of tables: a line with a number is no line of names."""
 
 
 def draw(folder: Path, *values: int, size: tuple[int, int] = SIZE, suffix: str = "png", mode: str = "RGB") -> None:
@@ -195,7 +197,7 @@ def test_two_images_are_held_apart_and_one_is_refused(tmp_path: Path) -> None:
 
 def test_a_table_of_numbers_names_its_file(tmp_path: Path) -> None:
     draw(tmp_path / "a", 1)
-    for table in ("", "x,y\n", "x,y\n1\n", "1,2\n3\n", "1,nan\n", "1,1e39\n", "1\nleft\n", "\xff"):
+    for table in ("", "x,y\n", "x,y\n1\n", "1,2\n3\n", "1,nan\n", "1,1e39\n", "1\nleft\n", "\xff", *FIRST_LINES):
         (tmp_path / "a" / "actions.csv").write_text(table, encoding="latin-1")
         with pytest.raises(InvalidInput, match=r"`a/actions\.csv` must be CSV with the action"):
             FolderSource(tmp_path)

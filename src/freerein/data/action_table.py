@@ -54,7 +54,7 @@ def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[_Row]]:
         lines = [(reader.line_num, line) for line in reader if line]
     except (UnicodeDecodeError, csv.Error):
         lines = []
-    names = () if not lines or _floats(lines[0][1]) else tuple(name.strip() for name in lines[0][1])
+    names = () if not lines or any(map(_is_number, lines[0][1])) else tuple(name.strip() for name in lines[0][1])
     rows = [_Row(number, _floats(cells)) for number, cells in lines[bool(names) :]]
     lengths = {len(row.numbers) for row in rows} | ({len(names)} if names else set())
     if not rows or len(lengths) != 1 or not rows[0].numbers:
@@ -65,6 +65,15 @@ def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[_Row]]:
             hint="For example the lines 0.5,-0.1 and 0.5,0; a first line such as x,y may name the numbers.",
         )
     return names, rows
+
+
+def _is_number(cell: str) -> bool:
+    """Returns whether a cell is a number, infinite ones and `nan` included."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _floats(cells: Sequence[str]) -> list[float]:
