@@ -141,6 +141,12 @@ def test_a_video_with_broken_times_is_refused() -> None:
         (lambda root: [(root / n / "actions.csv").write_text("x\n1\nleft\n") for n in "ab"], "finite numbers"),
         (lambda root: (root / "tags.csv").write_text("trajectory,skills\nc,pour\n"), "Line 2, column `trajectory`"),
         (lambda root: (root / "a" / "1.png").write_bytes(b"GIF89a"), "PNG, JPEG or WebP"),
+        (lambda root: (root / "a2.avi").write_bytes(b""), "`theirs/a2.avi` must be a folder of images"),
+        (lambda root: (root / "a2").mkdir(), "`theirs/a2` must be a folder of images"),
+        (lambda root: (root / "b" / "2.bmp").write_bytes(b""), "`b/2.bmp` must be"),
+        (lambda root: [draw(root / n / "top", 1) or (root / n / "top" / "1.npy").touch() for n in "ab"], "`top/1.npy`"),
+        (lambda root: draw(root / "b", 3, suffix="jpg"), "`b` must have different names for images of a timestep"),
+        (lambda root: draw(root / "b" / "camera", 3), "`b` must have different names for recordings of a camera"),
     ],
 )
 def test_what_does_not_fit_together_is_refused_and_nothing_is_left(
@@ -155,6 +161,16 @@ def test_what_does_not_fit_together_is_refused_and_nothing_is_left(
     assert words in refused.value.detail
     assert refused.value.hint
     assert not list(ours.parent.glob("*"))
+
+
+def test_notes_beside_recordings_are_left_alone_and_videos_of_phones_are_read(
+    tmp_path: Path, encode_video: Callable[..., bytes]
+) -> None:
+    (tmp_path / "b.MOV").write_bytes(encode_video(np.zeros((3, 32, 48, 3), np.uint8), container="mov"))
+    draw(tmp_path / "a", 1, size=(32, 48))
+    for note in ("README.md", "labels.csv", "a/times.txt"):
+        (tmp_path / note).touch()
+    assert [len(each.actions) for each in FolderSource(tmp_path)] == [1, 3]
 
 
 def test_a_folder_without_trajectories_is_refused(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
     <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers or times
              <trajectory>/<camera>/0.png, ...          or of several
              <trajectory>/<camera>.mp4                 or videos
-             <trajectory>.mp4                          or one video alone
+             <trajectory>.mp4                          or one video alone (mp4 or mov)
              <trajectory>/actions.csv                  the action of each image in a line, below a line of names or not
              tags.csv                                  lines such as `<trajectory>,reach;pour` below `trajectory,skills`
 
@@ -11,7 +11,8 @@ Trajectories are in the order of their names, numbers in them by value. Without 
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -33,7 +34,10 @@ CAMERA = "camera"
 """Name of the camera of images or of a video that name none."""
 
 ACTIONS, TAGS = "actions.csv", "tags.csv"
-_IMAGES, _VIDEO = frozenset((".png", ".jpg", ".jpeg", ".webp")), ".mp4"
+_IMAGES, _VIDEOS = frozenset((".png", ".jpg", ".jpeg", ".webp")), frozenset((".mp4", ".m4v", ".mov"))
+_NOTES = frozenset((".csv", ".json", ".md", ".txt"))
+"""Of files beside images and videos that may be there and are not read, but for the tables."""
+
 _RUNS = 50
 _SHORTER, _LONGEST = 128, 1024
 """Shorter side that images are scaled to, and most of the longer one."""
@@ -66,8 +70,8 @@ class FolderSource(Source):
 
     Raises:
         NotFound: The folder holds no trajectory.
-        InvalidInput: Trajectories differ in their cameras, or some lack actions; a table names no trajectory; an action
-            is no number.
+        InvalidInput: Trajectories differ in their cameras, or some lack actions; a file might be a recording and cannot
+            be read; two have one name; a table names no trajectory; an action is no number.
     """
 
     def __init__(
@@ -178,13 +182,16 @@ class ImageSource(Source):
 
 
 def _recordings(folder: Path) -> list[_Recording]:
-    found = [each for entry in _entries(folder) if (each := _recording(entry)) is not None]
-    if not found:
+    entries = _entries(folder)
+    recordings = {each: recording for each in entries if (recording := _recording(each)) is not None}
+    if not recordings:
         raise NotFound(
             "The folder must hold a folder of images, or an mp4 file, for each trajectory; it holds neither.",
             hint="Name the folder that holds the trajectories, or `meta` of a LeRobotDataset; for the MIME dataset add "
             "--layout mime.",
         )
+    _check_all_read(entries, recordings)
+    found = list(recordings.values())
     cameras = set(found[0].cameras)
     for each in found:
         if set(each.cameras) != cameras:
@@ -209,16 +216,52 @@ def _entries(folder: Path) -> list[Path]:
 def _recording(entry: Path) -> _Recording | None:
     """Returns what a file or folder records; None for another."""
     if entry.is_file():
-        return _Recording(entry.stem, {CAMERA: entry}) if entry.suffix.lower() == _VIDEO else None
+        return _Recording(entry.stem, {CAMERA: entry}) if _is_video(entry) else None
     inside = _entries(entry)
-    cameras: dict[str, Files] = {each.stem: each for each in inside if each.suffix.lower() == _VIDEO}
-    for each in filter(Path.is_dir, inside):
-        if files := tuple(filter(_is_image, _entries(each))):
-            cameras[each.name] = files
-    if files := tuple(filter(_is_image, inside)):
-        cameras[CAMERA] = files
+    videos = [each for each in inside if _is_video(each)]
+    folders = {each: files for each in inside if each.is_dir() and (files := _images(each))}
+    own = _images(entry)
+    cameras: list[tuple[str, Files]] = [(each.stem, each) for each in videos]
+    cameras += [(each.name, files) for each, files in folders.items()]
+    cameras += [(CAMERA, own)] if own else []
+    if not cameras:
+        return None
+    _check_all_read(inside, [*videos, *folders, *own])
+    for each, files in folders.items():
+        _check_all_read(_entries(each), files)
+    _check_different([name for name, _ in cameras], entry, "recordings of a camera")
     actions = entry / ACTIONS
-    return _Recording(entry.name, cameras, actions if actions.is_file() else None) if cameras else None
+    return _Recording(entry.name, dict(cameras), actions if actions.is_file() else None)
+
+
+def _images(folder: Path) -> tuple[Path, ...]:
+    """Returns the images in a folder, in the order of their names."""
+    inside = _entries(folder)
+    files = tuple(filter(_is_image, inside))
+    if files:
+        _check_different([each.stem for each in files], folder, "images of a timestep")
+    return files
+
+
+def _check_all_read(entries: Sequence[Path], read: Collection[Path]) -> None:
+    """Raises InvalidInput for what is not read, and might be a recording: later ones would take its place."""
+    for each in entries:
+        if each not in read and not (each.is_file() and each.suffix.lower() in _NOTES):
+            raise InvalidInput(
+                f"`{each.parent.name}/{each.name}` must be a folder of images, an image (PNG, JPEG or WebP) or a video "
+                "(mp4 or mov); it is not.",
+                hint="Convert it, or move it out of the folder.",
+            )
+
+
+def _check_different(names: Sequence[str], folder: Path, noun: str) -> None:
+    """Raises InvalidInput where a name is there twice."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InvalidInput(
+                f"`{folder.name}` must have different names for {noun}; {count} are named `{name}`.",
+                hint="Rename or remove all but one.",
+            )
 
 
 def _actions(recording: _Recording) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
@@ -285,6 +328,10 @@ def _common_length(recording: _Recording, frames: Mapping[str, Pixels]) -> int:
 
 def _is_image(path: Path) -> bool:
     return path.suffix.lower() in _IMAGES
+
+
+def _is_video(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in _VIDEOS
 
 
 def _natural(path: Path) -> tuple[list[tuple[Decimal, str]], str]:
