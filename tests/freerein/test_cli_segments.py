@@ -114,3 +114,10 @@ def test_what_cannot_be_labelled_or_would_be_ignored_is_an_error(words: list[str
     result = run(*words, "--json")
     assert result.exit_code == 1
     assert json.loads(result.stderr)["error"]["field"] == field
+
+
+@pytest.mark.parametrize("option", ["--min-segment", "--min-kept"])
+def test_a_length_that_no_service_takes_is_refused_with_its_range(option: str) -> None:
+    result = run("demos", option, "99999999999")
+    assert result.exit_code == 2
+    assert "1000" in result.stderr

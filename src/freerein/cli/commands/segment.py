@@ -55,8 +55,12 @@ def segment(
     version: Annotated[str, typer.Option(help="Version of the model; the active one by default.")] = "",
     camera: Annotated[str, typer.Option(help="Camera of the dataset's frames; the model's by default.")] = "",
     smoothing: Annotated[float, typer.Option(min=0, help="Standard deviation of smoothing, in timesteps.")] = 0.0,
-    min_segment: Annotated[int, typer.Option(min=0, help="Merge segments shorter than this many timesteps.")] = 0,
-    min_kept: Annotated[int, typer.Option(min=0, help="Reject segments shorter than this many timesteps.")] = 0,
+    min_segment: Annotated[
+        int, typer.Option(min=0, max=1000, help="Merge segments shorter than this many timesteps.")
+    ] = 0,
+    min_kept: Annotated[
+        int, typer.Option(min=0, max=1000, help="Reject segments shorter than this many timesteps.")
+    ] = 0,
     min_confidence: Annotated[
         float, typer.Option(min=0, max=1, help="Reject timesteps with a smaller confidence; before `--min-kept`.")
     ] = 0.0,
