@@ -75,6 +75,8 @@ class Controller:
     def _next_action(self) -> Action:
         if self._planned and self.last and time.monotonic_ns() <= self.last.valid_until_ns:
             return self._planned.popleft()
+        if self._robot.action.absolute and self._executed:
+            return self._executed[-1]  # the last target holds the robot
         return self._robot.hold()
 
     async def _receive(self) -> None:
@@ -133,7 +135,7 @@ class Robot:
         return Observation((images.encode(self._frame, encoding="raw_rgb8", camera=self.cameras[0].name),))
 
     def hold(self) -> Action:
-        """Returns an action, float32 (A,), that keeps the robot where it is; for one that takes targets, its place."""
+        """Returns an action, float32 (A,), that keeps the robot where it is: no change, or of targets its own place."""
         return np.zeros(self.action.size, np.float32)
 
     async def execute(self, action: Action) -> None:

@@ -56,6 +56,8 @@ async def answer(headers: dict[str, str], *, origins: tuple[str, ...] = (), is_l
         {"host": "elsewhere.example:8100"},
         {"host": "127.0.0.1.elsewhere.example"},
         {"host": "[::1"},
+        {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"},
+        {"sec-fetch-site": "same-site"},
     ],
 )
 async def test_a_page_of_another_origin_or_by_another_name_of_the_service_is_refused(headers: dict[str, str]) -> None:
@@ -73,6 +75,10 @@ async def test_a_page_of_another_origin_or_by_another_name_of_the_service_is_ref
         {"host": "LOCALHOST:8100", "origin": "http://localhost:8100"},
         {"host": "127.0.0.1", "origin": "http://127.0.0.1"},
         {"host": "[::1]:8100", "origin": "https://[::1]:8100"},
+        {"host": "freerein.localhost.:443", "origin": "https://freerein.localhost."},
+        {"sec-fetch-site": "same-origin", "sec-fetch-mode": "cors"},
+        {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"},
+        {"sec-fetch-site": "same-site", "origin": OURS},
     ],
 )
 async def test_a_client_and_a_page_of_the_service_itself_may_call(headers: dict[str, str]) -> None:

@@ -71,6 +71,14 @@ def test_images_are_in_the_order_of_their_numbers_or_times(tmp_path: Path, names
     assert only.frames["camera"].mean(axis=(1, 2, 3)).tolist() == list(range(len(names)))
 
 
+def test_images_whose_names_have_two_orders_are_refused(tmp_path: Path) -> None:
+    draw(tmp_path / "a", 0, 1)
+    for index, name in enumerate(("take1.9", "take1.10")):
+        (tmp_path / "a" / f"{index}.png").rename(tmp_path / "a" / f"{name}.png")
+    with pytest.raises(InvalidInput, match="must have one order"):
+        FolderSource(tmp_path)
+
+
 def test_actions_are_those_of_a_table_and_may_be_in_any_unit(tmp_path: Path) -> None:
     for name, rows in (("a", "x,y\n0.5,-1\n1,0\n"), ("b", "x,y\n0,0\n0,250\n")):
         draw(tmp_path / "theirs" / name / "front", 1, 2, mode="L")
@@ -175,7 +183,7 @@ def test_notes_beside_recordings_are_left_alone_and_videos_of_phones_are_read(
 
 def test_a_folder_without_trajectories_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("")
-    with pytest.raises(NotFound, match="mp4 file"):
+    with pytest.raises(NotFound, match=r"a video \(mp4 or mov\)"):
         FolderSource(tmp_path)
 
 

@@ -293,16 +293,17 @@ def test_an_action_that_is_none_is_no_step(address: str) -> None:
     assert second.max() == first.max() + 1
 
 
-@pytest.mark.parametrize("made", [False, True])
-def test_after_a_step_of_unknown_fate_reset_begins_anew(address: str, service: Sim, made: bool) -> None:
+@pytest.mark.parametrize("made", [0, 1, 2])
+def test_after_steps_of_unknown_fate_reset_begins_anew(address: str, service: Sim, made: int) -> None:
     with SimEnv("slide", address) as env:
         env.reset()
         env.step(GO)
-        service.failures = [grpc.StatusCode.INTERNAL]
-        with pytest.raises(ServiceError, match="the reply is lost"):
-            env.step(GO)
+        service.failures = [grpc.StatusCode.INTERNAL] * 2
+        for _ in range(2):
+            with pytest.raises(ServiceError, match="the reply is lost"):
+                env.step(GO)
         (session,) = service.sessions.values()
-        session.steps -= not made
+        session.steps = 1 + made
         for _ in range(2):
             first, _ = env.reset(seed=1)
             second, *_ = env.step(GO)

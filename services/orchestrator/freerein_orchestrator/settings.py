@@ -39,4 +39,4 @@ def _is_of_postgres(url: str) -> bool:
         port = int(conninfo_to_dict(url).get("port") or 5432)
     except (ProgrammingError, ValueError):
         return False
-    return scheme in ("postgresql", "postgres") and 0 < port <= 65535
+    return scheme.lower() in ("postgresql", "postgres") and 0 < port <= 65535

@@ -45,6 +45,9 @@ _SHORTER, _LONGEST = 128, 1024
 _WHOLE, _DECIMAL = re.compile(r"\d+|\D+"), re.compile(r"\d+(?:\.\d+)?|\D+")
 """Numbers in names, and what is between them."""
 
+_TIME = re.compile(r"\d{9,}")
+"""Time since the epoch in a name, in seconds: a dot after it does not separate two numbers."""
+
 Pixels = npt.NDArray[np.uint8]
 Files = Path | tuple[Path, ...]
 """A video, or images in order."""
@@ -186,7 +189,7 @@ def _recordings(folder: Path) -> list[_Recording]:
     recordings = {each: recording for each in entries if (recording := _recording(each)) is not None}
     if not recordings:
         raise NotFound(
-            "The folder must hold a folder of images, or an mp4 file, for each trajectory; it holds neither.",
+            "The folder must hold a folder of images, or a video (mp4 or mov), for each trajectory; it holds neither.",
             hint="Name the folder that holds the trajectories, or `meta` of a LeRobotDataset; for the MIME dataset add "
             "--layout mime.",
         )
@@ -236,11 +239,17 @@ def _recording(entry: Path) -> _Recording | None:
 
 def _images(folder: Path) -> tuple[Path, ...]:
     """Returns the images in a folder, in the order of their names."""
-    inside = _entries(folder)
-    files = tuple(filter(_is_image, inside))
+    files = tuple(filter(_is_image, _entries(folder)))
+    by_time = tuple(sorted(files, key=_by_decimals))
+    if by_time != files and not all(_TIME.search(each.stem) for each in files):
+        raise InvalidInput(
+            f"The names of the images in `{folder.name}` must have one order; with dots, as in `{files[0].name}`, they "
+            "have two: of whole numbers, and of decimal ones.",
+            hint="Rename them: 0001.png, 0002.png, ...",
+        )
     if files:
         _check_different([each.stem for each in files], folder, "images of a timestep")
-    return files
+    return by_time
 
 
 def _check_all_read(entries: Sequence[Path], read: Collection[Path]) -> None:
@@ -334,11 +343,15 @@ def _is_video(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in _VIDEOS
 
 
-def _natural(path: Path) -> tuple[list[tuple[Decimal, str]], str]:
-    """Returns a key that orders names by the value of the numbers in them: `2.png` before `10.png`.
+def _natural(path: Path) -> list[tuple[Decimal, str]]:
+    """Returns a key that orders paths by the value of the whole numbers in them: `2.png` before `10.png`."""
+    return _numbers(_WHOLE.findall(path.as_posix()))
 
-    Those of files may be time stamps, such as `1.05.png` before `1.5.png`; in folders' names a dot separates numbers.
-    """
-    own = _DECIMAL.findall(path.stem) if path.is_file() else _WHOLE.findall(path.name)
-    parts = [*_WHOLE.findall(f"{path.parent.as_posix()}/"), *own]
-    return [(Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts], path.name
+
+def _by_decimals(path: Path) -> list[tuple[Decimal, str]]:
+    """Returns a key that orders files of a folder by the value of the decimal numbers: `1.05.png` before `1.5.png`."""
+    return _numbers(_DECIMAL.findall(path.stem))
+
+
+def _numbers(parts: Sequence[str]) -> list[tuple[Decimal, str]]:
+    return [(Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts]

@@ -61,16 +61,24 @@ class LabelsWriter:
         self._root = root
         (root / _FOLDER).mkdir(exist_ok=True)
         self._lock = WriterLock(root / _FOLDER, noun="The labels of a dataset")
-        path, document = root / _WRITER, json.dumps({"writer": name}).encode()
-        self.goes_on = path.is_file() and path.read_bytes() == document
-        (root / _INFO).unlink(missing_ok=True)
-        write_atomic(path, document)  # syncs the folder, so that the description stays away after a power cut
+        try:
+            self.goes_on = self._begin(json.dumps({"writer": name}).encode())
+        except BaseException:
+            self._lock.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._lock.close()
+
+    def _begin(self, document: bytes) -> bool:
+        path = self._root / _WRITER
+        goes_on = path.is_file() and path.read_bytes() == document
+        (self._root / _INFO).unlink(missing_ok=True)
+        write_atomic(path, document)  # syncs the folder, so that the description stays away after a power cut
+        return goes_on
 
     def save(self, index: int, values: npt.NDArray[np.int64]) -> None:
         """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""

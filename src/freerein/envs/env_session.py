@@ -113,8 +113,8 @@ class EnvSession:
             self._session = self._lease.created.session
             self.task: Task = self._lease.created.task
             self._step_id, self._action_repeat = 0, action_repeat
-            self._is_unknown = False  # whether the last step was made
-            self._may_be_ahead = False  # the step count, by one
+            self._unknown = 0  # latest steps of which it is unknown whether they were made
+            self._ahead = 0  # by how many steps the count may be too large since `reset`
             self.cameras = tuple(cameras) or (self.task.cameras[0].name,)
             self.observation_space = _observation_space(self.task, self.cameras, height, width)
             self.action_space = _action_space(self.task.action)
@@ -126,7 +126,7 @@ class EnvSession:
         """Begins new episodes in `envs`, or in all environments if empty."""
         reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self.cameras))
         if not envs:
-            self._may_be_ahead, self._is_unknown = self._may_be_ahead or self._is_unknown, False
+            self._ahead, self._unknown = self._ahead + self._unknown, 0
         return reply
 
     def step(self, actions: npt.ArrayLike) -> StepResponse:
@@ -140,15 +140,16 @@ class EnvSession:
                 whether the step was made. It is counted as made; if it was not, steps are refused until `reset`.
         """
         encoded = self._encoded(actions)
-        try:
-            reply = self._next_step(encoded)
-        except StepOutOfOrder:
-            if not self._may_be_ahead:
-                raise
-            self._step_id -= 1
-            reply = self._next_step(encoded)
-        self._may_be_ahead = False
-        return reply
+        while True:
+            try:
+                reply = self._next_step(encoded)
+            except StepOutOfOrder:
+                if not self._ahead:
+                    raise
+                self._step_id, self._ahead = self._step_id - 1, self._ahead - 1
+            else:
+                self._ahead = self._unknown = 0
+                return reply
 
     def observation(self, frames: Mapping[str, Pixels]) -> Observation:
         """Returns a copy of frames as an observation, or a batch of observations."""
@@ -179,7 +180,7 @@ class EnvSession:
         except (InvalidInput, FailedPrecondition, Overloaded):
             raise
         except BaseException:
-            self._step_id, self._is_unknown = self._step_id + 1, True
+            self._step_id, self._unknown = self._step_id + 1, self._unknown + 1
             raise
         self._step_id += 1
         return reply

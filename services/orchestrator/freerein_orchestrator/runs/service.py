@@ -241,7 +241,8 @@ class RunService:
         return asyncio.get_running_loop().run_in_executor(self._threads, call)
 
     def _create(self, request: orchestrator.StartRunRequest) -> str:
-        if request.idempotency_key and self._queue.states([id_of(request.idempotency_key)]):
+        key = request.idempotency_key
+        if key and self._queue.states([id_of(key)]) and not self._store.find(vars(request)):  # nor made meanwhile
             raise AlreadyExists(
                 "An idempotency key must be used for one run; the run of this one was deleted.",
                 field="idempotency_key",

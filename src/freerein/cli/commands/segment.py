@@ -102,7 +102,7 @@ def segment(
     if vtt is not None:
         write_atomic(vtt, webvtt(labelled).encode())
     if as_json:
-        print_json({**wire.to_json(labelled.answer), "flagged": timeline.flagged([labelled.answer])})
+        print_json({**wire.to_json(labelled.answer), "flagged": timeline.flagged([labelled.answer.in_distribution])})
     else:
         timeline.show(labelled)
 
@@ -242,14 +242,15 @@ async def label_all(
     model's; `on_count` is called with the number of trajectories labelled.
     """
     skills = await client.list_skills(ListSkillsRequest(request.model))
-    info, dataset, answers = LabelsInfo(skills.skills, skills.model), Dataset(root), list[SegmentResponse]()
+    info, dataset, scores = LabelsInfo(skills.skills, skills.model), Dataset(root), list[npt.NDArray[np.float32]]()
     chosen = choose_camera(dataset, camera, of_model=skills.camera)
     with LabelsWriter(root, name=_WRITER) as writer:
         for index, trajectory in enumerate(dataset):
             frames, actions = trajectory.frames[chosen], trajectory.actions
             filled = replace(request, model=skills.model, frames=frames, actions=actions)
-            answers.append(await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S))
-            writer.save(index, answers[-1].labels)
+            answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
+            writer.save(index, answer.labels)
+            scores.append(answer.in_distribution)
             on_count(index + 1)
         writer.finish(info)
-    return LabelledDataset(info, timeline.flagged(answers))
+    return LabelledDataset(info, timeline.flagged(scores))

@@ -60,13 +60,17 @@ def show(timeline: Timeline) -> None:
         f"model {answer.model.name} {answer.model.version}",
         style="dim",
     )
-    if share := flagged([answer]):
+    if share := flagged([answer.in_distribution]):
         console.print(warning(share))
 
 
-def flagged(answers: Sequence[SegmentResponse]) -> float:
-    """Returns the share of timesteps that are probably unlike what the model was fitted on; 0 without a timestep."""
-    scores = np.concatenate([np.empty(0, np.float32), *(answer.in_distribution for answer in answers)])
+def flagged(in_distribution: Sequence[npt.NDArray[np.float32]]) -> float:
+    """Returns the share of timesteps that are probably unlike what the model was fitted on; 0 without a timestep.
+
+    Args:
+        in_distribution: Scores of each trajectory, float32 (T,).
+    """
+    scores = np.concatenate([np.empty(0, np.float32), *in_distribution])
     return float((scores < FLAGGED).mean()) if len(scores) else 0.0
 
 

@@ -1,7 +1,8 @@
 """Which web pages may call a service: its own, and those of the origins that an operator names.
 
 A browser lets any page send simple requests, such as POST of `multipart/form-data`, without asking first, and reaches
-services on loopback, too. It then names the page's origin in `Origin`. A page whose own host name resolves to loopback
+services on loopback, too. It then names the page's origin in `Origin`, or, of a GET for an image or script, says in
+`Sec-Fetch-Site` that the page is another's. A page whose own host name resolves to loopback
 (DNS rebinding) counts as the service's own to a browser, but `Host` has its name.
 """
 
@@ -35,17 +36,28 @@ class OriginPolicy:
                 "`Host` must name loopback where a service has no token; it names another host.",
                 hint="Call the service at localhost or 127.0.0.1, or set FREEREIN_TOKEN.",
             )
-        is_own = origin is None or origin.lower() in (f"http://{host}", f"https://{host}")
-        if not is_own and origin not in self.origins:
+        is_allowed = _is_own_request(headers) if origin is None else origin.lower() in _own_origins(host)
+        if not is_allowed and origin not in self.origins:
             raise PermissionDenied(
                 "A web page that calls must be of the service itself, or of an origin that it allows; it is not.",
                 hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
             )
 
 
+def _own_origins(host: str) -> tuple[str, str]:
+    """Returns the origins of pages of a service that is called `host`; browsers leave out default ports."""
+    return f"http://{host.removesuffix(':80')}", f"https://{host.removesuffix(':443')}"
+
+
+def _is_own_request(headers: Headers) -> bool:
+    """Returns whether a request without `Origin` is of no browser, of the service's own page, or opens a page."""
+    site, mode = headers.get("sec-fetch-site", "none"), headers.get("sec-fetch-mode")
+    return site in ("none", "same-origin") or mode == "navigate"
+
+
 def _is_loopback(host: str) -> bool:
     try:
-        name = urlsplit(f"//{host}").hostname or ""
-        return name == "localhost" or ip_address(name).is_loopback
+        name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
+        return name == "localhost" or name.endswith(".localhost") or ip_address(name).is_loopback
     except ValueError:
         return False
