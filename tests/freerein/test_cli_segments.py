@@ -44,7 +44,7 @@ def test_the_times_of_a_video_are_its_own_and_its_last_frame_lasts() -> None:
     assert labelled.time_s.tolist() == pytest.approx([0.0, 0.5, 1.5, 2.25])
 
 
-def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_any(
+def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_many(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     familiar = answer(Segment(0, 4, "push", 0.9), timesteps=4)
@@ -52,7 +52,7 @@ def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_any(
     assert "unlike" not in capsys.readouterr().out
 
     timeline.show(at_rate(replace(familiar, in_distribution=np.float32([0.02, 0.5, 0.03, 1.0])), fps=10))
-    assert "25.0% of the timesteps are probably unlike" in capsys.readouterr().out
+    assert "25% of the timesteps are probably unlike" in capsys.readouterr().out
 
 
 def test_a_picture_is_drawn_with_and_without_frames(tmp_path: Path) -> None:

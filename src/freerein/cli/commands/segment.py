@@ -224,8 +224,8 @@ def _show_saved(dataset: str, count: int, labelled: LabelledDataset, *, as_json:
         print_json({**document, "flagged": flagged})
         return
     typer.echo(f"Labelled {count} trajectories of {dataset} by model {info.model.name} {info.model.version}.")
-    if flagged:
-        typer.echo(timeline.warning(flagged))
+    if text := timeline.warning(flagged):
+        typer.echo(text)
 
 
 async def label_all(

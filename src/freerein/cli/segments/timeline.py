@@ -14,6 +14,8 @@ from freerein.types.segmentation import FLAGGED, NO_SKILL, SegmentResponse
 
 _COLOURS = ("cyan", "magenta", "yellow", "green", "blue", "red", "bright_cyan", "bright_magenta")
 _WIDEST_BAR = 100
+_MOST_FLAGGED = 0.1
+"""Share of timesteps up to which a trajectory like those of the fit may be flagged: on average `FLAGGED` are."""
 _ONE_FRAME_S = 0.1
 
 
@@ -60,8 +62,8 @@ def show(timeline: Timeline) -> None:
         f"model {answer.model.name} {answer.model.version}",
         style="dim",
     )
-    if share := flagged([answer.in_distribution]):
-        console.print(warning(share))
+    if text := warning(flagged([answer.in_distribution])):
+        console.print(text)
 
 
 def flagged(in_distribution: Sequence[npt.NDArray[np.float32]]) -> float:
@@ -75,9 +77,11 @@ def flagged(in_distribution: Sequence[npt.NDArray[np.float32]]) -> float:
 
 
 def warning(share: float) -> str:
-    """Returns a sentence on the share of timesteps that are flagged."""
+    """Returns a sentence where the share of flagged timesteps is more than chance makes it, else nothing."""
+    if share <= _MOST_FLAGGED:
+        return ""
     return (
-        f"{share:.1%} of the timesteps are probably unlike what the model was fitted on: `in_distribution` is below "
+        f"{share:.0%} of the timesteps are probably unlike what the model was fitted on: `in_distribution` is below "
         f"{FLAGGED:g}, as for {FLAGGED:.0%} of held-out ones."
     )
 
