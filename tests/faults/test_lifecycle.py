@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
@@ -79,12 +80,13 @@ async def stop_under_load(faulty: Any, wait_until: Any) -> None:
     async with (
         httpx.AsyncClient(base_url=faulty.service.url, timeout=60, trust_env=False) as client,
         grpc.aio.insecure_channel(faulty.service.address) as channel,
+        AsyncExitStack() as closing,
     ):
-        over_rest = [
-            asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([n, n + 1], fault=fault)))
-            for n, fault in enumerate(["held", *["right"] * 5])
+        over_rest = [asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([0, 1], fault="held")))]
+        held = closing.enter_context(await asyncio.to_thread(faulty.hold))  # before the others: they wait behind it
+        over_rest += [
+            asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([n, n + 1]))) for n in range(1, 6)
         ]
-        held = await asyncio.to_thread(faulty.hold)
         frames = np.zeros((2, 4, 4, 3), np.uint8)
         frames[:, 0, 0, 2] = 7, 8
         request = wire.pack(SegmentRequest(frames=frames)).SerializeToString()

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from freerein.jobs.attempt import WAITING_FILE
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.context import RunContext
@@ -45,6 +46,12 @@ class LooseRun:
         path = self.folder / "metrics.jsonl"
         lines = path.read_text().splitlines(keepends=True) if path.is_file() else []
         return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    @property
+    def waiting(self) -> str:
+        """Why the run waits for a service, empty where it does not."""
+        path = self.folder / WAITING_FILE
+        return path.read_text() if path.is_file() else ""
 
     @property
     def model(self) -> ModelRef:

@@ -1,7 +1,6 @@
 """Runs of kind ppo, with the real sim and reward services: what they leave, and that they survive failures."""
 
 import json
-import signal
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -109,28 +108,27 @@ def test_a_run_s_policy_is_published_and_answers(
 
 
 class Killer:
-    """Kills a service at the first call after a run has recorded a row, and restarts it at its address."""
+    """Kills a service once a run has recorded a row, and starts it again at its address once the run waits for it."""
 
     def __init__(self, service: Any, module: str, start: Callable[..., Any], run: Any) -> None:
         self._service = service
         self._module = module
         self._start = start
         self._run = run
-        self._is_done = False
+        self._is_killed = self._is_restarted = False
         self._lock = threading.Lock()
 
     def __call__(self) -> bool:
         with self._lock:
-            if not self._is_done and self._run.rows:
-                self._is_done = True
-                self._service.process.send_signal(signal.SIGKILL)
+            if not self._is_killed and self._run.rows:
+                self._is_killed = True
+                self._service.process.kill()
                 self._service.process.wait()
-                threading.Thread(target=self._again).start()
+            elif self._is_killed and not self._is_restarted and self._run.waiting:
+                self._is_restarted = True
+                port = self._service.address.rpartition(":")[2]
+                self._start(self._module, FREEREIN_GRPC_PORT=port, FREEREIN_SIM_WORKERS="1")
         return False
-
-    def _again(self) -> None:
-        port = self._service.address.rpartition(":")[2]
-        self._start(self._module, FREEREIN_GRPC_PORT=port, FREEREIN_SIM_WORKERS="1")
 
 
 @pytest.mark.timeout(180)
