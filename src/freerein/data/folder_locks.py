@@ -8,7 +8,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 
@@ -49,13 +49,13 @@ def _locked(folder: Path) -> int:
     """Returns a descriptor that shares the lock of a folder, made again where another process is deleting it."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):
+        with suppress(FileNotFoundError), ExitStack() as closing:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            closing.callback(os.close, descriptor)
             fcntl.flock(descriptor, fcntl.LOCK_SH)
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(descriptor), folder.stat()):
-                    return descriptor
-            os.close(descriptor)
+            if os.path.samestat(os.fstat(descriptor), folder.stat()):
+                closing.pop_all()
+                return descriptor
 
 
 def _locked_alone(folder: Path) -> int | None:

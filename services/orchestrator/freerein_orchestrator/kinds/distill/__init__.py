@@ -14,7 +14,6 @@ import errno
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +23,7 @@ import torch
 
 from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.data import Dataset, dataset_path, save_teachers
+from freerein.data.folder_locks import temporary_folder
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.learning.config import bounded, parse
@@ -222,10 +222,8 @@ def _publish_copy(context: RunContext, name: str) -> None:
     if target.exists():
         return
     target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".new-dataset-", dir=target.parent) as staging:
-        copy = shutil.copytree(
-            rollouts, Path(staging) / name, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock")
-        )
+    with temporary_folder(target.parent, prefix=".copy-") as staging:
+        copy = shutil.copytree(rollouts, staging / name, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock"))
         copy.rename(target)
     fsync_folder(target.parent)
 
