@@ -29,7 +29,7 @@ Trials = Mapping[str, Sequence[Mapping[str, Any]]]
 """Values of the trials of each evaluation, by the name of its step."""
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
-_READY_TIMEOUT_S = 60.0
+_READY_TIMEOUT_S = 300.0
 _POLL_S = 0.2
 
 

@@ -48,12 +48,14 @@ class Fits(learning_pb2_grpc.FitServiceServicer):
         return wire.pack(ListFitsResponse((FIT, FIT)))
 
     def WatchFit(self, request, context):
+        ended = threading.Event()  # of this attempt: where the connection is lost the client makes another
+        context.add_callback(ended.set)
         context.add_callback(self.watch_ended.set)
         self.called.set()
         if request.id == "slow":
-            self.watch_ended.wait()
+            ended.wait()
         sequence = 0
-        while not self.watch_ended.wait(1e-3):
+        while not ended.wait(1e-3):
             yield wire.pack(WatchFitResponse(sequence, FIT))
             sequence += 1
 

@@ -23,7 +23,7 @@ from freerein.ports import PORTS, Ports
 from freerein.types.orchestrator import GetMetricsRequest, StartRunRequest
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
-_READY_TIMEOUT_S = 60.0
+_READY_TIMEOUT_S = 300.0
 _SHIPPED = {"distill": list(SHIPPED_TEACHERS)}
 _CURVE = "ppo/episode_return"
 _MAX_ROWS = 10_000
