@@ -13,8 +13,8 @@ import orjson
 
 from freerein.cli.services import Stack, choose, free_ports
 
-_START_TIMEOUT_S = 60.0
-_STOP_TIMEOUT_S = 10.0
+_START_TIMEOUT_S = 300.0
+_STOP_TIMEOUT_S = 60.0
 _CALL_TIMEOUT_S = 60.0
 T = TypeVar("T")
 Sent = TypeVar("Sent")

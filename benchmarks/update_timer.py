@@ -21,7 +21,7 @@ from benchmarks import learners
 from freerein.learning.fit import Learner
 from freerein.learning.train_state import BatchSampler, TrainState
 
-_STOP_TIMEOUT_S = 10.0
+_STOP_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True)

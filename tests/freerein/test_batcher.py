@@ -186,6 +186,7 @@ async def test_its_thread_ends_when_closed_and_holds_up_no_exit(model: Model) ->
     (thread,) = set(threading.enumerate()) - others
     assert (thread.name, thread.daemon) == ("model", True)
     batcher.close()
+    thread.join(60)
     assert not thread.is_alive()
 
 
@@ -265,11 +266,12 @@ def test_whatever_is_cancelled_each_caller_gets_its_own_answer(
 
 @pytest.mark.fault("C17")
 async def test_a_batch_that_fails_and_is_tried_one_by_one_is_no_call_that_hangs() -> None:
-    begun, seen = threading.Semaphore(0), []
+    begun, others_wait, seen = threading.Semaphore(0), threading.Event(), []
 
     def slow(items: Sequence[int]) -> list[int]:
         begun.release()
         seen.append((batcher.not_ready(), batcher.hangs()))
+        others_wait.wait(60)
         threading.Event().wait(0.1)
         seen.append((batcher.not_ready(), batcher.hangs()))
         if 13 in items:
@@ -279,9 +281,10 @@ async def test_a_batch_that_fails_and_is_tried_one_by_one_is_no_call_that_hangs(
     batcher: Batcher[int, int] = Batcher(slow, queue=64, batch=32, metrics=Metrics(), call_s=1.0)
     first = asyncio.create_task(batcher.submit(0, timeout_s=60))  # the others wait for it, and become a batch
     await asyncio.to_thread(begun.acquire)
-    results = await asyncio.gather(
-        *(batcher.submit(item, timeout_s=60) for item in range(1, 33)), return_exceptions=True
-    )
+    others = [asyncio.create_task(batcher.submit(item, timeout_s=60)) for item in range(1, 33)]
+    await asyncio.sleep(0)
+    others_wait.set()
+    results = await asyncio.gather(*others, return_exceptions=True)
     await first
     batcher.close()
     assert sum(isinstance(result, ModelFault) for result in results) == 1

@@ -5,12 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.cli.services import configured_ports, free_ports
+from freerein.cli.services import configured_ports
 from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports
 
@@ -59,8 +60,8 @@ def test_up_refuses_one_port_for_several_services(monkeypatch: pytest.MonkeyPatc
     assert "--free-ports" in error["hint"]
 
 
-def test_up_obeys_the_port_variables_of_one_service(tmp_path: Path) -> None:
-    ports = free_ports(["sim"])["sim"]
+def test_up_obeys_the_port_variables_of_one_service(tmp_path: Path, reserve_ports: Any) -> None:
+    ports = reserve_ports(["sim"])["sim"]
     environ = {"FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
     command = [sys.executable, "-m", "freerein.cli", "up", "sim", "--json"]
     with subprocess.Popen(

@@ -20,6 +20,7 @@ from freerein.ports import Ports
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
+LARGE = ("start", "collect", "--set", "task=blocks", "--set", "count=20", "--watch")  # few are under way at once
 MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
 
 
@@ -68,8 +69,10 @@ def _json(*words: str) -> list[dict[str, Any]]:
 def _hearing_ctrl_c() -> Iterator[None]:
     """What is started meanwhile hears Ctrl-C, although whoever started the tests in the background does not."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -77,9 +80,12 @@ def _watching(*words: str) -> "Iterator[subprocess.Popen[str]]":
     """A program that watches, once the run has made a step."""
     command = [sys.executable, "-m", "freerein.cli", "runs", *words]
     with _hearing_ctrl_c(), subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True, env=os.environ) as child:
-        while " running 0/" in (line := _line(child)) or "queued" in line or '"step": 0' in line:
-            pass
-        yield child
+        try:
+            while " running 0/" in (line := _line(child)) or "queued" in line or '"step": 0' in line:
+                pass
+            yield child
+        finally:
+            child.kill()
 
 
 def test_a_run_is_watched_line_by_line_to_its_end() -> None:
@@ -102,12 +108,11 @@ def test_watching_it_again_tells_the_same_story() -> None:
 def test_the_metrics_of_a_run_are_its_whole_curve_or_a_decimated_one() -> None:
     run_id = _json(*FEW, "--watch")[0]["id"]
 
-    assert [row["step"] for row in _json("metrics", run_id)] == [1, 3]
+    steps = [row["step"] for row in _json("metrics", run_id)]
+    assert steps in ([1, 3], [1, 2, 3])  # two rows a second and the last one, of what may be a slow machine
     assert [row["step"] for row in _json("metrics", run_id, "--max-rows", "1")] == [3]
-    assert [line.split()[0] for line in _run("metrics", run_id, "--from-step", "2").stdout.splitlines()] == [
-        "step",
-        "3",
-    ]
+    lines = _run("metrics", run_id, "--from-step", "2").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["step", *map(str, steps[1:])]
 
 
 def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Path) -> None:
@@ -123,12 +128,14 @@ def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Pat
 
 
 def test_a_run_that_is_cancelled_is_resumed_to_its_end(orchestrator: Orchestrator) -> None:
-    with _watching(*MANY, "--set", "dataset=resumed", "--json") as child:
+    with _watching(*LARGE, "--set", "dataset=resumed", "--json") as child:
         run_id = json.loads(_line(child))["id"]
         orchestrator.sim.process.send_signal(signal.SIGSTOP)  # so that the run does not end before it is cancelled
-        (cancelled,) = _json("cancel", run_id)
-        assert child.wait(60) == 1
-        orchestrator.sim.process.send_signal(signal.SIGCONT)
+        try:
+            (cancelled,) = _json("cancel", run_id)
+            assert child.wait(60) == 1
+        finally:
+            orchestrator.sim.process.send_signal(signal.SIGCONT)
     *_, resumed = _json("resume", run_id, "--watch")
 
     assert (cancelled["state"], resumed["state"], resumed["step"]) == ("cancelled", "succeeded", resumed["steps"])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
+from freerein.cli.commands import sim
 from freerein.cli.commands.sim import record
+from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.services import RestartPolicy, Stack, choose
 from freerein.clients import Channel, SimClient
 from freerein.data import Dataset
@@ -99,8 +102,11 @@ def test_what_is_refused_leaves_no_dataset(recorder: Path, words: list[str]) -> 
 
 
 @pytest.mark.fault("C19")
-async def test_a_recording_goes_on_when_its_service_is_killed(tmp_path: Path, reserve_ports: Any) -> None:
-    request = DemonstrateRequest("grid", "expert", max_skills=2, count=20)
+async def test_a_recording_goes_on_when_its_service_is_killed(
+    tmp_path: Path, reserve_ports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = DemonstrateRequest("grid", "expert", max_skills=2, count=150)  # more than can be under way at once
+    monkeypatch.setattr(sim, "reconnecting", partial(reconnecting, timeout_s=300.0))
     hasty = RestartPolicy(first_delay_s=0.01)
     services = choose(["sim"])
     async with Stack(

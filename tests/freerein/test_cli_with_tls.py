@@ -26,6 +26,7 @@ def sim(start_service: Any, certificate: tuple[Path, Path], monkeypatch: pytest.
 
 
 async def test_the_doctor_and_the_command_line_speak_tls(sim: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(services, "_TIMEOUT_S", 60.0)
     (check,) = services.checks(["sim"])
     while (found := check()).state == "warning":
         pass  # its workers start

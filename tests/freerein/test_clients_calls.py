@@ -178,9 +178,9 @@ async def channel(peer: Peer) -> AsyncIterator[Channel]:
 async def test_a_call_carries_a_deadline_a_token_and_a_request_id_of_its_own(channel: Channel, peer: Peer) -> None:
     client = SegmentationClient(channel)
     assert (await client.list_skills(SKILLS)).skills == ("move", "turn")
-    await client.list_skills(SKILLS, timeout_s=5.0)
-    assert 25.0 < peer.time_remaining_s[0] < 31.0
-    assert peer.time_remaining_s[1] < 6.0
+    await client.list_skills(SKILLS, timeout_s=100.0)
+    assert 15.0 < peer.time_remaining_s[0] < 31.0
+    assert 31.0 < peer.time_remaining_s[1] < 101.0
     assert peer.metadata[0]["authorization"] == "Bearer secret"
     ids = [str(metadata["x-request-id"]) for metadata in peer.metadata]
     assert all(re.fullmatch("[0-9a-f]{32}", request_id) for request_id in ids)
@@ -292,7 +292,7 @@ async def test_an_idempotent_call_is_tried_again_under_one_request_id(channel: C
 async def test_all_attempts_share_one_deadline(channel: Channel, peer: Peer) -> None:
     peer.refusals = [UNAVAILABLE]
     with pytest.raises(errors.DeadlineExceeded):
-        await SimClient(channel).render(sim.RenderRequest(SESSION), timeout_s=3)
+        await SimClient(channel).render(sim.RenderRequest(SESSION), timeout_s=10)
     assert peer.calls == ["Render"] * 2
 
 
@@ -393,7 +393,7 @@ async def test_a_stream_that_breaks_gives_what_came_and_then_raises(channel: Cha
 
 
 async def test_a_stream_ends_at_the_deadline_of_its_caller(channel: Channel) -> None:
-    demonstrations = SimClient(channel).demonstrate(sim.DemonstrateRequest("push", "random"), timeout_s=3)
+    demonstrations = SimClient(channel).demonstrate(sim.DemonstrateRequest("push", "random"), timeout_s=10)
     assert (await anext(demonstrations)).trajectory.skills == ("move",)
     with pytest.raises(errors.DeadlineExceeded):
         await anext(demonstrations)

@@ -260,10 +260,11 @@ async def test_a_message_may_take_until_its_deadline_and_few_may_take_long(
         begun = asyncio.get_running_loop().time()
         tasks = [receive() for _ in range(3)]
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        assert [each.result() for each in done] == [
-            "overloaded: At most 2 messages may arrive slowly at once; the limit is reached."
-        ]
-        assert asyncio.get_running_loop().time() - begun >= QUICK.slow_receipt_s
+        took_s = asyncio.get_running_loop().time() - begun
+        overloaded = "overloaded: At most 2 messages may arrive slowly at once; the limit is reached."
+        assert overloaded in {each.result() for each in done}
+        assert took_s >= QUICK.slow_receipt_s
+        assert len(done) == 1 or took_s >= QUICK.receipt_s  # where a busy machine lets all deadlines pass at once
         late = "late: A message must arrive within 1.5 s; this one did not."
         assert sorted(await asyncio.gather(*tasks))[:2] == [late, late]
         assert asyncio.get_running_loop().time() - begun >= QUICK.receipt_s

@@ -44,10 +44,11 @@ def test_too_little_is_no_measurement(some: list[Sample]) -> None:
 @pytest.mark.fault("G9")
 async def test_metrics_that_cannot_be_read_are_a_failure() -> None:
     failures: list[str] = []
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-    async with httpx.AsyncClient(trust_env=False) as client:
-        assert math.isnan(await total("sim", client, f"http://127.0.0.1:{port}", re.compile("(x)"), failures))
+    with socket.socket() as unheard:
+        unheard.bind(("127.0.0.1", 0))  # nobody listens there
+        port = unheard.getsockname()[1]
+        async with httpx.AsyncClient(trust_env=False) as client:
+            assert math.isnan(await total("sim", client, f"http://127.0.0.1:{port}", re.compile("(x)"), failures))
     (failure,) = failures
     assert failure.startswith("sim: /metrics must be answered with 200; got ConnectError")
 

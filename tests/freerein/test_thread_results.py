@@ -58,6 +58,7 @@ def test_a_closed_loop_gets_nothing_and_its_pipe_is_closed(run: Callable[..., An
         loop = asyncio.get_running_loop()
         return ThreadResults(loop), loop.create_future()
 
+    gc.collect()
     before = len(list(FILES.iterdir()))
     results, future = run(main())
     results.put(future, 1)

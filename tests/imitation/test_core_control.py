@@ -26,6 +26,25 @@ def open_stream(core: Any, robots: Any) -> Any:
     return lambda: robots.Stream(core.control.control)
 
 
+@pytest.fixture
+def open_held_stream(core: Any, robots: Any, policies: Any) -> Any:
+    """A function that opens a stream whose first observation is in the model until an event is set.
+
+    It takes the Hello, and returns the stream, the answer to come and the event.
+    """
+
+    async def open_held(hello: ControlRequest) -> tuple[Any, Any, threading.Event]:
+        is_held, gate = threading.Event(), threading.Event()
+        policy = policies.FaultyPolicy(policies.SEEDS[0], hold=lambda: is_held.set() or gate.wait(60))
+        stream = robots.Stream(core.around(policy).control)
+        await stream.ask(hello)
+        answer = asyncio.create_task(stream.ask(robots.seen(0, fault="held")))
+        assert await asyncio.to_thread(is_held.wait, 60)
+        return stream, answer, gate
+
+    return open_held
+
+
 async def test_a_hello_is_answered_by_the_spec_and_observations_by_chunks(
     open_stream: Any, robots: Any, policies: Any
 ) -> None:
@@ -90,13 +109,15 @@ async def test_actions_are_valid_for_a_while_and_not_for_ever(
 
 @pytest.mark.parametrize(
     ("valid_for_s", "seen_ns", "until_ns"),
-    [(0.0, 5, 5 + 100_000_000), (1.5, 7, 7 + 1_500_000_000), (1.5, LAST_NS - 1, LAST_NS)],
+    [(0.0, 5, 5 + 10_000_000_000), (30.5, 7, 7 + 30_500_000_000), (30.5, LAST_NS - 1, LAST_NS)],
 )
 async def test_a_chunk_says_until_when_it_is_valid_on_the_robots_clock(
-    open_stream: Any, robots: Any, valid_for_s: float, seen_ns: int, until_ns: int
+    core: Any, robots: Any, policies: Any, valid_for_s: float, seen_ns: int, until_ns: int
 ) -> None:
-    stream = open_stream()
-    await stream.ask(robots.hello(valid_for_s=valid_for_s))
+    policy = policies.FaultyPolicy(policies.SEEDS[0])
+    policy.spec = replace(policy.spec, control_dt_s=2.0)
+    stream = robots.Stream(core.around(policy).control)
+    await stream.ask(robots.hello(control_dt_s=2.0, valid_for_s=valid_for_s))
     observed = replace(robots.seen(1).observed, observation_time_ns=seen_ns)
     chunk = (await stream.ask(ControlRequest(observed=observed))).chunk
     assert (chunk.observation_time_ns, chunk.valid_until_ns) == (seen_ns, until_ns)
@@ -171,26 +192,24 @@ async def test_a_refused_observation_leaves_the_memory_as_it_was(open_stream: An
 
 
 async def test_while_the_model_works_the_newest_observation_waits_and_the_rest_are_counted(
-    open_stream: Any, robots: Any
+    open_held_stream: Any, robots: Any
 ) -> None:
-    stream = open_stream()
-    await stream.ask(robots.hello())
-    stream.say(robots.seen(0, hundredths=10))
-    await robots.turns()
+    stream, first, gate = await open_held_stream(robots.hello())
     stream.say(*(robots.seen(seq) for seq in range(1, 6)), robots.seen(5), robots.seen(6))
-    replies = await stream.rest()
+    await robots.turns()
+    gate.set()
+    replies = [await first, *await stream.rest()]
     assert [reply.seq for reply in replies] == [0, 5, 6]
     assert replies[1].error is not None
     assert [replies[i].chunk.dropped for i in (0, 2)] == [5, 5]
 
 
-async def test_time_goes_on_for_those_that_were_overtaken(open_stream: Any, robots: Any) -> None:
-    stream = open_stream()
-    await stream.ask(robots.hello(max_steps_per_goal=6))
-    stream.say(robots.seen(0, hundredths=5))
-    await robots.turns()
+async def test_time_goes_on_for_those_that_were_overtaken(open_held_stream: Any, robots: Any) -> None:
+    stream, first, gate = await open_held_stream(robots.hello(max_steps_per_goal=6))
     stream.say(*(robots.seen(seq, did=(0, 0)) for seq in range(1, 7)))
-    replies = await stream.rest()
+    await robots.turns()
+    gate.set()
+    replies = [await first, *await stream.rest()]
     assert [(reply.seq, reply.chunk.goal_abandoned) for reply in replies] == [(0, False), (6, True)]
 
 
