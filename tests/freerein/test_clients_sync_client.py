@@ -112,6 +112,15 @@ def test_closing_the_client_cancels_the_calls_of_other_threads(channel: Channel,
             call.result()
 
 
+@pytest.fixture
+def _hearing_ctrl_c() -> Iterator[None]:
+    """Ctrl-C interrupts, although whoever started the tests in the background made it do nothing."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_hearing_ctrl_c")
 def test_an_interrupt_ends_a_stream_that_has_no_reply_yet(channel: Channel, service: Fits) -> None:
     with SyncClient(FitClient(channel)) as client:
         events = client.watch_fit(WatchFitRequest("slow"))
