@@ -47,12 +47,13 @@ def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileg
 
 @pytest.mark.fault("O2")
 def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same_result(
-    evaluation: Callable[..., Any], start_service: Callable[..., Any]
+    evaluation: Callable[..., Any], start_service: Callable[..., Any], wait_until: Callable[..., float]
 ) -> None:
     undisturbed = evaluation(RANDOM)
     assert undisturbed.do()
 
     mortal, asked = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), list[None]()
+    wait_until(mortal.is_ready, 300)  # a run that waits asks, too
     run = evaluation(RANDOM)
     run.environ["FREEREIN_SIM_ADDRESS"] = mortal.address
 
@@ -62,7 +63,8 @@ def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same
             mortal.process.kill()
             mortal.process.wait()
             port = mortal.address.rpartition(":")[2]
-            start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
+            again = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
+            wait_until(again.is_ready, 300)
         return len(asked) == 150
 
     assert not run.do(stop=disturb)

@@ -31,8 +31,10 @@ FAST = PPOConfig(iterations=2, num_envs=3, num_steps=8, epochs=1, batch_size=8, 
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any]) -> Iterator[SyncClient]:
-    with SyncClient(SimClient(Channel(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address))) as sim:
+def sim(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> Iterator[SyncClient]:
+    service = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    wait_until(service.is_ready, 300)
+    with SyncClient(SimClient(Channel(service.address))) as sim:
         yield sim
 
 
@@ -192,8 +194,11 @@ def test_envs_split_over_two_sims_are_as_many_and_differ(sim: SyncClient) -> Non
         each.close()
 
 
-def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(start_service: Callable[..., Any]) -> None:
+def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(
+    start_service: Callable[..., Any], wait_until: Callable[..., float]
+) -> None:
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    wait_until(service.is_ready, 300)
     with SyncClient(SimClient(Channel(service.address))) as sim:
         request = CreateSessionRequest(TASK, num_envs=16, seed=3)
         envs = RemoteVectorEnv([sim] * 16, request, camera=CAMERA, reward_fn=zero_reward)
@@ -277,8 +282,11 @@ def test_a_rollout_is_collected_in_another_session_to_the_same_bits(sim: SyncCli
         each.close()
 
 
-def test_a_step_of_a_sim_that_hangs_can_be_interrupted(start_service: Callable[..., Any]) -> None:
+def test_a_step_of_a_sim_that_hangs_can_be_interrupted(
+    start_service: Callable[..., Any], wait_until: Callable[..., float]
+) -> None:
     service, hangs = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), threading.Event()
+    wait_until(service.is_ready, 300)
     polls = itertools.count()
 
     def interrupt() -> None:
