@@ -26,7 +26,7 @@ FRAMES = common_pb2.Tensor(datatype="UINT8", shape=[1, 4, 4, 3], raw=bytes(48))
 
 @pytest.fixture(scope="module")
 def faulty(start_faulty: Callable[..., Any]) -> Any:
-    return start_faulty()
+    return start_faulty(FREEREIN_RECEIPT_S="60")
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ async def channel(faulty: Any) -> AsyncIterator[grpc.aio.Channel]:
 
 async def outcome(channel: grpc.aio.Channel, path: str, message: bytes) -> tuple[grpc.StatusCode, str]:
     try:
-        await channel.unary_unary(path)(message, timeout=10)
+        await channel.unary_unary(path)(message, timeout=120)
     except grpc.aio.AioRpcError as error:
         return error.code(), error.details() or ""
     return grpc.StatusCode.OK, ""

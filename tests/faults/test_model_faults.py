@@ -93,7 +93,7 @@ async def test_a_model_that_hangs_is_stuck_then_not_ready_and_at_last_ends_the_p
     faulty = start_faulty(FREEREIN_UNARY_S=str(UNARY_S))
     begun = time.monotonic()
     assert refusal(faulty.segment(0, fault="hangs"), 504)["code"] == "deadline_exceeded"
-    assert UNARY_S <= time.monotonic() - begun < 2 * UNARY_S
+    assert UNARY_S <= time.monotonic() - begun < 4 * UNARY_S
     wait_until(lambda: faulty.metric("freerein_stuck_threads") == 1, UNARY_S)
     assert "busy with one call" in refusal(faulty.http.get("/readyz"), 503)["detail"]
     assert faulty.http.get("/healthz").status_code == 200

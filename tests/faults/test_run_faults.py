@@ -198,10 +198,12 @@ def test_a_disk_that_is_full_for_a_while_costs_nothing(
     with run.start() as process:
         run.until(2)
         process.rlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))  # not a byte more, in any file
-        judged = (reward.data_dir / "lies").read_text()
-        while int((reward.data_dir / "lies").read_text()[5:]) > int(judged[5:]) - 2:
+        lies("crawl 1000000")  # so that there is time to end it before three checkpoints are lost
+        while int((reward.data_dir / "lies").read_text()[6:]) > 1_000_000 - 2:
+            assert process.poll() is None, run.log
             time.sleep(0.002)
         process.rlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        lies("")
         assert process.wait(PATIENCE_S) == 0, run.log
     assert run.policy == whole.policy
 

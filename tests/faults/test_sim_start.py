@@ -2,12 +2,22 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("F8")]
+
+
+DIES = """
+import os, pathlib, sys
+
+if "freerein_sim.workers" in sys.orig_argv:
+    pathlib.Path(os.environ["STARTS"], str(os.getpid())).touch()
+    os.kill(os.getpid(), 9)
+"""
 
 
 @pytest.fixture
@@ -41,14 +51,15 @@ def test_a_worker_killed_while_the_service_starts_is_started_again(
 
 
 def test_a_service_whose_workers_keep_dying_ends_as_one_to_be_restarted(
-    start_service: Callable[..., Any], kill_new_workers: Callable[..., set[int]]
+    start_service: Callable[..., Any], tmp_path: Path
 ) -> None:
-    service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+    (tmp_path / "sitecustomize.py").write_text(DIES)
+    starts = tmp_path / "starts"
+    starts.mkdir()
+    service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", PYTHONPATH=str(tmp_path), STARTS=str(starts))
 
-    killed = kill_new_workers(service, until=lambda _: service.process.poll() is not None)
-
-    assert service.process.returncode == 1
-    assert len(killed) == 4
+    assert service.process.wait(300) == 1
+    assert len(list(starts.iterdir())) == 4
     lines = [line for line in service.log.read_text().splitlines() if not line.startswith("{")]
     (reason,) = lines
     assert reason.startswith("cannot start: A worker process died 4 times while starting.")

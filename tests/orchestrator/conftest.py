@@ -19,7 +19,7 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.errors import Stopped
 
-_LIMIT_S = 100.0
+_LIMIT_S = 500.0
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ def test_a_stopped_run_continues_and_records_nothing_twice(
 
 @pytest.mark.parametrize(
     ("config", "killed_at", "replaced_at"),
-    [(EXPERT | {"count": 200}, 20, 5), (CURIOSITY | {"count": 12}, 2, 25)],
+    [(EXPERT | {"count": 400}, 20, 5), (CURIOSITY | {"count": 30}, 2, 25)],
     ids=["expert", "curiosity"],
 )
 def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run(

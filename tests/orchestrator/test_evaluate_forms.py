@@ -40,13 +40,14 @@ SEGMENTATION = {"form": "segmentation", "task": "grid", "model": "grid", "min_sk
 
 
 @pytest.fixture(scope="module")
-def services(start_module_service: Callable[..., Any]) -> dict[str, str]:
+def services(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> dict[str, str]:
     """Addresses of sim, imitation and reward, by variable."""
     started = {
         "SIM": start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1"),
         "IMITATION": start_module_service("freerein_imitation"),
         "REWARD": start_module_service("freerein_reward"),
     }
+    wait_until(started["SIM"].is_ready, 300)
     publish_two_phrases(started["REWARD"].data_dir)
     return {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
 

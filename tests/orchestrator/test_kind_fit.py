@@ -79,8 +79,9 @@ def test_a_run_whose_child_is_killed_makes_one_fit_and_shows_its_whole_curve(
 
 
 def test_a_run_told_to_stop_leaves_its_fit_and_a_cancelled_one_cancels_it_and_resumes_it_when_resumed(
-    run: Any, fits: Callable[[], list[Any]]
+    run: Any, fits: Callable[[], list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("freerein_orchestrator.kinds.fit._CANCEL_S", 60.0)
     assert not run.do(stop=lambda: bool(fits()))
     assert not fits()[0].ended
     assert not run.do(stop=lambda: True)

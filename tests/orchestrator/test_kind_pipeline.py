@@ -68,8 +68,13 @@ def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one
 
 
 def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancelled_when_the_run_is_or_fails(
-    new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
+    new_run: Callable[..., Any],
+    start_service: Callable[..., Any],
+    sim: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("freerein_orchestrator.kinds.fit._CANCEL_S", 60.0)
     imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
     long = {**FIT, "config": {**FIT["config"], "config": TINY | {"steps": 100_000}}, "after": ["play"]}
     many = CHANCE | {"config": CHANCE["config"] | {"episodes": 100_000}}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
+from freerein.jobs import attempt
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
@@ -24,6 +25,8 @@ from freerein.types.orchestrator import (
 )
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 from freerein_orchestrator.runs.service import Resolved, RunService
+
+attempt._CANCEL_S = 15.0  # a child that saves may have to wait for its machine
 
 
 async def main(data_dir: Path, name: str, url: str) -> int:

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.e2e
 def address(start_module_service: Callable[..., object]) -> str:
     service = start_module_service("freerein_sim", FREEREIN_TOKEN=TOKEN, FREEREIN_SIM_WORKERS="1")
     with grpc.insecure_channel(service.address) as channel:
-        for reply in health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest(), timeout=30.0):
+        for reply in health_pb2_grpc.HealthStub(channel).Watch(health_pb2.HealthCheckRequest(), timeout=300.0):
             if reply.status == health_pb2.HealthCheckResponse.SERVING:
                 break
     return service.address
