@@ -29,6 +29,9 @@ from freerein_sim.worlds.world import (
     skill_indices,
 )
 
+VERSION = 1
+"""Version of the world; raised where it behaves differently."""
+
 FIELD = 10
 CELL_PX = 3
 COLOURS = ("red", "green", "blue", "yellow", "purple")
@@ -251,6 +254,8 @@ PREDICATES = (
 )
 
 TASKS = (
-    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True), PREDICATES),
-    TaskDefinition("grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False), PREDICATES),
+    TaskDefinition("grid", "grid", "", SPEC, partial(GridWorld, indicator=True), PREDICATES, version=VERSION),
+    TaskDefinition(
+        "grid-no-indicator", "grid", "", SPEC, partial(GridWorld, indicator=False), PREDICATES, version=VERSION
+    ),
 )

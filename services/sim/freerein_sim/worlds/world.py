@@ -195,6 +195,8 @@ class TaskDefinition:
         predicates: What can be checked on true states.
         own_conditions: Conditions that its world implements.
         recipes: Draws what episodes execute.
+        version: Version of the world, the same for all of its tasks; raised where it behaves differently. Results name
+            it: those of another version are measured again.
     """
 
     name: str
@@ -205,10 +207,16 @@ class TaskDefinition:
     predicates: tuple[StatePredicate, ...] = ()
     own_conditions: tuple[Condition, ...] = ()
     recipes: RecipeSampler = field(default_factory=RandomOrder)
+    version: int = 1
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")
         check_name(self.world, field="world")
+
+    @property
+    def world_version(self) -> str:
+        """Name and version of the world, such as `blocks-v1`."""
+        return f"{self.world}-v{self.version}"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:

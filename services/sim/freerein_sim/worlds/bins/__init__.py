@@ -13,6 +13,9 @@ from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, light_scale
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
+VERSION = 1
+"""Version of the world; raised where it behaves differently."""
+
 CONTROL_DT_S = 0.25
 GRIPPER_STEP_M = 0.25
 FINGER_STEP_M = 0.0325
@@ -46,4 +49,4 @@ def _make(conditions: Collection[str] = ()) -> World:
     return simulation.BinsWorld(SPEC, light=light_scale(conditions))
 
 
-TASKS = (TaskDefinition("bins", "bins", "", SPEC, _make, BinPredicates(SPEC).all(), LIGHT_CONDITIONS),)
+TASKS = (TaskDefinition("bins", "bins", "", SPEC, _make, BinPredicates(SPEC).all(), LIGHT_CONDITIONS, version=VERSION),)

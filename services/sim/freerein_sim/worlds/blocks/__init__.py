@@ -19,6 +19,9 @@ from freerein_sim.worlds.conditions import Condition
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
+VERSION = 1
+"""Version of the world; raised where it behaves differently."""
+
 COLOURS = ("red", "green", "yellow", "blue")
 CONTROL_DT_S = 0.04
 GRIPPER_STEP_M = 0.05
@@ -101,7 +104,8 @@ def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefiniti
     judged = BlockPredicates(spec)
     predicates = judged.landmarks_and_skills() + judged.starts(goal)
     make = partial(_make_goal, spec, goal)
-    return TaskDefinition(f"blocks.{goal.name}", "blocks", goal.text, spec, make, predicates, GOAL_CONDITIONS)
+    name = f"blocks.{goal.name}"
+    return TaskDefinition(name, "blocks", goal.text, spec, make, predicates, GOAL_CONDITIONS, version=VERSION)
 
 
 def _free_task(
@@ -109,7 +113,7 @@ def _free_task(
 ) -> TaskDefinition:
     judged = BlockPredicates(spec)
     predicates = judged.landmarks_and_skills() + judged.relations()
-    return TaskDefinition(name, "blocks", "", spec, partial(make, spec), predicates, conditions)
+    return TaskDefinition(name, "blocks", "", spec, partial(make, spec), predicates, conditions, version=VERSION)
 
 
 TASKS = (

@@ -14,6 +14,9 @@ from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
+VERSION = 1
+"""Version of the world; raised where it behaves differently."""
+
 CONTROL_DT_S = 0.04
 TORQUE_NM = (30.0, 30.0, 30.0, 7.0, 7.0, 7.0)
 """Greatest torque of each joint; the arm's data sheet has 30.5 and 6.8."""
@@ -46,4 +49,4 @@ def _make(conditions: Collection[str] = ()) -> World:
 RECIPES = RandomOrder(most=5)
 """More keys do not fit into an episode."""
 
-TASKS = (TaskDefinition("dial", "dial", "", SPEC, _make, completed(SPEC), LIGHT_CONDITIONS, RECIPES),)
+TASKS = (TaskDefinition("dial", "dial", "", SPEC, _make, completed(SPEC), LIGHT_CONDITIONS, RECIPES, VERSION),)

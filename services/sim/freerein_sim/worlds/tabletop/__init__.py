@@ -18,6 +18,9 @@ from freerein_sim.worlds.tabletop.predicates import PREDICATES, STATE_NAMES
 from freerein_sim.worlds.tabletop.things import REACH, TASK_SKILLS
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
+VERSION = 1
+"""Version of the world; raised where it behaves differently."""
+
 CONTROL_DT_S = 0.1
 HAND_STEP = (0.15, 0.15, 0.15, 0.8, 0.8)
 OPENING_STEP_M = 0.06
@@ -66,9 +69,8 @@ def _make(*, only_own: bool) -> World:
 
 
 def _task(name: str, *, only_own: bool) -> TaskDefinition:
-    return TaskDefinition(
-        name, "tabletop", "", SPEC, partial(_make, only_own=only_own), PREDICATES, recipes=ReachThenTask()
-    )
+    make = partial(_make, only_own=only_own)
+    return TaskDefinition(name, "tabletop", "", SPEC, make, PREDICATES, recipes=ReachThenTask(), version=VERSION)
 
 
 TASKS = (_task("tabletop", only_own=False), _task("tabletop.only-own-objects", only_own=True))
