@@ -11,7 +11,8 @@ from typing import Any
 
 from experiments import registry
 from experiments.workbench import results
-from experiments.workbench.arms import Arm, Experiment, choose
+from experiments.workbench.arms import Arm, Experiment, choose, world_version
+from experiments.workbench.configs import to_json
 from experiments.workbench.elapsed import Elapsed
 from experiments.workbench.results import ArmResult, Outcome
 from freerein.jobs.child import run_child
@@ -46,8 +47,8 @@ def _result(experiment: Experiment, arm: Arm, outcome: Outcome, elapsed: Elapsed
         method=arm.method,
         options=arm.options,
         seed=arm.seed,
-        config=experiment.config(arm),
-        world_hash=experiment.world_hash(arm.world),
+        config=to_json(experiment.config(arm)),
+        world_version=world_version(arm.world),
         figures=outcome.figures,
         samples=outcome.samples,
         minutes=round(elapsed.minutes, 3),

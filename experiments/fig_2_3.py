@@ -16,12 +16,12 @@ from experiments.segmentation.experiment import SHOWN_LABELS, SegmentationExperi
 from experiments.segmentation.rows import Rows
 from experiments.segmentation.study import Study
 from experiments.workbench.arms import Arm
+from experiments.workbench.configs import Config
 from experiments.workbench.plots import new_figure, png
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Picture, Section, Table
 from freerein import metrics
 from freerein.errors import NotFound
-from freerein.learning.checkpoints import JSON
 
 Labels = npt.NDArray[np.int64]
 
@@ -59,13 +59,9 @@ class _Figure:
     arms: tuple[Arm, ...] = ()
     sources = tuple(_SOURCES)
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
+    def config(self, arm: Arm) -> Config:
         """Raises NotFound: there are no arms."""
         raise _no_arms()
-
-    def world_hash(self, world: str) -> str:
-        """Returns the hash of what the world's generator draws."""
-        return draw.world_hash(world)
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Raises NotFound: there are no arms."""

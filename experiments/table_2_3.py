@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from experiments import table_2_2
-from experiments.segmentation import draw
 from experiments.segmentation.evaluation import CONFIDENT_ACCURACY, FRAME_ACCURACY, KEPT_ACCURACY, LEAST_CONFIDENCE
 from experiments.segmentation.methods import CAUSAL, OURS, WHOLE
 from experiments.segmentation.rows import PER_CENT, Row, Rows
@@ -15,10 +14,10 @@ from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LA
 from experiments.workbench import claims
 from experiments.workbench.arms import Arm
 from experiments.workbench.claims import Claim
+from experiments.workbench.configs import Config
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.table import Picture, Section, Table
-from freerein.learning.checkpoints import JSON
 
 _SOURCE, _WORLD = "table_2_2", table_2_2.DIAL
 _SEEDS = 3
@@ -79,30 +78,19 @@ class _Experiment:
         """The arms."""
         return ZERO_SHOT.arms
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
+    def config(self, arm: Arm) -> Config:
         """Returns what an arm's result depends on."""
         return ZERO_SHOT.config(arm)
 
-    def world_hash(self, world: str) -> str:
-        """Returns the hash of what the world's generator draws."""
-        return draw.world_hash(world)
-
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Collects the demonstrations that all policies are cloned from."""
-        return arm.method == EXPERT or ZERO_SHOT.prepare(work, world_hash=self.world_hash(arm.world))
+        return arm.method == EXPERT or ZERO_SHOT.prepare(work)
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
         """Runs an arm; see `Experiment`."""
-        return ZERO_SHOT.run(
-            arm,
-            results=results.parent,
-            work=work,
-            folder=folder,
-            world_hash=self.world_hash(arm.world),
-            on_progress=on_progress,
-        )
+        return ZERO_SHOT.run(arm, results=results.parent, work=work, folder=folder, on_progress=on_progress)
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each method that has results, and the claim."""
@@ -158,7 +146,7 @@ def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
         dissertation=_DISSERTATION[row][2] if row in _DISSERTATION else None,
         target=_LEAST_SUCCESS if is_ours else None,
         met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or _is_close(samples, ceilings)) if is_ours else None,
-        world_hash=arms[0].world_hash,
+        world_version=arms[0].world_version,
         command=f"python -m experiments run table_2_3 --only '{arms[0].name.removesuffix(str(arms[0].seed))}*'",
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )

@@ -3,15 +3,13 @@
     <work>/datasets/<hash>.safetensors         what a learner may see
                     <hash>.truth.safetensors   true labels and states, for evaluation
 
-A hash covers the spec and the world as it is built. A trajectory depends on the spec's seed and its index only, so that
+See `cache_paths` for the hash. A trajectory depends on the spec's seed and its index only, so that
 those of two conditions begin alike.
 """
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -20,7 +18,9 @@ import numpy.typing as npt
 import safetensors.numpy
 import torch
 
-from experiments.robustness.worlds import CAMERA, DEMONSTRATED, NOMINAL, SCATTERED, build_hash, open_world
+from experiments.robustness.worlds import CAMERA, DEMONSTRATED, NOMINAL, SCATTERED, open_world
+from experiments.workbench.arms import world_version
+from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.learning.actor_critic.policy_files import load_policy
@@ -163,7 +163,7 @@ class Rollouts:
 
 def open_or_draw(spec: Spec, work: Path) -> Drawn:
     """Returns what was drawn; draws it first where it was not."""
-    path = work / "datasets" / f"{spec_hash(spec)}.safetensors"
+    path = dataset_path(spec, work).with_suffix(".safetensors")
     truth = path.with_suffix(".truth.safetensors")
     with locked(path.with_suffix(".lock")):
         if not path.is_file():
@@ -173,10 +173,10 @@ def open_or_draw(spec: Spec, work: Path) -> Drawn:
     return Drawn(safetensors.numpy.load_file(path), safetensors.numpy.load_file(truth))
 
 
-def spec_hash(spec: Any) -> str:
-    """Returns the sha256 of a spec and of its world as this machine builds it."""
-    text = f"{type(spec).__name__} {json.dumps(asdict(spec), sort_keys=True)} {build_hash(spec.task)}"
-    return hashlib.sha256(text.encode()).hexdigest()
+def dataset_path(spec: Spec, work: Path) -> Path:
+    """Returns the path of what was drawn, or will be, without its suffix."""
+    world = {"task": spec.task, "world_version": world_version(spec.task)}
+    return cache_path(work / "datasets", {"kind": type(spec).__name__, "spec": spec, **world})
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,9 @@
 """The benchmark's arms: models and guesses of the world `blocks`, each evaluated under all of its conditions."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import torch
 
@@ -20,13 +19,13 @@ from experiments.robustness import (
 )
 from experiments.robustness.draw import Spec, open_or_draw
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
-from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED, world_hash
+from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED
 from experiments.segmentation import guesses
 from experiments.workbench.arms import Arm
+from experiments.workbench.configs import Config
 from experiments.workbench.pipelines import run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
-from freerein.learning.checkpoints import JSON
 from freerein_reward.model import DualEncoderModel
 from freerein_reward.training import RewardConfig
 from freerein_segmentation.training import SegmentationConfig
@@ -90,32 +89,28 @@ class RobustnessExperiment:
         """None."""
         return ()
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
+    def config(self, arm: Arm) -> Config:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
-        config: dict[str, Any] = {"version": _VERSION}
+        config: dict[str, object] = {"version": _VERSION}
         if arm.method == policies.LANGUAGE:
-            config["teachers"] = [asdict(policy) for policy in self._policies.values()]
+            config["teachers"] = list(self._policies.values())
         if arm.method == PPO_SPEED:
             return config
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == SEGMENTATION:
-            config |= {"fit": asdict(_segmentation_config(arm)), "training": asdict(segmentation.TRAINING)}
+            config |= {"fit": _segmentation_config(arm), "training": segmentation.TRAINING}
         if arm.method == REWARD:
-            config |= {"fit": asdict(_reward_config(arm)), "training": asdict(reward.TRAINING)}
+            config |= {"fit": _reward_config(arm), "training": reward.TRAINING}
         if arm.method in (REWARD, "captions"):
             config["grounding"] = reward.grounding_version()
         if arm.world == DEMONSTRATED:
-            config["test"] = {condition: asdict(spec) for condition, spec in segmentation.test_specs().items()}
+            config["test"] = segmentation.test_specs()
         elif arm.world == SCATTERED:
-            config["test"] = [asdict(spec) for spec in scenes.scene_specs().values()]
+            config["test"] = list(scenes.scene_specs().values())
         else:
-            config["test"] = asdict(visited_states.rollouts(self._policies[arm.world], NOMINAL))
+            config["test"] = visited_states.rollouts(self._policies[arm.world], NOMINAL)
         return config
-
-    def world_hash(self, world: str) -> str:
-        """Returns the hash of what the world's generator draws."""
-        return world_hash(world)
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws what is learned from and what fits are evaluated on."""

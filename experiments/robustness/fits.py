@@ -1,18 +1,16 @@
-"""Fits that several arms share, found by a hash of configuration, data and world.
+"""Fits that several arms share, found by configuration and data; see `cache_paths`.
 
 <work>/fits/<hash>/              checkpoints and metrics
                    model/        the model, as the service saves it
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
 import torch
 
+from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.locks import locked
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
@@ -40,8 +38,8 @@ def fit_once(
 
     `inputs` tell apart what fits of one configuration learn from.
     """
-    identity = json.dumps([type(config).__name__, asdict(config), *inputs, torch.__version__], sort_keys=True)
-    folder = work / "fits" / hashlib.sha256(identity.encode()).hexdigest()[:16]
+    kind, version = type(config).__name__, torch.__version__
+    folder = cache_path(work / "fits", {"kind": kind, "config": config, "inputs": inputs, "torch": version})
     with locked(folder.with_suffix(".lock")):
         if not (folder / "model" / model_files.MODEL.card).is_file():
             learner = make_learner()

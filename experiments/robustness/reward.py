@@ -8,7 +8,7 @@ import numpy.typing as npt
 import safetensors.numpy
 import torch
 
-from experiments.robustness.draw import Drawn, Exploration, open_or_draw, spec_hash
+from experiments.robustness.draw import Drawn, Exploration, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
 from experiments.robustness.worlds import CAMERA
 from experiments.workbench.locks import locked
@@ -50,7 +50,7 @@ def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None])
             config, spec, training, validation, grounding, version, f"{data} {version}", torch.device("cpu")
         )
 
-    data = spec_hash(TRAINING)
+    data = dataset_path(TRAINING, work).name
     name = f"{data}.{grounding_version()}.safetensors"
     inputs = [data, grounding_version()]
     folder = fit_once(config, inputs, make_learner, work=work, on_progress=on_progress)

@@ -9,7 +9,7 @@ import torch
 
 from experiments.robustness import confidence
 from experiments.robustness.confidence import Answers
-from experiments.robustness.draw import Demonstrations, Drawn, open_or_draw, spec_hash
+from experiments.robustness.draw import Demonstrations, Drawn, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
 from experiments.robustness.worlds import CAMERA, NOMINAL, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
@@ -57,7 +57,7 @@ def fit_model(config: SegmentationConfig, work: Path, on_progress: Callable[[], 
         network = network_spec(config, cameras=cameras, action=spec.action, skills=spec.skills)
         return SegmentationLearner(config, network, training, validation, data, torch.device("cpu"))
 
-    data = spec_hash(TRAINING)
+    data = dataset_path(TRAINING, work).name
     folder = fit_once(config, [data], make_learner, work=work, on_progress=on_progress)
     return None if folder is None else load(folder, "cpu")
 

@@ -261,7 +261,7 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
         dissertation=None,
         target=target.least if target.most is None else target.most,
         met=target.is_reached(_rounded(values[worst]), target.unit * low) if target.has_bar else None,
-        world_hash=arms[0].world_hash,
+        world_version=arms[0].world_version,
         command=_command(arms),
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )

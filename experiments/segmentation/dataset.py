@@ -1,13 +1,11 @@
-"""Demonstrations of a world in raw files, drawn once and found by their hash.
+"""Demonstrations of a world in raw files, drawn once and found by their spec and the world's version.
 
-    <work>/datasets/<hash>/spec.json
-                           <split>/frames.raw actions.raw lengths.raw tags.raw
+    <work>/datasets/<hash>/<split>/frames.raw actions.raw lengths.raw tags.raw
                            truth/<split>/labels.raw                              read by `truth.py` alone
 
-`split` is train, validation or test. A hash covers the spec and what the world's generator draws.
+`split` is train, validation or test. See `cache_paths` for the hash.
 """
 
-import hashlib
 import json
 import os
 import shutil
@@ -23,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.segmentation import draw
+from experiments.workbench.arms import world_version
+from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.locks import locked
 from freerein.data.cache import D, StepCache
 from freerein.errors import FailedPrecondition
@@ -67,27 +67,25 @@ class DatasetSpec:
         """The world's spec."""
         return tasks()[self.task].spec
 
-    @property
-    def hash(self) -> str:
-        """Hash of this spec and of what the world's generator draws."""
-        text = json.dumps(asdict(self), sort_keys=True) + draw.world_hash(self.task)
-        return hashlib.sha256(text.encode()).hexdigest()
-
     def split(self, name: SplitName) -> SplitSpec:
         """Returns the spec of a split."""
         return {"train": self.train, "validation": self.validation, "test": self.test}[name]
 
 
+def folder_of(spec: DatasetSpec, work: Path) -> Path:
+    """Returns the folder of a dataset, which may not have been drawn yet."""
+    return cache_path(work / "datasets", {"spec": spec, "world_version": world_version(spec.task)})
+
+
 def open_or_draw(spec: DatasetSpec, work: Path) -> Path:
     """Returns the folder of a dataset; draws it first, in parallel processes, where it does not exist."""
-    folder = work / "datasets" / spec.hash
-    with locked(work / "datasets" / f"{spec.hash}.lock"):
+    folder = folder_of(spec, work)
+    with locked(folder.with_suffix(".lock")):
         if not folder.is_dir():
             unfinished = folder.with_suffix(".unfinished")
             shutil.rmtree(unfinished, ignore_errors=True)
             for name in SPLITS:
                 _draw_split(spec, name, unfinished)
-            (unfinished / "spec.json").write_text(json.dumps(asdict(spec), indent=2) + "\n")
             unfinished.replace(folder)
     return folder
 

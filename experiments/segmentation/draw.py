@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ import numpy.typing as npt
 
 from freerein.jobs.child import die_with_parent
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
-from freerein_sim.worlds.generator_hash import generator_hash
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition, World, expert_of
 
@@ -47,12 +45,6 @@ class Part:
     most_skills: int
     first: int
     stop: int
-
-
-@cache
-def world_hash(task: str) -> str:
-    """Returns the hash of what draws a task's demonstrations."""
-    return generator_hash(tasks()[task])
 
 
 def main(folder: Path, part: Part) -> None:

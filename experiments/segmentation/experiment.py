@@ -1,14 +1,13 @@
 """An experiment on segmentation: methods in their contexts, with several seeds, on the demonstrations of worlds."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from experiments.segmentation import (
     dataset,
-    draw,
     evaluation,
     report,
     served,
@@ -22,10 +21,10 @@ from experiments.segmentation.guesses import GUESSES
 from experiments.segmentation.report import Report
 from experiments.segmentation.study import SUPERVISED, Study
 from experiments.workbench.arms import Arm
+from experiments.workbench.configs import Config
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
-from freerein.learning.checkpoints import JSON
 from freerein.learning.fit import FitResult, Learner, fit
 from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
@@ -63,19 +62,15 @@ class SegmentationExperiment:
         """None."""
         return ()
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
+    def config(self, arm: Arm) -> Config:
         """Returns the data and, for a network, the segmentation service's configuration and what is tried."""
         study = self._study(arm.world)
-        config: dict[str, JSON] = {"data": asdict(study.data), "train_evaluated": study.train_evaluated}
+        config: dict[str, object] = {"data": study.data, "train_evaluated": study.train_evaluated}
         if not study.is_guess(arm):
-            config["fit"] = {**asdict(study.fit_config(arm)), "method": arm.method}
+            config["fit"] = study.fit_config(arm)
         if not study.is_guess(arm) and study.tries_learning_rates(arm):
             config["trials"] = {"learning_rates": list(study.learning_rates), "steps": study.trial_steps}
         return config
-
-    def world_hash(self, world: str) -> str:
-        """Returns the hash of what the world's generator draws."""
-        return draw.world_hash(world)
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws the demonstrations, or waits until another arm has drawn them."""
@@ -97,9 +92,7 @@ class SegmentationExperiment:
 
         config = study.fit_config(arm)
         if study.tries_learning_rates(arm):
-            lr = trials.choose_lr(
-                study, arm, fit_trial, world_hash=self.world_hash(arm.world), results=results, work=work
-            )
+            lr = trials.choose_lr(study, arm, fit_trial, results=results, work=work)
             if lr is None:
                 return None
             config = replace(config, lr=lr)

@@ -140,7 +140,7 @@ def _claim(
         dissertation=_dissertation(report, study.world, row, figure) if target is None else target.above,
         target=None if least is None else round(least, 3),
         met=None if target is None else not target.missing(rows) and _scale(report, study) != "reduced",
-        world_hash=arms[0].world_hash,
+        world_version=arms[0].world_version,
         command=f"python -m experiments run {report.experiment} --only '{pattern}'",
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )

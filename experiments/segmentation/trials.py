@@ -6,54 +6,56 @@ The loss is that of the training signal. Trials are run once, with seed 0, and a
 their choice.
 """
 
-import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from experiments.segmentation.dataset import SplitSpec
 from experiments.segmentation.study import SUPERVISED, Study
-from experiments.workbench.arms import Arm
+from experiments.workbench.arms import Arm, world_version
+from experiments.workbench.cache_paths import cache_path
+from experiments.workbench.configs import Config, is_same, to_json
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
-from freerein.learning.checkpoints import JSON
 from freerein_segmentation.training import SegmentationConfig
 
 _OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence", "tag_context")
 _WITHOUT_FINAL: dict[str, Any] = {name: getattr(SegmentationConfig, name) for name in _OF_FINAL}
 """Trials end before the final objective begins: its loss is that of labels of its own, and so compares with none."""
 
+_NO_TEST = SplitSpec(count=0, least_skills=0, most_skills=0)
+"""Trials see no test data, so that more of these change no choice."""
+
 Fit = Callable[[SegmentationConfig, Path], float | None]
 """Fits in a folder, or resumes; returns the lowest validation loss, None when it was stopped."""
 
 
-def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Path, work: Path) -> float | None:
+def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> float | None:
     """Returns the learning rate for an arm; None when a trial was stopped.
 
     Args:
         study: The arm's study.
         arm: An arm with a network.
         fit: Runs one trial.
-        world_hash: Hash of what the world's generator draws.
         results: Folder of the experiment's results.
         work: Folder that all arms share; trials keep their checkpoints there.
     """
     config = _until_final(study.fit_config(replace(arm, seed=0)), steps=study.trial_steps)
-    made_by: dict[str, JSON] = {
-        "fit": json.loads(json.dumps(asdict(config))),
+    made_by: Config = {
+        "fit": config,
         "supervised": arm.method == SUPERVISED,
-        "data": {part: each for part, each in json.loads(json.dumps(asdict(study.data))).items() if part != "test"},
-        "learning_rates": list(study.learning_rates),
-        "world_hash": world_hash,
+        "data": replace(study.data, test=_NO_TEST),
+        "learning_rates": study.learning_rates,
+        "world_version": world_version(study.world),
     }
     name = _trials_name(arm)
     path = results / "trials" / f"{name}.json"
-    digest = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()
-    folder = work / "trials" / digest[:16]  # of all methods that differ only after their trials
+    folder = cache_path(work / "trials", made_by)  # of all methods that differ only after their trials
     with locked(folder / "lock"):
-        if path.is_file() and (found := json.loads(path.read_bytes()))["made_by"] == made_by:
+        if path.is_file() and is_same((found := json.loads(path.read_bytes()))["made_by"], made_by):
             return float(found["lr"])
         losses: dict[str, float] = {}
         for lr in study.learning_rates:
@@ -62,7 +64,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, world_hash: str, results: Pat
                 return None
             losses[f"{lr:g}"] = round(loss, 6)
         best = min(study.learning_rates, key=lambda lr: losses[f"{lr:g}"])
-        made = {"made_by": made_by, "validation_loss": losses, "lr": best}
+        made = {"made_by": to_json(made_by), "validation_loss": losses, "lr": best}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(made, indent=2, allow_nan=False).encode() + b"\n")
         return best

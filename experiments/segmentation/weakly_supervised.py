@@ -15,6 +15,6 @@ def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) ->
         network_spec(config, cameras=world.cameras[:1], action=world.action, skills=world.skills),
         open_split(folder, spec, "train"),
         open_split(folder, spec, "validation"),
-        fingerprint=spec.hash,
+        fingerprint=folder.name,
         device=choose_device("auto"),
     )

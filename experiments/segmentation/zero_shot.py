@@ -6,8 +6,6 @@ would get. All arms learn from the same demonstrations, which are collected once
     <work>/demonstrations/<hash>/data/   the services' data directory with their dataset
 """
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -19,7 +17,9 @@ import numpy as np
 from experiments.segmentation import trials
 from experiments.segmentation.evaluation import LEAST_SEGMENT, SMOOTHING
 from experiments.segmentation.study import Study
-from experiments.workbench.arms import Arm
+from experiments.workbench.arms import Arm, world_version
+from experiments.workbench.cache_paths import cache_path
+from experiments.workbench.configs import Config
 from experiments.workbench.locks import locked
 from experiments.workbench.pipelines import Step, Trials, fit_step, run_pipeline, step
 from experiments.workbench.results import Outcome, Sample
@@ -69,18 +69,18 @@ class ZeroShot:
         cloned = [Arm(self.study.world, CLONED, each, seed) for seed in range(self.seeds) for each in labels_of]
         return (Arm(self.study.world, EXPERT), *cloned)
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
-        """Returns everything that an arm's result depends on, beside the world, the code and the trials."""
-        config: dict[str, JSON] = {"recipes": self.recipes, "data": asdict(self.study.data)}
+    def config(self, arm: Arm) -> Config:
+        """Returns everything that an arm's result depends on, beside its name, the world, the code and the trials."""
+        config: dict[str, object] = {"recipes": self.recipes, "data": self.study.data}
         if arm.method == CLONED:
             config["policies"] = dict(self.policies)
         if arm.method == CLONED and arm.options["labels"] != TRUE_LABELS:
-            config |= {"fit": asdict(self.study.fit_config(_network(arm))), "smoothing": SMOOTHING}
+            config |= {"fit": self.study.fit_config(_network(arm)), "smoothing": SMOOTHING}
         return config
 
-    def prepare(self, work: Path, *, world_hash: str) -> bool:
+    def prepare(self, work: Path) -> bool:
         """Collects the demonstrations, or waits until another arm has; returns False when it was stopped."""
-        folder = self._demonstrations(work, world_hash)
+        folder = self._demonstrations(work)
         with locked(folder.with_suffix(".lock")):
             if not (folder / _COLLECTED).is_file():
                 if run_pipeline([self._collect], folder, lambda: None, keeps_datasets=True) is None:
@@ -95,7 +95,6 @@ class ZeroShot:
         results: Path,
         work: Path,
         folder: Path,
-        world_hash: str,
         on_progress: Callable[[], None],
     ) -> Outcome | None:
         """Labels, clones and executes; None when it was stopped.
@@ -108,7 +107,7 @@ class ZeroShot:
         if not root.exists():
             copy = root.with_suffix(".copy")
             shutil.rmtree(copy, ignore_errors=True)
-            shutil.copytree(dataset_path(self._demonstrations(work, world_hash) / "data", _DATASET), copy)
+            shutil.copytree(dataset_path(self._demonstrations(work) / "data", _DATASET), copy)
             copy.replace(root)
         cloned = [
             fit_step("fit", "imitation", _DATASET, **{**self.policies, "seed": arm.seed}),
@@ -151,9 +150,9 @@ class ZeroShot:
             seed=asked.seed,
         )
 
-    def _demonstrations(self, work: Path, world_hash: str) -> Path:
-        digest = hashlib.sha256(json.dumps([dict(self._collect), world_hash]).encode()).hexdigest()
-        return work / "demonstrations" / digest[:16]
+    def _demonstrations(self, work: Path) -> Path:
+        made_by = {"collect": self._collect, "world_version": world_version(self.study.world)}
+        return cache_path(work / "demonstrations", made_by)
 
     def _labelled(self, arm: Arm, results: Path) -> list[Step]:
         network = _network(arm)

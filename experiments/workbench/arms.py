@@ -1,16 +1,17 @@
 """An arm: one training, and the evaluation of what it made."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
+from experiments.workbench.configs import Config, is_same
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.errors import NotFound
-from freerein.learning.checkpoints import JSON
+from freerein_sim.worlds.tasks import tasks
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,8 @@ class Experiment(Protocol):
     def sources(self) -> Sequence[str]:
         """Names of other experiments whose results its table shows, too."""
 
-    def config(self, arm: Arm) -> dict[str, JSON]:
-        """Returns everything that the arm's result depends on, beside the world and the code."""
-
-    def world_hash(self, world: str) -> str:
-        """Returns the hash of what the world's generator draws."""
+    def config(self, arm: Arm) -> Config:
+        """Returns everything that the arm's result depends on, beside its name, the world and the code."""
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes what an arm shares with others, such as datasets, unless it is there; its time is no arm's.
@@ -79,9 +77,15 @@ class Experiment(Protocol):
 
 
 def is_current(experiment: Experiment, arm: Arm, result: ArmResult) -> bool:
-    """Returns whether the arm's present configuration and the world's present generator made a result."""
-    config = json.loads(json.dumps(experiment.config(arm)))
-    return result.config == config and result.world_hash == experiment.world_hash(arm.world)
+    """Returns whether the arm's present configuration made a result, in the world's present version."""
+    is_made_here = result.world_version == world_version(arm.world)
+    return is_made_here and is_same(dict(result.config), experiment.config(arm))
+
+
+@cache
+def world_version(world: str) -> str:
+    """Returns name and version of the world of a task, such as `blocks-v1`."""
+    return tasks()[world].world_version
 
 
 def choose(experiment: Experiment, patterns: Sequence[str]) -> list[Arm]:

@@ -33,7 +33,7 @@ class Claim:
         dissertation: The dissertation's figure.
         target: Least value that the claim needs, or the largest where smaller is better; the experiment says which.
         met: Whether it is reached, and what the claim needs besides.
-        world_hash: Hash of what the world's generator drew.
+        world_version: Name and version of the world that its results were made in.
         command: The command that makes the results.
         minutes: Wall-clock time of all seeds.
     """
@@ -51,7 +51,7 @@ class Claim:
     dissertation: float | None
     target: float | None
     met: bool | None
-    world_hash: str
+    world_version: str
     command: str
     minutes: float
 

@@ -66,8 +66,8 @@ class ArmResult:
     Attributes:
         name: Name of the arm.
         world: As in `Arm`, like the next three.
-        config: Everything that the result depends on, beside the world and the code.
-        world_hash: Hash of what the world's generator drew.
+        config: Everything that the result depends on, beside its name, the world and the code.
+        world_version: Name and version of its world, such as `blocks-v1`.
         minutes: Wall-clock time of all attempts, without drawing the dataset.
         cpu_minutes: Their CPU time.
         machine: Processor, cores, system and package versions.
@@ -81,7 +81,7 @@ class ArmResult:
     options: Mapping[str, str]
     seed: int
     config: Mapping[str, JSON]
-    world_hash: str
+    world_version: str
     figures: Mapping[str, float]
     samples: Mapping[str, Sample]
     minutes: float

@@ -1,12 +1,11 @@
 """Runs arms in child processes, a few at a time.
 
-    <work>/arms/<experiment>/<arm>-<hash>/   configuration, checkpoints and metrics of an arm
+    <work>/arms/<experiment>/<arm>-<hash>/   configuration, checkpoints and metrics of an arm; see `cache_paths`
 
 An arm that was killed resumes from its newest checkpoint. The lock of its folder excludes a second runner.
 """
 
 import fcntl
-import hashlib
 import json
 import os
 import subprocess
@@ -20,7 +19,8 @@ from pathlib import Path
 from typing import Literal
 
 from experiments.workbench import results
-from experiments.workbench.arms import Arm, Experiment, is_current
+from experiments.workbench.arms import Arm, Experiment, is_current, world_version
+from experiments.workbench.cache_paths import cache_path
 from freerein.atomic_files import make_folder, write_atomic
 from freerein.jobs.attempt import KEEP_FREED_MEMORY
 from freerein.jobs.child import STOPPED
@@ -50,7 +50,7 @@ def run_arms(
 ) -> list[Ending]:
     """Runs arms that have no result yet; returns how each ended, in order.
 
-    A result made by another configuration or another world is replaced.
+    A result made by another configuration or another version of the world is replaced.
 
     Args:
         name: Name of the experiment.
@@ -75,8 +75,8 @@ def run_arms(
 
 def arm_folder(name: str, experiment: Experiment, arm: Arm, places: Places) -> Path:
     """Returns the folder of an arm's checkpoints; another configuration or another world has another folder."""
-    config = json.dumps(experiment.config(arm), sort_keys=True) + experiment.world_hash(arm.world)
-    return places.work / "arms" / name / f"{arm.name}-{hashlib.sha256(config.encode()).hexdigest()[:12]}"
+    made_by = {"config": experiment.config(arm), "world_version": world_version(arm.world)}
+    return cache_path(places.work / "arms" / name, made_by, prefix=f"{arm.name}-")
 
 
 def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> bool:

@@ -1,13 +1,14 @@
 """The robustness benchmark: what it draws, its figures as samples, its claims and its table."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
 from experiments import registry
-from experiments.robustness import confidence, reward, scenes, segmentation, targets, wordings, worlds
+from experiments.robustness import confidence, draw, reward, scenes, segmentation, targets, wordings, worlds
 from experiments.robustness.confidence import Answers
-from experiments.robustness.draw import Demonstrations, Scenes
+from experiments.robustness.draw import Demonstrations, Exploration, Scenes
 from experiments.robustness.heat_map import heat_map
 from experiments.robustness.scenes import Judged
 from experiments.workbench import table
@@ -25,7 +26,7 @@ RNG = np.random.default_rng(0)
 
 def result(arm: Arm, samples: Mapping[str, Sample]) -> ArmResult:
     identity = {"name": arm.name, "world": arm.world, "method": arm.method, "options": arm.options, "seed": arm.seed}
-    made = {"config": {}, "world_hash": "ab", "figures": {}, "machine": {}, "command": "python -m experiments"}
+    made = {"config": {}, "world_version": "blocks-v1", "figures": {}, "machine": {}, "command": "python"}
     return ArmResult(**identity, **made, samples=samples, minutes=1.0, cpu_minutes=1.0)
 
 
@@ -60,9 +61,11 @@ def test_training_and_test_data_have_different_seeds() -> None:
     assert not held_out & {segmentation.TRAINING.seed, reward.TRAINING.seed}
 
 
-def test_tasks_have_a_hash_each_that_stays() -> None:
-    assert worlds.world_hash("blocks") == worlds.world_hash.__wrapped__("blocks") != worlds.world_hash("blocks.scatter")
-    assert worlds.build_hash("blocks") == worlds.build_hash.__wrapped__("blocks") != worlds.build_hash("blocks.scatter")
+def test_what_is_drawn_is_found_by_its_spec_its_kind_and_its_task(tmp_path: Path) -> None:
+    specs = (Scenes(2, 5, "blocks-4"), Scenes(2, 6, "blocks-4"), Exploration(2, 5), Demonstrations(2, 5, 2, 2))
+    found = [draw.dataset_path(spec, tmp_path) for spec in specs]
+    assert len(set(found)) == 4
+    assert [draw.dataset_path(spec, tmp_path) for spec in specs] == found
 
 
 def test_figures_of_confidence_are_those_of_the_metrics() -> None:

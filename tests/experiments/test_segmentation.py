@@ -1,5 +1,6 @@
 """Demonstrations, the supervised learner, and the scoring of labels."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,15 +31,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return dataset.open_or_draw(DATA, tmp_path_factory.mktemp("work"))
 
 
-def test_a_dataset_is_drawn_once_and_found_by_its_hash(folder: Path) -> None:
-    before = (folder / "spec.json").stat()
+def test_a_dataset_is_drawn_once_and_found_by_its_spec_and_the_version_of_its_world(folder: Path) -> None:
+    before = (folder / "train").stat()
     assert dataset.open_or_draw(DATA, folder.parents[1]) == folder
-    assert (folder / "spec.json").stat().st_mtime_ns == before.st_mtime_ns
-    assert replace(DATA, seed=1).hash != DATA.hash != replace(DATA, task="grid-no-indicator").hash
-
-
-def test_worlds_that_draw_different_frames_have_different_hashes() -> None:
-    assert draw.world_hash("grid") != draw.world_hash("grid-no-indicator")
+    assert (folder / "train").stat().st_mtime_ns == before.st_mtime_ns
+    others = [replace(DATA, seed=1), replace(DATA, task="grid-no-indicator")]
+    assert len({folder, *(dataset.folder_of(spec, folder.parents[1]) for spec in others)}) == 3
+    made_by = json.loads(folder.with_name(f"{folder.name}.json").read_bytes())
+    assert made_by["world_version"] == "grid-v1"
 
 
 def test_a_trajectory_does_not_depend_on_the_part_that_it_is_drawn_in(folder: Path, tmp_path: Path) -> None:
@@ -166,12 +166,19 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
 
     def choose(study: Study, seed: int) -> float | None:
         arm = Arm("grid", "lse", {"context": "causal"}, seed)
-        return trials.choose_lr(study, arm, fit, world_hash="ab", results=tmp_path / "r", work=tmp_path / "w")
+        return trials.choose_lr(study, arm, fit, results=tmp_path / "r", work=tmp_path / "w")
 
     assert [choose(STUDY, seed=1), choose(STUDY, seed=0)] == [0.001, 0.001]
     assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0)]
     assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
     assert [steps for _, steps, _ in fitted] == [2] * 3 + [4] * 3
+
+    path = tmp_path / "r" / "trials" / "grid-lse-causal.json"
+    made = json.loads(path.read_bytes())
+    del made["made_by"]["fit"]["rounds"]  # as before the key, which has a default, was added
+    path.write_text(json.dumps(made))
+    assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
+    assert len(fitted) == 6
 
 
 def test_a_method_with_a_learning_rate_of_its_own_tries_none() -> None:
@@ -199,13 +206,13 @@ def test_trials_end_before_the_final_objective(tmp_path: Path) -> None:
         return 1.0
 
     study = replace(STUDY, methods=(ours,))
-    trials.choose_lr(study, study.arms[-1], fit, world_hash="ab", results=tmp_path / "r", work=tmp_path / "w")
+    trials.choose_lr(study, study.arms[-1], fit, results=tmp_path / "r", work=tmp_path / "w")
     assert {(each.final_objective, each.action_evidence) for each in fitted} == {("none", 0.0)}
 
 
 def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:
     arm = STUDY.arms[-1]
-    chosen = trials.choose_lr(STUDY, arm, lambda *_: None, world_hash="ab", results=tmp_path / "r", work=tmp_path)
+    chosen = trials.choose_lr(STUDY, arm, lambda *_: None, results=tmp_path / "r", work=tmp_path)
     assert chosen is None
     assert not (tmp_path / "r").exists()
 
@@ -221,7 +228,7 @@ def rows_with(**accuracies: float) -> Rows:
             options={"context": names[name].context},
             seed=seed,
             config={"fit": {"objective": names[name].method}},
-            world_hash="",
+            world_version="dial-v1",
             figures={"validation.kept_share": accuracy, "validation_loss": 1.0, "action_loss": 1.0},
             samples={TEST_ACCURACY: Sample([100 * accuracy] * 20, [100] * 20)},
             minutes=0,

@@ -12,6 +12,9 @@ from experiments.workbench.elapsed import Elapsed
 from experiments.workbench.results import ArmResult, Sample
 
 from freerein.errors import FailedPrecondition, NotFound
+from freerein_sim.worlds.tasks import tasks
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "worlds"
 
 RESULT = ArmResult(
     name="grid-lse-causal-seed1",
@@ -20,7 +23,7 @@ RESULT = ArmResult(
     options={"context": "causal"},
     seed=1,
     config={"fit": {"lr": 0.1}},
-    world_hash="ab",
+    world_version="grid-v1",
     figures={"test.frame_accuracy": 0.5},
     samples={"test.frame_accuracy": Sample([1, 2], [3, 3])},
     minutes=1.5,
@@ -119,6 +122,13 @@ def test_arms_are_chosen_by_pattern() -> None:
 def test_every_arm_of_every_experiment_has_a_name(name: str) -> None:
     experiment = registry.load(name)
     assert len({arm.name for arm in experiment.arms}) == len(experiment.arms)
+
+
+@pytest.mark.parametrize("name", registry.EXPERIMENTS)
+def test_the_behaviour_of_every_world_with_results_is_recorded(name: str) -> None:
+    for task in {arm.world for arm in registry.load(name).arms}:
+        recorded = json.loads((GOLDEN / f"{tasks()[task].world}.json").read_text())
+        assert task in recorded["cases"], "add the task to WORLDS of tests/sim/test_worlds_golden.py"
 
 
 def test_an_arm_is_named_by_world_method_options_and_seed() -> None:

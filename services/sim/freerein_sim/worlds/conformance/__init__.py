@@ -24,7 +24,6 @@ CHECKS: tuple[Check, ...] = (
     determinism.restores_bit_for_bit,
     determinism.refuses_broken_snapshots,
     determinism.demonstrates_the_same_under_a_seed,
-    determinism.has_a_stable_generator_hash,
     interface.renders_what_was_asked,
     interface.refuses_bad_views,
     interface.refuses_bad_actions,

@@ -7,7 +7,6 @@ import numpy as np
 
 from freerein_sim.worlds.conformance.assertions import require, require_refusal
 from freerein_sim.worlds.conformance.rollouts import SEED, begin, continued, demonstrate, observed
-from freerein_sim.worlds.generator_hash import generator_hash
 from freerein_sim.worlds.world import TaskDefinition
 
 
@@ -72,11 +71,3 @@ def demonstrates_the_same_under_a_seed(task: TaskDefinition) -> None:
     require(one.actions.tobytes() == again.actions.tobytes(), "Demonstrations of one seed have equal actions.")
     require(one.labels.tolist() == again.labels.tolist(), "Demonstrations of one seed have equal labels.")
     require(made[0].states.tobytes() == made[1].states.tobytes(), "Demonstrations of one seed have equal states.")
-
-
-def has_a_stable_generator_hash(task: TaskDefinition) -> None:
-    """What the generator consists of can be read, and its hash does not depend on what worlds have done."""
-    before = generator_hash(task)
-    with closing(begin(task)) as world:
-        continued(world, steps=1)
-    require(before == generator_hash(task), "Using a world does not change the hash of its generator.")
