@@ -1,12 +1,11 @@
 """Items per CPU second of whole optimiser updates, as shipped and with one thing changed at a time.
 
-A service starts a training with `freerein.jobs.attempt.KEEP_FREED_MEMORY`, which must change no bit of the result;
+A training calls `freerein.jobs.allocator.keep_freed_memory`, which must change no bit of the result;
 `glibc_allocator` is the same training without it. Ratios are of CPU time, which other work on the machine disturbs
 least, except those of two fits at a time, which are of wall time. A quick run measures the first learner only.
 """
 
 import asyncio
-import os
 from collections.abc import Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
@@ -17,7 +16,6 @@ from benchmarks import learners
 from benchmarks.report import Ratio, Results
 from benchmarks.timing import Effort, Rates
 from benchmarks.update_timer import VARIANTS, Turn, UpdateTimer, UpdateTimes, run_update_timer
-from freerein.jobs.attempt import KEEP_FREED_MEMORY
 
 _ROUNDS, _UPDATES = 5, 2
 _GLIBC = "glibc_allocator"
@@ -40,10 +38,8 @@ async def measure(effort: Effort) -> Results:
 
 async def _measure(name: str, *, rounds: int) -> _Rounds:
     """Returns the measurements of each variant, after one turn as a warm-up; each round begins with another."""
-    glibc = {key: value for key, value in os.environ.items() if key not in KEEP_FREED_MEMORY}
-    shipped = {**glibc, **KEEP_FREED_MEMORY}
     async with AsyncExitStack() as opened:
-        timers = [await opened.enter_async_context(run_update_timer(each)) for each in (glibc, shipped, shipped)]
+        timers = [await opened.enter_async_context(run_update_timer(*each)) for each in (("glibc",), (), ())]
         names = (_GLIBC, *VARIANTS)
         times: _Rounds = {variant: [] for variant in names}
         for number in range(rounds + 1):

@@ -1,4 +1,4 @@
-"""Times optimiser updates of the shipped learners in a process of its own, whose environment the parent chooses.
+"""Times optimiser updates of the shipped learners in a process of its own, whose allocator the parent chooses.
 
 python -m benchmarks.update_timer < one Turn per line, as JSON > one UpdateTimes per line, as JSON
 """
@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from benchmarks import learners
+from freerein.jobs.allocator import keep_freed_memory
 from freerein.learning.fit import Learner
 from freerein.learning.train_state import BatchSampler, TrainState
 
@@ -101,12 +102,10 @@ class UpdateTimer:
 
 
 @asynccontextmanager
-async def run_update_timer(environ: Mapping[str, str]) -> AsyncGenerator[UpdateTimer, None]:
-    """Runs a process with this environment."""
+async def run_update_timer(*arguments: str) -> AsyncGenerator[UpdateTimer, None]:
+    """Runs a process, with glibc's own allocation for the argument `glibc`."""
     pipe = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", __name__, stdin=pipe, stdout=pipe, env=dict(environ)
-    )
+    process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, *arguments, stdin=pipe, stdout=pipe)
     timer = UpdateTimer(process)
     try:
         yield timer
@@ -118,6 +117,8 @@ async def run_update_timer(environ: Mapping[str, str]) -> AsyncGenerator[UpdateT
 def main() -> None:
     """Answers turns until stdin closes."""
     torch.set_flush_denormal(True)  # as a fit does
+    if "glibc" not in sys.argv:
+        keep_freed_memory()
     trainings: dict[tuple[str, str], _Training] = {}
     with TemporaryDirectory() as folder:
         for line in sys.stdin:

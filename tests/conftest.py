@@ -8,9 +8,11 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import httpx
@@ -19,9 +21,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from freerein.fork_server import ChildProcess, ForkServer, Program, spawn
 from freerein.ports import Ports
 
 _START_S = 300.0  # of a machine with much else to do
+_ROOT = Path(__file__).parents[1]
 hypothesis.settings.register_profile(
     "any machine",
     deadline=None,
@@ -37,13 +41,15 @@ class RunningService:
 
     Attributes:
         process: The process.
+        stdout: Its standard output, of which the first line was read.
         url: URL of its REST API, such as `http://127.0.0.1:12345`.
         address: Address of its gRPC server, such as `127.0.0.1:12346`.
         data_dir: Its data directory.
         log: Where its log goes.
     """
 
-    process: "subprocess.Popen[bytes]"
+    process: ChildProcess
+    stdout: io.BufferedReader
     url: str
     address: str
     data_dir: Path
@@ -65,6 +71,9 @@ class RunningService:
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(60)
 
+    def kill(self) -> None:
+        self.process.send_signal(signal.SIGKILL)
+
 
 StartService = Callable[..., RunningService]
 
@@ -84,34 +93,72 @@ def reserve_port() -> int:
 
 
 def pytest_unconfigure() -> None:
-    """Closes what reserved ports."""
+    """Closes what reserved ports, and ends the fork server."""
     for reserving in _reserved:
         reserving.close()
+    if _fork_server.cache_info().currsize:
+        _fork_server().close()
+
+
+_SERVICE_ENVIRON = {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", "PYTHONPATH": str(_ROOT)}
+_READ_BY_THE_INTERPRETER = ("LD_", "PYTHON", "MUJOCO_", "OMP_")
 
 
 def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
-    """Starts `python -m module` and returns when it listens."""
-    log = data_dir / f"{module.replace('/', '-')}.{os.urandom(4).hex()}.log"
+    """Starts `python -m module` and returns when it listens; it is forked unless its interpreter needs `environ`."""
+    log = data_dir / f"{module}.{os.urandom(4).hex()}.log"
     data_dir.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, module] if module.endswith(".py") else [sys.executable, "-m", "freerein.program", module]
     places = {"FREEREIN_HTTP_PORT": str(reserve_port()), "FREEREIN_GRPC_PORT": str(reserve_port())}
     settings = {**places, "FREEREIN_DATA_DIR": str(data_dir), **environ}
-    with log.open("wb") as stderr:
-        process = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", **settings},
-        )
-    assert process.stdout is not None
-    readable, _, _ = select.select([process.stdout], [], [], _START_S)
-    line = process.stdout.readline() if readable else b""
+    start = spawn if any(name.startswith(_READ_BY_THE_INTERPRETER) for name in environ) else _fork_server().start
+    output, stdout = (os.fdopen(fd, mode) for fd, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+    with log.open("wb") as stderr, Path(os.devnull).open("rb") as stdin, stdout:
+        whole = {**os.environ, **_SERVICE_ENVIRON, **settings}
+        process = start(Program(module, (), whole, stdin.fileno(), stdout.fileno(), stderr.fileno()))
+    readable, _, _ = select.select([output], [], [], _START_S)
+    line = output.readline() if readable else b""
     if not line:
-        process.kill()
+        process.send_signal(signal.SIGKILL)
         pytest.fail(f"{module} did not start to listen:\n{log.read_text()[-3000:]}")
     ports = json.loads(line)
     url, address = f"http://127.0.0.1:{ports['http_port']}", f"127.0.0.1:{ports['grpc_port']}"
-    return RunningService(process, url, address, data_dir, log)
+    return RunningService(process, output, url, address, data_dir, log)
+
+
+class _ServicesForkServer(ForkServer):
+    """The fork server of this test worker, in a process that has imported all services."""
+
+    def __init__(self) -> None:
+        self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        super().__init__(self._ours)
+        command = [sys.executable, _ROOT / "tests" / "fork_services.py", str(theirs.fileno())]
+        with theirs:
+            self._process = subprocess.Popen(
+                command, env={**os.environ, **_SERVICE_ENVIRON}, pass_fds=[theirs.fileno()]
+            )
+
+    def close(self) -> None:
+        self._ours.close()
+        self._process.wait(60)
+
+
+_fork_server = cache(_ServicesForkServer)
+
+
+@pytest.fixture(scope="session")
+def run_badly() -> Callable[..., tuple[int, str]]:
+    """A function that runs a service that should not start, and returns its exit code and its standard error."""
+
+    def run(module: str, data_dir: Path, **environ: str) -> tuple[int, str]:
+        ports = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir)}
+        whole = {**os.environ, **_SERVICE_ENVIRON, **ports, **environ}
+        with tempfile.TemporaryFile() as stderr, Path(os.devnull).open("r+b") as null:
+            program = Program(module, (), whole, null.fileno(), null.fileno(), stderr.fileno())
+            code = _fork_server().start(program).wait(_START_S)
+            stderr.seek(0)
+            return code, stderr.read().decode()
+
+    return run
 
 
 @pytest.fixture(scope="session")
@@ -208,8 +255,6 @@ def start_module_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S
 
 def _end_all(started: list[RunningService]) -> None:
     for service in started:
-        if service.process.poll() is None:
-            service.process.kill()
+        service.kill()
         service.process.wait(60)
-        if service.process.stdout is not None:
-            service.process.stdout.close()
+        service.stdout.close()

@@ -48,8 +48,7 @@ def met(python: Path, service: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def service(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> Any:
-    script = ROOT / "tests" / "faults" / "faulty_policy.py"
-    started = start_module_service(str(script), FREEREIN_SHIPPED_DIR="none", FREEREIN_TOKEN=TOKEN)
+    started = start_module_service("tests.faults.faulty_policy", FREEREIN_SHIPPED_DIR="none", FREEREIN_TOKEN=TOKEN)
     wait_until(started.is_ready, 300)
     return started
 

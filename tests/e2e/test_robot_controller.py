@@ -110,7 +110,7 @@ async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes
         recorder = Recorder(example, await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
         driving = asyncio.create_task(recorder.controller.run())
         await until(lambda: len(moves(recorder.executed)) >= 20)
-        service.process.kill()
+        service.kill()
         steps = len(recorder.executed)
         await until(lambda: len(recorder.executed) >= steps + 10 and not any(moves(recorder.executed[-5:])))
         held = len(recorder.executed)

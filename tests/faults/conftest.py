@@ -108,9 +108,8 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
     """A function that starts the faulty service, or another; at the end of the module none may have logged a bug."""
     started: list[Faulty] = []
 
-    def start(data_dir: Path | None = None, *, script: str = "faulty_service.py", **environ: str) -> Faulty:
+    def start(data_dir: Path | None = None, *, module: str = "tests.faults.faulty_service", **environ: str) -> Faulty:
         environ["FREEREIN_SHIPPED_DIR"] = "none"  # the scripts load no other models than theirs
-        module = str(Path(__file__).with_name(script)) if script.endswith(".py") else script
         service = start_module_service(module, data_dir, **environ)
         token = environ.get("FREEREIN_TOKEN", "")
         headers = {"authorization": f"Bearer {token}"} if token else {}

@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import json
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ ROBOTS = 40  # more than a batch holds, so that some have to wait
 
 @pytest.fixture
 def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda data_dir: start_faulty(data_dir, script="faulty_policy.py")
+    return lambda data_dir: start_faulty(data_dir, module="tests.faults.faulty_policy")
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -65,7 +66,7 @@ def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the
                 state = reply.chunk.state
             stream.say(robots.seen(10 * life + 5, hundredths=100))  # never answered, and so never executed
             begun = time.monotonic()
-            faulty.service.process.kill()
+            faulty.service.kill()
             with pytest.raises(Unavailable):
                 await stream.hear()
             return time.monotonic() - begun
@@ -95,7 +96,7 @@ async def test_told_to_stop_it_answers_tells_every_robot_and_ends(
                 stream.say(request)
             await until(lambda: first.metric("freerein_queued_items") == ROBOTS - 1)
             begun = time.monotonic()
-            first.service.process.terminate()
+            first.service.process.send_signal(signal.SIGTERM)
             await until(lambda: "draining" in first.service.log.read_text())
         for i, (stream, oracle) in enumerate(zip(streams, oracles, strict=True)):
             reply = await stream.hear()

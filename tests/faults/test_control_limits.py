@@ -32,7 +32,7 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def faulty(start_faulty: Callable[..., Any], data_dir: Path) -> Any:
-    faulty = start_faulty(data_dir, script="faulty_policy.py")
+    faulty = start_faulty(data_dir, module="tests.faults.faulty_policy")
     while faulty.http.get("/readyz").status_code != 200:
         pass
     return faulty

@@ -24,7 +24,7 @@ MIB = 2**20
 
 @pytest.fixture(scope="module")
 def faulty(start_faulty: Callable[..., Any]) -> Any:
-    return start_faulty(script="faulty_policy.py")
+    return start_faulty(module="tests.faults.faulty_policy")
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import json
+import signal
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
@@ -51,7 +52,7 @@ async def drained(service: Any, calls: list[Callable[[], Awaitable[str]]]) -> Co
         asyncio.create_task(call_until_closed(call, outcomes, event)) for call, event in zip(calls, ready, strict=True)
     ]
     await asyncio.gather(*(event.wait() for event in ready))
-    service.process.terminate()
+    service.process.send_signal(signal.SIGTERM)
     await asyncio.wait_for(asyncio.gather(*clients), 120)
     assert await asyncio.to_thread(service.process.wait, 60) == 0
     return outcomes
@@ -147,6 +148,6 @@ async def test_clients_go_on_at_the_replica_that_remains(start_faulty: Callable[
 
     clients = [asyncio.create_task(answers()) for _ in range(CLIENTS)]
     await begun.wait()
-    leaving.process.terminate()
+    leaving.process.send_signal(signal.SIGTERM)
     assert await asyncio.gather(*clients) == [CALLS] * CLIENTS
     assert await asyncio.to_thread(leaving.process.wait, 60) == 0

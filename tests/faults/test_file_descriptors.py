@@ -60,7 +60,7 @@ def test_over_grpc_what_needs_a_file_is_refused_for_now(faulty: Any) -> None:
 def test_an_orchestrator_whose_files_or_database_cannot_be_opened_refuses_for_now(
     start_faulty: Callable[..., Any], refusal: Any, wait_until: Callable[..., float]
 ) -> None:
-    orchestrator = start_faulty(script="freerein_orchestrator")
+    orchestrator = start_faulty(module="freerein_orchestrator")
     wait_until(lambda: orchestrator.http.get("/readyz").is_success, 300)  # on the connection that is used below
     asked = {"kind": "collect", "config": {"task": "grid", "dataset": "few", "count": 1}}
     with SyncClient(OrchestratorClient(Channel(orchestrator.service.address))) as runs:

@@ -216,7 +216,7 @@ def test_an_orchestrator_waits_for_room_to_begin_and_refuses_runs_whole(
     with runs_disk.full():
         orchestrator = start_faulty(
             tmp_path_factory.mktemp("log"),
-            script="freerein_orchestrator",
+            module="freerein_orchestrator",
             FREEREIN_DATA_DIR=str(runs_disk.path),
             FREEREIN_SIM_ADDRESS="127.0.0.1:1",
         )
@@ -246,7 +246,7 @@ def test_an_orchestrator_that_starts_again_on_a_full_disk_waits_for_room_and_end
 
     def start() -> Any:
         where = {"FREEREIN_DATA_DIR": str(disk.path), "FREEREIN_SIM_ADDRESS": "127.0.0.1:1"}
-        return start_faulty(tmp_path_factory.mktemp("log"), script="freerein_orchestrator", **where)
+        return start_faulty(tmp_path_factory.mktemp("log"), module="freerein_orchestrator", **where)
 
     def waits(orchestrator: Any) -> bool:
         return "disk is full" in orchestrator.http.get("/readyz").text
@@ -270,10 +270,10 @@ def test_a_run_that_records_data_goes_on_once_there_is_room(
     if not fuzz:
         pytest.skip("a case of `make fuzz`")
     disk = new_disk()
-    sim = start_faulty(tmp_path_factory.mktemp("sim"), script="freerein_sim", FREEREIN_SIM_WORKERS="1")
+    sim = start_faulty(tmp_path_factory.mktemp("sim"), module="freerein_sim", FREEREIN_SIM_WORKERS="1")
     orchestrator = start_faulty(
         tmp_path_factory.mktemp("log"),
-        script="freerein_orchestrator",
+        module="freerein_orchestrator",
         FREEREIN_DATA_DIR=str(disk.path),
         FREEREIN_SIM_ADDRESS=sim.service.address,
     )

@@ -1,11 +1,8 @@
 """Told to stop, killed, or started wrongly: what was promised is kept, and the exit code says what happened."""
 
 import asyncio
-import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
@@ -28,7 +25,8 @@ from freerein.types.segmentation import SegmentRequest, SegmentResponse
 pytestmark = pytest.mark.e2e
 SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
 WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
-FAULTY_SERVICE = str(Path(__file__).with_name("faulty_service.py"))
+FAULTY_SERVICE = "tests.faults.faulty_service"
+RunBadly = Callable[..., tuple[int, str]]
 CHECKPOINT_EVERY = 20
 
 
@@ -158,7 +156,7 @@ def test_after_sigkill_it_has_its_models_and_resumes_its_fit(
 
     def seconds_away() -> float:
         nonlocal second
-        second.service.process.kill()
+        second.service.kill()
         second.service.process.wait()
         begun = time.monotonic()
         second = start_faulty(tmp_path)
@@ -178,20 +176,6 @@ def test_after_sigkill_it_has_its_models_and_resumes_its_fit(
 
 
 # --- starts that cannot succeed
-
-
-def start_badly(command: list[str], data_dir: Path, **environ: str) -> tuple[int, str]:
-    """Returns exit code and standard error of a service that should not start."""
-    ports = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir)}
-    ended = subprocess.run(
-        [sys.executable, *command],
-        check=False,
-        env={**os.environ, **ports, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", **environ},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    return ended.returncode, ended.stderr
 
 
 def reason(stderr: str) -> str:
@@ -216,18 +200,22 @@ def reason(stderr: str) -> str:
         ("FREEREIN_DATA_DIR", "/dev/null", "must be a folder"),
     ],
 )
-def test_a_wrong_setting_ends_the_start_with_its_name(tmp_path: Path, variable: str, value: str, fix: str) -> None:
+def test_a_wrong_setting_ends_the_start_with_its_name(
+    run_badly: RunBadly, tmp_path: Path, variable: str, value: str, fix: str
+) -> None:
     token = "x" if "no-such" in value else ""
-    code, stderr = start_badly(["-m", "freerein_sim"], tmp_path, **{"FREEREIN_TOKEN": token, variable: value})
+    code, stderr = run_badly("freerein_sim", tmp_path, **{"FREEREIN_TOKEN": token, variable: value})
     assert code == 3
     assert fix in reason(stderr)
 
 
 @pytest.mark.fault("C20")
-def test_a_start_that_cannot_succeed_soon_ends(tmp_path: Path, least_of_many: Callable[..., float]) -> None:
+def test_a_start_that_cannot_succeed_soon_ends(
+    run_badly: RunBadly, tmp_path: Path, least_of_many: Callable[..., float]
+) -> None:
     def seconds() -> float:
         begun = time.monotonic()
-        start_badly(["-m", "freerein_sim"], tmp_path, FREEREIN_QUEUE="0")
+        run_badly("freerein_sim", tmp_path, FREEREIN_QUEUE="0")
         return time.monotonic() - begun
 
     assert least_of_many(seconds, below=20) < 20
@@ -235,17 +223,17 @@ def test_a_start_that_cannot_succeed_soon_ends(tmp_path: Path, least_of_many: Ca
 
 @pytest.mark.fault("C20")
 @pytest.mark.parametrize("variable", ["FREEREIN_HTTP_PORT", "FREEREIN_GRPC_PORT"])
-def test_a_taken_port_ends_the_start_with_the_names_of_both(tmp_path: Path, variable: str) -> None:
+def test_a_taken_port_ends_the_start_with_the_names_of_both(run_badly: RunBadly, tmp_path: Path, variable: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as holder:
         port = str(holder.getsockname()[1])
-        code, stderr = start_badly(["-m", "freerein_sim"], tmp_path, **{variable: port})
+        code, stderr = run_badly("freerein_sim", tmp_path, **{variable: port})
     assert code == 3
     assert port in reason(stderr)
     assert "FREEREIN_HTTP_PORT and FREEREIN_GRPC_PORT" in reason(stderr)
 
 
 @pytest.mark.fault("C20")
-def test_damaged_weights_end_the_start_with_the_name_of_the_model(tmp_path: Path) -> None:
+def test_damaged_weights_end_the_start_with_the_name_of_the_model(run_badly: RunBadly, tmp_path: Path) -> None:
     store, folder = ModelStore(tmp_path / "models" / "segmentation"), tmp_path / "unpublished"
     folder.mkdir()
     (folder / "weights").write_bytes(bytes(range(256)))
@@ -254,7 +242,7 @@ def test_damaged_weights_end_the_start_with_the_name_of_the_model(tmp_path: Path
     store.activate(ref)
     weights = store.folder(ref) / "weights"
     weights.write_bytes(weights.read_bytes().replace(b"\x10", b"\x11"))
-    code, stderr = start_badly([FAULTY_SERVICE], tmp_path)
+    code, stderr = run_badly(FAULTY_SERVICE, tmp_path)
     assert code == 3
     assert ref.version in reason(stderr)
     assert "fit the model again" in reason(stderr)

@@ -172,7 +172,7 @@ def series(faulty: Any, metric: str) -> dict[str, float]:
 def test_a_call_leaves_the_same_fields_and_metrics_over_every_protocol(
     start_faulty: Callable[..., Any], wait_until: Callable[..., float], level: str
 ) -> None:
-    faulty = start_faulty(script="call_kinds.py", FREEREIN_TOKEN=TOKEN, FREEREIN_LOG_LEVEL=level)
+    faulty = start_faulty(module="tests.faults.call_kinds", FREEREIN_TOKEN=TOKEN, FREEREIN_LOG_LEVEL=level)
 
     def wait_for_streams(*expected: float) -> None:
         """Waits until so many streams of each method are open."""

@@ -25,7 +25,7 @@ from freerein.types.sim import (
 )
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("N1")]
-TOY_REWARD = str(Path(__file__).parents[1] / "reward" / "toy_service.py")
+TOY_REWARD = "tests.reward.toy_service"
 BROKEN = (Unavailable, DeadlineExceeded)  # all that a network may do to a call
 WEATHERS = {
     "late": {"delay_s": 0.05, "jitter_s": 0.02},
@@ -187,7 +187,7 @@ async def test_rewards_are_those_of_an_undisturbed_call(start_service: Callable[
 async def test_a_robot_whose_streams_break_gets_every_action_that_it_would_have_got(
     start_faulty: Callable[..., Any], tmp_path: Path, robots: Any, policies: Any, network: Any, repeats: int
 ) -> None:
-    faulty = start_faulty(tmp_path, script="faulty_policy.py")
+    faulty = start_faulty(tmp_path, module="tests.faults.faulty_policy")
     oracle = await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 200, 201)
     rng, state, did = random.Random(2), b"", None
     async with (

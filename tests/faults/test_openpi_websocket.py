@@ -36,7 +36,7 @@ def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
     """A function that starts the service, and returns when it is ready."""
 
     def start_ready(**environ: str) -> Any:
-        faulty = start_faulty(script="faulty_policy.py", **environ)
+        faulty = start_faulty(module="tests.faults.faulty_policy", **environ)
         while faulty.http.get("/readyz").status_code != 200:
             pass
         return faulty

@@ -106,7 +106,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def reward(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service(str(Path(__file__).with_name("faulty_reward.py")), FREEREIN_SHIPPED_DIR="none")
+    return start_module_service("tests.faults.faulty_reward", FREEREIN_SHIPPED_DIR="none")
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,9 @@ WATCH = "/v1/watch-"
 EVENTS = ["--exclude-path-regex", f"^{WATCH}"]  # what they watch may never end
 CASES, SECONDS = 20_000, 4  # in `make fuzz`, and in `make test`
 SERVICES = {
-    "segmentation": (str(Path(__file__).with_name("faulty_service.py")), {}),
-    "imitation": (str(Path(__file__).with_name("faulty_policy.py")), {"FREEREIN_SHIPPED_DIR": "none"}),
-    "reward": (str(Path(__file__).with_name("faulty_reward.py")), {"FREEREIN_SHIPPED_DIR": "none"}),
+    "segmentation": ("tests.faults.faulty_service", {}),
+    "imitation": ("tests.faults.faulty_policy", {"FREEREIN_SHIPPED_DIR": "none"}),
+    "reward": ("tests.faults.faulty_reward", {"FREEREIN_SHIPPED_DIR": "none"}),
     "sim": ("freerein_sim", {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "8"}),
     "orchestrator": ("freerein_orchestrator", {}),
 }

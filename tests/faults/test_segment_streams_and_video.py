@@ -220,7 +220,7 @@ async def test_a_stream_is_told_when_the_service_stops(
         stream = robots.Stream(client.segment_stream)
         assert (await stream.ask(hello())).opened is not None
         assert (await stream.ask(seen(0, trajectory(10)))).labels is not None
-        own.process.terminate()
+        own.process.send_signal(signal.SIGTERM)
         assert (await stream.hear()).draining.deadline_s > 0
         assert await stream.rest() == []
     assert await asyncio.to_thread(own.process.wait, 60) == 0
@@ -301,7 +301,8 @@ async def test_a_call_that_is_given_up_ends_its_decoder(
 
 
 def decoders(service: Any) -> list[psutil.Process]:
-    return psutil.Process(service.process.pid).children()
+    children = psutil.Process(service.process.pid).children()
+    return [child for child in children if "freerein.video.decoder" in child.cmdline()]
 
 
 @pytest.mark.fault("S9")

@@ -23,12 +23,12 @@ _SPEC = DatasetSpec(fps=10, cameras={"top": (4, 4, 3)}, action=ActionSpec(2, 0, 
 
 @pytest.fixture(scope="module")
 def segmentation(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service(str(FAULTS / "faulty_service.py"), FREEREIN_SHIPPED_DIR="none")
+    return start_module_service("tests.faults.faulty_service", FREEREIN_SHIPPED_DIR="none")
 
 
 @pytest.fixture(scope="module")
 def imitation(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service(str(FAULTS / "faulty_policy.py"), FREEREIN_SHIPPED_DIR="none")
+    return start_module_service("tests.faults.faulty_policy", FREEREIN_SHIPPED_DIR="none")
 
 
 @pytest.fixture

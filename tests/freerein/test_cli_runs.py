@@ -35,7 +35,7 @@ class Orchestrator:
         self.sim, self.service = sim, self._start()
 
     def crash(self) -> None:
-        self.service.process.kill()
+        self.service.kill()
         self.service.process.wait()
         self.service = self._start()
 

@@ -65,7 +65,7 @@ def test_a_picture_is_drawn_with_and_without_frames(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def service(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service(str(FAULTS / "faulty_service.py"), FREEREIN_SHIPPED_DIR="none", FAULTY_SIDE="16")
+    return start_module_service("tests.faults.faulty_service", FREEREIN_SHIPPED_DIR="none", FAULTY_SIDE="16")
 
 
 def run(*words: str) -> Result:

@@ -17,7 +17,7 @@ from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Trajectory
 
 pytestmark = pytest.mark.e2e
-TOY = str(Path(__file__).parents[1] / "reward" / "toy_service.py")
+TOY = "tests.reward.toy_service"
 GOAL = ("--goal", "more", "--rival", "less")
 
 

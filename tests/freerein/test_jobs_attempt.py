@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from freerein.jobs.attempt import KEEP_FREED_MEMORY, AttemptRunner, AttemptStopped, StopRequest
+from freerein.jobs.attempt import AttemptRunner, AttemptStopped, StopRequest
 from freerein.jobs.retry import AttemptResult, Pause, retry
 from freerein.jobs.store import JobStore
 
@@ -175,22 +175,3 @@ def test_a_child_that_will_not_end_is_killed_a_second_after_a_cancel(store, runn
         runner.run(run_id, cancel_at_two)
     assert 1 < time.monotonic() - told[0] < 20
     assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))
-
-
-def test_a_child_keeps_freed_memory_except_where_the_operator_set_the_allocator(store, runner, monkeypatch):
-    monkeypatch.delenv("MALLOC_MMAP_THRESHOLD_", raising=False)
-    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "1000000")
-    run_id = store.create(START, {"config": {"steps": 2, "wait_at": 1}})
-    environ: dict[str, str] = {}
-
-    def interrupt_at_one() -> StopRequest:
-        if store.last(run_id).step < 1:
-            return ""
-        pid = int((store.folder(run_id) / "pids.txt").read_text())
-        environ.update(psutil.Process(pid).environ())
-        return "interrupt"
-
-    with pytest.raises(AttemptStopped):
-        runner.run(run_id, interrupt_at_one)
-    assert environ["MALLOC_MMAP_THRESHOLD_"] == KEEP_FREED_MEMORY["MALLOC_MMAP_THRESHOLD_"]
-    assert environ["MALLOC_TRIM_THRESHOLD_"] == "1000000"

@@ -110,7 +110,7 @@ def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run
     def replace_the_sim() -> bool:
         asked.append(None)
         if len(asked) == replaced_at:
-            mortal.process.kill()
+            mortal.kill()
             mortal.process.wait()
             start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
         return False

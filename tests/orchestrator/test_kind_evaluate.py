@@ -60,7 +60,7 @@ def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same
     def disturb() -> bool:
         asked.append(None)
         if len(asked) == 70:  # in the second round
-            mortal.process.kill()
+            mortal.kill()
             mortal.process.wait()
             port = mortal.address.rpartition(":")[2]
             again = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)

@@ -102,7 +102,7 @@ def test_a_run_waits_for_a_service_that_is_killed_and_goes_on_with_its_fit(
 
     def replace_the_service() -> bool:
         if asked():
-            first.process.kill()
+            first.kill()
             first.process.wait()
             port = first.address.rpartition(":")[2]
             start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none", FREEREIN_GRPC_PORT=port)

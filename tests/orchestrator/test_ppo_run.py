@@ -122,7 +122,7 @@ class Killer:
         with self._lock:
             if not self._is_killed and self._run.rows:
                 self._is_killed = True
-                self._service.process.kill()
+                self._service.kill()
                 self._service.process.wait()
             elif self._is_killed and not self._is_restarted and self._run.waiting:
                 self._is_restarted = True

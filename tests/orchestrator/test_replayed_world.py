@@ -86,7 +86,7 @@ def finish(
         def replace_the_sim() -> bool:
             asked.append(None)
             if len(asked) == replaced_at:
-                sim.process.kill()
+                sim.kill()
                 sim.process.wait()
                 start_service("freerein_sim", FREEREIN_GRPC_PORT=sim.address.rpartition(":")[2], **environ)
             return False

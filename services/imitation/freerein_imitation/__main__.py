@@ -1,6 +1,7 @@
 """The imitation service as a process: `python -m freerein_imitation`."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import torch
 
 from freerein.api.imitation.v1 import imitation_pb2
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings, learned_service
@@ -29,6 +31,7 @@ def build(
     health: Health,
     *,
     load: Callable[[Path, str], Policy] = METHODS.load,
+    start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # one model thread: more would compete with each other and with a fit
@@ -49,6 +52,7 @@ def build(
         batcher=batcher,
         load=lambda folder: _warm_up(load(folder, settings.device)),
         resolve=METHODS.resolve,
+        start_child=start_child,
     )
 
 
@@ -67,4 +71,5 @@ def _warm_up(policy: Policy) -> Policy:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, LearnedSettings, build))
+    fork_server = ForkServer.fork()
+    raise SystemExit(run(NAME, LearnedSettings, partial(build, start_child=fork_server.start)))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.api.orchestrator.v1 import orchestrator_pb2
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.store import JobStore
 from freerein.serving.health import Health
@@ -25,7 +26,14 @@ from freerein_orchestrator.settings import OrchestratorSettings
 NAME = "orchestrator"
 
 
-def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, health: Health) -> Service:
+def build(
+    settings: OrchestratorSettings,
+    _limits: Limits,
+    _metrics: Metrics,
+    health: Health,
+    *,
+    start_child: StartChild = spawn,
+) -> Service:
     """Returns the service."""
     folder = settings.data_dir / "runs"
     store = JobStore(folder, noun="run")
@@ -34,6 +42,7 @@ def build(settings: OrchestratorSettings, _limits: Limits, _metrics: Metrics, he
         module="freerein_orchestrator.runs",
         arguments=(str(settings.data_dir), settings.device),
         hidden_env=("FREEREIN_DATABASE_URL",),  # holds a password
+        start_child=start_child,
     )
     queue = DbosQueue(
         folder,
@@ -66,6 +75,7 @@ def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolve
 
 
 if __name__ == "__main__":
-    code = run(NAME, OrchestratorSettings, build)
+    fork_server = ForkServer.fork()
+    code = run(NAME, OrchestratorSettings, partial(build, start_child=fork_server.start))
     sys.stdout.flush()
     os._exit(code)  # `sys.exit` would wait for threads of DBOS, which wait for as long as a database is away

@@ -10,6 +10,7 @@ import torch
 
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
@@ -43,6 +44,7 @@ def build(
     health: Health,
     *,
     load: Callable[[Path, str], RewardModel | GroundingModel] = load,
+    start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
@@ -64,6 +66,7 @@ def build(
         load=lambda folder: _warm(load(folder, settings.device)),
         resolve=partial(METHODS.resolve, grounding=grounding) if grounding else _refuse_without_grounding,
         fit_arguments=(str(grounding),),
+        start_child=start_child,
         fit_hint=f"; a grounding model: {_PRETRAIN}",
     )
 
@@ -94,4 +97,5 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, RewardSettings, build))
+    fork_server = ForkServer.fork()
+    raise SystemExit(run(NAME, RewardSettings, partial(build, start_child=fork_server.start)))

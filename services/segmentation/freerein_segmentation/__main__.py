@@ -1,12 +1,14 @@
 """The segmentation service as a process: `python -m freerein_segmentation`."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings, learned_service
@@ -26,6 +28,7 @@ def build(
     health: Health,
     *,
     load: Callable[[Path, str], SkillModel] = METHODS.load,
+    start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
     torch.set_num_threads(1)  # more would compete with the fit
@@ -42,6 +45,7 @@ def build(
         batcher=batcher,
         load=lambda folder: _warm(load(folder, settings.device)),
         resolve=METHODS.resolve,
+        start_child=start_child,
     )
 
 
@@ -54,4 +58,5 @@ def _warm(loaded: SkillModel) -> SkillModel:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, LearnedSettings, build))
+    fork_server = ForkServer.fork()
+    raise SystemExit(run(NAME, LearnedSettings, partial(build, start_child=fork_server.start)))

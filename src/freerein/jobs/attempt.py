@@ -10,16 +10,15 @@ import logging
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal
 
 from freerein.atomic_files import out_of_storage
 from freerein.errors import NotFound
+from freerein.fork_server import ChildProcess, Program, StartChild, spawn
 from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
@@ -38,19 +37,6 @@ _SHORTAGES = {errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM}  # of file
 StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
 
-KEEP_FREED_MEMORY = MappingProxyType(
-    {
-        "MALLOC_MMAP_THRESHOLD_": "4000000000",
-        "MALLOC_TRIM_THRESHOLD_": "8000000000",
-        "MALLOC_TOP_PAD_": "500000000",
-    }  # bytes
-)
-"""Settings of glibc's allocator, which reads them when a process starts.
-
-By default it returns arrays above 32 MB to the kernel as soon as they are freed, and each optimiser update pays for new
-pages; and it asks for little at a time. A service may override them in its environment.
-"""
-
 CANCELLED_FILE = "cancelled"
 WAITING_FILE = "waiting"
 INTERNAL_ERROR = "Internal error; the log of the service has the traceback."
@@ -64,15 +50,30 @@ class AttemptStopped(BaseException):
 
 
 class AttemptRunner:
-    """Makes attempts at jobs: a child process of `module` that does not see the environment variables `hidden_env`."""
+    """Makes attempts at jobs.
+
+    Args:
+        store: The jobs.
+        module: Module of the child process.
+        arguments: Its arguments after the job's folder.
+        hidden_env: Environment variables that it does not get.
+        start_child: Starts it.
+    """
 
     def __init__(
-        self, store: JobStore, *, module: str, arguments: Sequence[str] = (), hidden_env: Sequence[str] = ()
+        self,
+        store: JobStore,
+        *,
+        module: str,
+        arguments: Sequence[str] = (),
+        hidden_env: Sequence[str] = (),
+        start_child: StartChild = spawn,
     ) -> None:
         self._store = store
-        self._command = (sys.executable, "-m", "freerein.program", module)
+        self._module = module
         self._arguments = arguments
         self._hidden_env = hidden_env
+        self._start_child = start_child
 
     def run(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause = NO_PAUSE) -> AttemptResult:
         """Starts a job's child process after a pause, and returns how it ended.
@@ -115,28 +116,29 @@ class AttemptRunner:
                 raise AttemptStopped
             time.sleep(min(left_s, _POLL_S))
 
-    def _start(self, job_id: str, should_stop: Callable[[], StopRequest], held: ExitStack) -> "subprocess.Popen[bytes]":
-        """Returns a new child process; `held` has the lock of the job's folder from then on."""
+    def _start(self, job_id: str, should_stop: Callable[[], StopRequest], held: ExitStack) -> ChildProcess:
+        """Returns a new child process; `held` has the lock of the job's folder from then on, and the child's stdin."""
         folder = self._store.folder(job_id)
         lock = held.enter_context(_locked(folder, should_stop))
         for name in (CANCELLED_FILE, WAITING_FILE):
             (folder / name).unlink(missing_ok=True)
         with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
             self._store.record(job_id, "running")
-        with (folder / "log.txt").open("ab") as log:
-            return subprocess.Popen(
-                [*self._command, str(folder), *self._arguments],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                env=self._child_environ(),
-                pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
-                process_group=0,  # Ctrl-C in a terminal reaches us, and the child in order
+        stdin, held_open = os.pipe()
+        held.callback(os.close, held_open)
+        with (folder / "log.txt").open("ab") as log, os.fdopen(stdin):
+            program = Program(
+                self._module,
+                (str(folder), *self._arguments),
+                {name: value for name, value in os.environ.items() if name not in self._hidden_env},
+                stdin=stdin,
+                stdout=log.fileno(),
+                stderr=log.fileno(),
+                keep=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
             )
+            return self._start_child(program)
 
-    def _follow(
-        self, job_id: str, child: "subprocess.Popen[bytes]", should_stop: Callable[[], StopRequest]
-    ) -> AttemptResult:
+    def _follow(self, job_id: str, child: ChildProcess, should_stop: Callable[[], StopRequest]) -> AttemptResult:
         """Records the child's progress until it ends or must stop; it has ended, or was killed, however this ends."""
         folder = self._store.folder(job_id)
         rows = LineReader(folder / "metrics.jsonl")
@@ -151,14 +153,10 @@ class AttemptRunner:
         if request:
             raise AttemptStopped
         progressed = self._store.last(job_id).step > done
-        return _result(child.returncode, _last_line(folder / "log.txt"), progressed=progressed)
-
-    def _child_environ(self) -> dict[str, str]:
-        visible = {name: value for name, value in os.environ.items() if name not in self._hidden_env}
-        return {**KEEP_FREED_MEMORY, **visible}
+        return _result(child.wait(), _last_line(folder / "log.txt"), progressed=progressed)
 
     def _watch(
-        self, job_id: str, child: "subprocess.Popen[bytes]", rows: LineReader, should_stop: Callable[[], StopRequest]
+        self, job_id: str, child: ChildProcess, rows: LineReader, should_stop: Callable[[], StopRequest]
     ) -> StopRequest:
         """Returns why a child must stop; empty when it has ended by itself. Raises NotFound when its job is deleted."""
         waits = ""
@@ -218,17 +216,14 @@ def _locked(folder: Path, should_stop: Callable[[], StopRequest]) -> Iterator[in
         yield lock.fileno()
 
 
-def _end(child: "subprocess.Popen[bytes]", timeout_s: float) -> None:
+def _end(child: ChildProcess, timeout_s: float) -> None:
     """Returns when a child has ended: SIGTERM, and SIGKILL after a timeout."""
-    if child.poll() is None:
-        child.terminate()
+    child.send_signal(signal.SIGTERM)
     try:
         child.wait(timeout_s)
     except subprocess.TimeoutExpired:
-        child.kill()
+        child.send_signal(signal.SIGKILL)
         child.wait()
-    if child.stdin is not None:
-        child.stdin.close()
 
 
 def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:

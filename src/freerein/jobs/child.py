@@ -12,6 +12,7 @@ from typing import Any
 from freerein import program
 from freerein.atomic_files import storage_errors
 from freerein.errors import ServiceError
+from freerein.jobs.allocator import keep_freed_memory
 
 STOPPED = 143
 """Exit code of a child that was stopped by SIGTERM and can be resumed, as shells report it."""
@@ -33,6 +34,7 @@ def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
         The exit code: 0, `STOPPED`, `PERMANENT_FAILURE` or `OUT_OF_STORAGE`.
     """
     program.loaded()
+    keep_freed_memory()
     die_with_parent()
     try:
         with storage_errors():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from freerein.errors import NotFound
+from freerein.fork_server import StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
 from freerein.jobs.store import JobStore
@@ -36,6 +37,7 @@ class FitService:
         resolve: Returns the resolved configuration for the name of a dataset and a partial configuration; raises
             InvalidInput or NotFound for what cannot be fitted.
         health: Ends streams and stops the child on drain.
+        start_child: Starts the child process.
     """
 
     def __init__(
@@ -48,11 +50,11 @@ class FitService:
         models: ModelCache[Any],
         resolve: Resolve,
         health: Health,
+        start_child: StartChild = spawn,
     ) -> None:
         self._jobs = JobStore(folder, noun="fit")
-        self._queue = LocalQueue(
-            self._jobs, AttemptRunner(self._jobs, module=module, arguments=arguments), publish=self._publish
-        )
+        runner = AttemptRunner(self._jobs, module=module, arguments=arguments, start_child=start_child)
+        self._queue = LocalQueue(self._jobs, runner, publish=self._publish)
         self._store = store
         self._models = models
         self._resolve = resolve

@@ -8,6 +8,7 @@ from google.protobuf.descriptor import ServiceDescriptor
 from pydantic import Field
 
 from freerein.api.learning.v1 import learning_pb2
+from freerein.fork_server import StartChild, spawn
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
@@ -53,11 +54,13 @@ def learned_service(
     make_websocket: Callable[[ModelCache[Model]], OpenSession] | None = None,
     fit_arguments: Sequence[str] = (),
     fit_hint: str = "",
+    start_child: StartChild = spawn,
 ) -> Service:
     """Returns a learned service: the methods of its cores, `FitService` and `ModelService`.
 
-    A fit runs `freerein_<name>.fit`. `resolve` is called with the data directory, the dataset, the configuration and
-    `threads`; see `FitService`. `make_websocket` makes what opens the connections of a WebSocket, where there is one.
+    `start_child` starts `freerein_<name>.fit` for a fit. `resolve` is called with the data directory, the dataset, the
+    configuration and `threads`; see `FitService`. `make_websocket` makes what opens the connections of a WebSocket,
+    where there is one.
     """
     store = open_store(name, settings)
     models = ModelCache(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}")
@@ -69,6 +72,7 @@ def learned_service(
         models=models,
         resolve=lambda dataset, config: resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
         health=health,
+        start_child=start_child,
     )
 
     async def start() -> None:

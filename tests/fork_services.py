@@ -1,0 +1,36 @@
+"""The fork server of a test worker: services that it starts have imported all they need.
+
+python tests/fork_services.py FD     with the fork server's end of a socket
+"""
+
+import gc
+import importlib
+import os
+import socket
+import sys
+from pathlib import Path
+
+from freerein.fork_server import serve
+
+_MODULES = (
+    "freerein_orchestrator.__main__",
+    "freerein_orchestrator.runs.__main__",
+    *(
+        f"freerein_{service}.{module}"
+        for service in ("segmentation", "imitation", "reward")
+        for module in ("__main__", "fit")
+    ),
+    "freerein_sim.__main__",
+)
+
+if __name__ == "__main__":
+    gc.disable()
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    requests = socket.socket(fileno=int(sys.argv[1]))
+    os.set_inheritable(requests.fileno(), False)
+    for module in _MODULES:
+        importlib.import_module(module)
+        del sys.modules[module]  # what it imports stays; it runs as `__main__`
+    gc.freeze()
+    gc.enable()
+    serve(requests)
