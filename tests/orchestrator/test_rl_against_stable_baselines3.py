@@ -124,7 +124,7 @@ def _theirs(task: str, network: ActorCritic, batch: Batch) -> tuple[float, dict[
     return model.logger.name_to_value["train/loss"], {n: g for n, g in gradients.items() if g is not None}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.environ.get("FREEREIN_FUZZ") != "1", reason="a long test: make fuzz")
 def test_the_cart_pole_is_learnt_as_fast_as_by_stable_baselines3() -> None:
     ours, theirs = (
