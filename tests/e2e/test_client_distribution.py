@@ -16,7 +16,7 @@ import pytest
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
 NEWEST = tomllib.loads((ROOT / "src" / "pyproject.toml").read_text())["project"]["dependencies"]
 OLDEST = [line.partition(",")[0].replace(">=", "==") for line in NEWEST]

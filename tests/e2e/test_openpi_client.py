@@ -14,7 +14,7 @@ from freerein.clients import Channel, ImitationClient
 from freerein.types.common import Goal, Image, Observation
 from freerein.types.imitation import ActRequest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
 CLIENT = ("openpi-client==0.1.2", "typing-extensions")  # which it imports, but does not ask for
 TOKEN = "correct-horse-battery"

@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "train_sb3.py"
 
 
 @pytest.mark.e2e
-@pytest.mark.slow
+@pytest.mark.long
 def test_stable_baselines_trains_on_a_sentence(
     start_service: Callable[..., Any], wait_until: Callable[..., float], tmp_path: Path
 ) -> None:

@@ -18,7 +18,7 @@ from freerein_reward.relations import SpatialRelation, classify_relation
 RED, BLUE, GRAY = (215, 30, 30), (30, 70, 220), (120, 124, 130)
 SIDE, STEPS, SKILLS = 32, 12, ("pour", "reach")
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.long]
 Discs = Sequence[tuple[float, float, tuple[int, int, int]]]
 Shell = Callable[[str], str]
 

@@ -99,7 +99,7 @@ def test_a_claim_that_must_be_apart_needs_its_interval_to_be() -> None:
     assert not target.is_reached(44, 6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
     steps = [
         {"name": "demos", "kind": "collect", "config": {"dataset": "demos", "task": "grid", "count": 2}},

@@ -53,7 +53,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Places:
     return places
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_arm_that_was_stopped_and_then_killed_goes_on_to_the_same_result(
     tmp_path: Path, uninterrupted: Places
 ) -> None:
@@ -95,7 +95,7 @@ def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_arms_become_results_and_these_a_table_with_claims(
     uninterrupted: Places, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 from freerein.cli.__main__ import app
 from freerein.ports import Ports
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.long]
 
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
 LARGE = ("start", "collect", "--set", "task=blocks", "--set", "count=20", "--watch")  # few are under way at once

@@ -427,7 +427,7 @@ def test_gymnasiums_wrappers_fit(address: str) -> None:
 # --- learners that know nothing of us
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("cameras", [("front",), ("front", "wrist")], ids=["box", "dict"])
 @pytest.mark.parametrize("task", TASKS)
 def test_stable_baselines_trains_on_environments_as_they_are(address: str, task: str, cameras: tuple[str, ...]) -> None:

@@ -170,7 +170,7 @@ def test_a_camera_is_found_by_its_name_and_the_first_by_none(address: str) -> No
     assert (refused.value.field, refused.value.hint) == ("config.camera", "Leave it out for the first.")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("task", "policy"), [("grid", "MlpPolicy"), ("blocks.red-left-of-blue", "CnnPolicy")])
 def test_stable_baselines_trains_on_environments_as_they_are(address: str, task: str, policy: str) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
